@@ -1,0 +1,1 @@
+"""Pure mechanics of a planar slender beam, on arrays: no file, no camera, no estimation."""

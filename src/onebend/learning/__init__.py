@@ -1,0 +1,1 @@
+"""k(s) from observations, and how good it is."""

@@ -1,0 +1,1 @@
+"""Files to observations: pixels, clocks, sensors. Knows no mechanics."""

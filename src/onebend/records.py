@@ -1,0 +1,121 @@
+"""The frozen records that flow from floor to floor.
+
+Units are SI and radians. `T` counts video frames, `m` tags on the beam, `N` rows of a force log. Unknown is NaN.
+The frame ("beam's frame") has its origin at the base tag's centre, x along the undeformed beam, y to its left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+Rest = Literal["straight", "unknown"]
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something a person should know about a recording or a fit, said in one sentence."""
+
+    level: Literal["note", "warning"]
+    text: str
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Corners of every expected tag in every video frame, in pixels.
+
+    `corners[t, i]` runs counter-clockwise as printed on the tag, seen from the front, starting at the tag's
+    bottom-left: bottom-left, bottom-right, top-right, top-left. Pixel centres are at whole numbers (OpenCV's
+    convention). NaN where the tag was not seen.
+    """
+
+    time: Array  # (T,) s, the video's own clock, first frame at 0
+    tag_id: IntArray  # (m+b,) base tags and beam tags, in the order of `recording.toml`
+    corners: Array  # (T, m+b, 4, 2) px
+    width: int  # px
+    height: int  # px
+    remarks: tuple[Remark, ...] = ()
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Pose of every beam tag relative to the base tag, in metres and radians."""
+
+    time: Array  # (T,) s, the video's own clock
+    tag_id: IntArray  # (m,)
+    s: Array  # (m,) nominal place along the beam
+    xy: Array  # (T, m, 2) m, base tag's frame
+    angle: Array  # (T, m) rad, continuous in time, 0 where the tag points along the base tag's x axis
+    covariance: Array  # (T, m, 3, 3) of (x, y, angle): m^2, m rad, rad^2
+    base_angle: Array  # (T,) rad, the base tag's x axis in the first frame's base frame (0 where the base stands still)
+    remarks: tuple[Remark, ...] = ()
+
+
+@dataclass(frozen=True)
+class ForceLog:
+    """A force log as it stands in its file: own clock, own axes, own sign."""
+
+    time: Array  # (N,) s, rising
+    force: Array  # (N, 2) N
+    push_s: Array | None = None  # (N,) place of the push, where the log has such a column
+
+
+@dataclass(frozen=True)
+class CleanForce:
+    """The force on the beam after tare, outliers, filter and rotation; on the log's clock."""
+
+    time: Array  # (N,) s
+    force: Array  # (N, 2) N, on the beam, beam's frame
+    push_s: Array | None  # (N,)
+    noise_sd: Array  # (2,) N, sd of what the filter left in, per axis
+    tare: Array  # (2,) N, what was taken off at the first contact (beam's frame)
+    drift: Array  # (2,) N/s, slope of the tare between the rests before and after contact; NaN if only one rest exists
+    cutoff: float  # Hz, of the zero-phase low-pass; infinity if none
+    outliers: int  # rows replaced
+    remarks: tuple[Remark, ...] = ()
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """`log time = video time + offset`. A sensor's own lag cannot be told apart from it and is inside."""
+
+    offset: float  # s
+    sd: float  # s
+    said: float  # s, what `recording.toml` says
+    found: bool  # False where no data could settle it and `offset` is what was said
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What a recording says, on one clock and in one frame: all that learning and validation need."""
+
+    name: str
+    length: float  # L, m
+    time: Array  # (T,) s, the force log's clock
+    frame: IntArray  # (T,) index in the video
+    tag_id: IntArray  # (m,)
+    marker_s: Array  # (m,) place along the beam
+    xy: Array  # (T, m, 2) m, beam's frame
+    angle: Array  # (T, m) rad, of the tag against the beam's x axis
+    covariance: Array  # (T, m, 3, 3)
+    force: Array  # (T, 2) N, on the beam, beam's frame
+    force_sd: Array  # (2,) N, one sd of the noise left in `force`
+    push_s: Array  # (T,) place where the force acts
+    loaded: BoolArray  # (T,) the beam is being pushed (contact found in the data)
+    rest_xy: Array  # (m, 2) m, markers with no force on the beam
+    rest_angle: Array  # (m,) rad
+    rest_covariance: Array  # (m, 3, 3)
+    gravity: Array  # (T, 2) m/s^2 in the beam's frame; zeros where it acts across the plane
+    mass: float  # kg, NaN where unknown
+    placement_sd: float  # m, tolerance of the tags' places
+    rest: Rest
+    clock: ClockOffset | None
+    clean_force: CleanForce | None
+    remarks: tuple[Remark, ...] = ()
