@@ -7,6 +7,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -45,6 +46,19 @@ class Detections:
 
 
 @dataclass(frozen=True)
+class View:
+    """How the camera sees the plane of the tags: a point (x, y) of the plane is at `rotation @ (x, y, 0) + translation`
+    in the camera (x right, y down, z forward), and from there at a pixel through `matrix` and the lens `dist`."""
+
+    matrix: Array  # (3, 3) px, pinhole
+    dist: Array  # (5,) k1 k2 p1 p2 k3 (OpenCV)
+    rotation: Array  # (3, 3)
+    translation: Array  # (3,) m
+    calibrated: bool  # False where focal length and lens were inferred from the tags themselves
+    corner_sd: float  # px, one sd of a corner's coordinate, from the residuals
+
+
+@dataclass(frozen=True)
 class Markers:
     """Pose of every beam tag relative to the base tag, in metres and radians."""
 
@@ -54,7 +68,8 @@ class Markers:
     xy: Array  # (T, m, 2) m, base tag's frame
     angle: Array  # (T, m) rad, continuous in time, 0 where the tag points along the base tag's x axis
     covariance: Array  # (T, m, 3, 3) of (x, y, angle): m^2, m rad, rad^2
-    base_angle: Array  # (T,) rad, the base tag's x axis in the first frame's base frame (0 where the base stands still)
+    base_angle: Array  # (T,) rad, turn of the base tag since the first frame (0 where the base stands still)
+    view: View | None  # of the base tag's plane and frame (first frame, where the base moves); None for tracked markers
     remarks: tuple[Remark, ...] = ()
 
 
@@ -118,4 +133,6 @@ class Observations:
     rest: Rest
     clock: ClockOffset | None
     clean_force: CleanForce | None
+    view: View | None = None  # of the beam's plane and frame
+    video: Path | None = None
     remarks: tuple[Remark, ...] = ()
