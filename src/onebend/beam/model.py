@@ -5,8 +5,41 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.continuation import equilibrium
+from onebend.beam.loads import push, weight
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Profile, Uniform, profile_from_dict
 from onebend.errors import MechanicsError
+from onebend.records import Array
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The beam in equilibrium: one shape, or T where the force was a table of T forces (all arrays then lead with T)."""
+
+    solved: Equilibrium
+    single: bool
+
+    def xy(self, s: ArrayLike) -> Array:
+        """(..., 2) m, positions at `s` (a number or an array)."""
+        out = self.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))
+        return self._plain(out[:, 0] if np.ndim(s) == 0 else out)
+
+    def angle(self, s: ArrayLike) -> Array:
+        """rad, the tangent's angle at `s` (a number or an array)."""
+        out = self.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))
+        return self._plain(out[:, 0] if np.ndim(s) == 0 else out)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every shape is a stable equilibrium."""
+        return bool(np.all(self.solved.stable))
+
+    def _plain(self, values: Array) -> Array:
+        return np.asarray(values[0]) if self.single else values
 
 
 @dataclass(frozen=True)
@@ -22,6 +55,27 @@ class Beam:
     def __post_init__(self) -> None:
         if not self.length > 0.0:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
+
+    def equilibrium(self, force: ArrayLike, at_s: ArrayLike = 1.0, *, gravity: ArrayLike | None = None) -> Shape:
+        """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, and its weight if `gravity` is given.
+
+        `gravity`: (2,) or (T, 2) m/s^2 in the beam's frame.
+
+        Raises:
+            MechanicsError: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
+                before the full load (the beam would snap through).
+        """
+        loads = push(force, at_s)
+        if gravity is not None:
+            loads = loads + weight(gravity)
+        solved = equilibrium(self, loads)
+        if not np.all(solved.converged):
+            frame = int(np.flatnonzero(~solved.converged)[0])
+            raise MechanicsError(
+                f"load {frame}: the equilibrium that grows from rest ends at {solved.load_factor[frame]:.1%} of the load; "
+                "beyond it the beam snaps through. Give a smaller load"
+            )
+        return Shape(solved, single=np.ndim(force) == 1)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data from which `Beam.from_dict` makes an equal beam."""

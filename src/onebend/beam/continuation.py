@@ -1,0 +1,153 @@
+"""Following the equilibrium that grows from the rest shape while all loads grow together from nothing.
+
+Each step of the load is predicted along the branch's tangent and corrected by Newton's method. A step counts only if
+the corrector moved the shape by a small angle: then it cannot have landed on another branch. Otherwise it is halved.
+Where no step however short succeeds, the branch itself turns back (a limit point): a real beam would snap through.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.loads import Loads
+from onebend.beam.statics import Equilibrium, Problem, Resolution, Rod, gradient, is_stable, node_angles, pose, tangent
+from onebend.records import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the branch is followed. Angles in radians."""
+
+    stride: float = 0.7  # the largest predicted turn of a step
+    trust: float = 0.25  # the largest turn that the corrector may add to the prediction
+    corrections: int = 8  # Newton iterations a step
+    tolerance: float = 1e-11  # of the last Newton update, as an angle
+    shortest: float = 1e-4  # share of the load: a step below this has met the end of the branch
+    most: int = 400  # steps
+
+
+@dataclass
+class _State:
+    """Where each frame of a batch stands on its branch. Lives only inside `follow`."""
+
+    q: Array
+    factor: Array
+    step: Array
+    iterations: int = 0
+
+
+def equilibrium(
+    beam: Rod, loads: Loads, *, resolution: Resolution | None = None, search: Search = Search()
+) -> Equilibrium:
+    """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
+
+    Without a `resolution` the grid is refined until the curvature is resolved to about 1e-10 of its size.
+
+    Raises:
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    if resolution is not None:
+        return follow(pose(beam, loads, resolution), search=search)
+    resolution = Resolution()
+    result = follow(pose(beam, loads, resolution), search=search)
+    for _ in range(6):
+        if np.all(result.problem.grid.legendre_tail(result.q) < 1e-10):
+            break
+        resolution = resolution.finer()
+        result = follow(pose(beam, loads, resolution), search=search)
+    return result
+
+
+def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
+    """Equilibria of a batch by load continuation from rest."""
+    size = problem.size
+    rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
+    state = _State(q=rest, factor=np.zeros(size), step=np.ones(size))
+    open_frames = np.arange(size)
+    for _ in range(search.most):
+        if open_frames.size == 0:
+            break
+        _advance(problem, state, open_frames, search)
+        unfinished = (state.factor[open_frames] < 1.0) & (state.step[open_frames] >= search.shortest)
+        open_frames = open_frames[unfinished]
+    return Equilibrium(
+        problem=problem,
+        q=state.q,
+        converged=state.factor >= 1.0,
+        stable=is_stable(problem, state.q) & (state.factor >= 1.0),
+        load_factor=state.factor,
+        iterations=state.iterations,
+    )
+
+
+def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equilibrium:
+    """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
+    q, near = _correct(problem, start, np.ones(problem.size), search.stride, search)
+    lost = np.flatnonzero(~near)
+    iterations = search.corrections
+    if lost.size:
+        again = follow(problem.take(lost), search=search)
+        q[lost] = again.q
+        near = near.copy()
+        near[lost] = again.converged
+        iterations += again.iterations
+    factor = np.where(near, 1.0, np.nan)
+    return Equilibrium(problem, q, near, is_stable(problem, q) & near, factor, iterations)
+
+
+def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) -> None:
+    """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
+    part = problem if frames.size == problem.size else problem.take(frames)
+    q, factor = state.q[frames], state.factor[frames]
+    slope = _solve(tangent(part, q, factor), -_load_gradient(part, q))
+    turn = np.max(np.abs(node_angles(part, slope) - part.alpha0), axis=-1)
+    step = np.minimum(state.step[frames], search.stride / np.maximum(turn, 1e-300))
+    step = np.minimum(step, 1.0 - factor)
+    last = factor + step >= 1.0 - 1e-12
+    target = np.where(last, 1.0, factor + step)
+    found, near = _correct(part, q + step[:, None] * slope, target, search.trust, search)
+    state.iterations += search.corrections
+    state.q[frames[near]] = found[near]
+    state.factor[frames[near]] = target[near]
+    state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
+
+
+def _correct(problem: Problem, start: Array, factor: Array, trust: float, search: Search) -> tuple[Array, BoolArray]:
+    """Newton from `start` at fixed load; True where it settled without turning by more than `trust` on the way."""
+    q = start.copy()
+    settled = np.zeros(problem.size, dtype=bool)
+    strayed = np.zeros(problem.size, dtype=bool)
+    moved = np.zeros_like(q)
+    for _ in range(search.corrections):
+        todo = np.flatnonzero(~(settled | strayed))
+        if todo.size == 0:
+            break
+        part = problem if todo.size == problem.size else problem.take(todo)
+        update = _solve(tangent(part, q[todo], factor[todo]), -gradient(part, q[todo], factor[todo]))
+        q[todo] += update
+        moved[todo] += node_angles(part, update) - part.alpha0
+        small = np.max(np.abs(node_angles(part, update) - part.alpha0), axis=-1) < search.tolerance
+        settled[todo] = small
+        strayed[todo] = ~(np.max(np.abs(moved[todo]), axis=-1) < trust)
+    return q, settled & ~strayed
+
+
+def _load_gradient(problem: Problem, q: Array) -> Array:
+    """(T, Q) derivative of the gradient with respect to the load factor."""
+    return gradient(problem, q, 1.0) - gradient(problem, q, 0.0)
+
+
+def _solve(matrices: Array, right: Array) -> Array:
+    """Batched solve; frames whose tangent is singular come back as NaN, and are then seen as strayed."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        out = np.full_like(right, np.nan)
+        for i, (matrix, r) in enumerate(zip(matrices, right, strict=True)):
+            try:
+                out[i] = np.linalg.solve(matrix, r)
+            except np.linalg.LinAlgError:
+                continue
+        return out

@@ -1,0 +1,113 @@
+"""Panels of Gauss nodes along the beam, and the one operator that mechanics needs on them: integration from the base.
+
+A quantity f is known by its values at the nodes. On each panel it is the polynomial through them, so the integral
+from 0 to any s is a row vector times the values. Applied to curvature the operator gives the angle (3), applied to
+the tangent (cos, sin) it gives the position over L (4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from onebend.errors import MechanicsError
+from onebend.records import Array
+
+_NARROWEST = 1e-9  # of a panel, in s: closer edges are one edge
+
+
+@dataclass(frozen=True)
+class Grid:
+    """`P` panels with `order` Gauss-Legendre nodes each, `Q = P * order` in all.
+
+    `edges` may have leading batch axes (a push whose place changes from frame to frame); everything then has them.
+    """
+
+    edges: Array  # (..., P + 1), rising from 0 to 1
+    order: int
+
+    def __post_init__(self) -> None:
+        if self.order < 2:
+            raise MechanicsError(f"a panel needs at least 2 nodes, got {self.order}")
+        if (
+            np.any(np.diff(self.edges) <= 0.0)
+            or np.any(self.edges[..., 0] != 0.0)
+            or np.any(self.edges[..., -1] != 1.0)
+        ):
+            raise MechanicsError("panel edges must rise from 0 to 1")
+
+    @property
+    def nodes(self) -> Array:
+        """(..., Q) places of the nodes."""
+        x, _ = _gauss(self.order)
+        h = np.diff(self.edges)
+        s = self.edges[..., :-1, None] + 0.5 * h[..., None] * (x + 1.0)
+        return s.reshape(*s.shape[:-2], -1)
+
+    @property
+    def weights(self) -> Array:
+        """(..., Q) quadrature weights; they sum to 1."""
+        _, w = _gauss(self.order)
+        out = 0.5 * np.diff(self.edges)[..., None] * w
+        return out.reshape(*out.shape[:-2], -1)
+
+    def integral_to(self, s: Array) -> Array:
+        """Rows R (..., S, Q) with `R @ f = int_0^s f` for places `s` (..., S) in [0, 1]."""
+        s = np.asarray(s, dtype=float)
+        h = np.diff(self.edges)  # (..., P)
+        local = (s[..., :, None] - self.edges[..., None, :-1]) / h[..., None, :]  # (..., S, P), 0..1 inside
+        rows = 0.5 * h[..., None, :, None] * _integral_rows(np.clip(local, 0.0, 1.0), self.order)
+        return rows.reshape(*rows.shape[:-2], -1)
+
+    @property
+    def integral_to_nodes(self) -> Array:
+        """(..., Q, Q): the matrix B of `alpha = alpha0 + B q` at the nodes."""
+        return self.integral_to(self.nodes)
+
+    def legendre_tail(self, f: Array) -> Array:
+        """Share of the last two Legendre coefficients in f (..., Q), the largest over the panels: 0 is resolved."""
+        per_panel = f.reshape(*f.shape[:-1], -1, self.order)
+        coefficients = np.abs(per_panel @ _to_legendre(self.order).T)
+        largest = np.max(coefficients, axis=(-1, -2))
+        tail = np.max(coefficients[..., -2:], axis=(-1, -2))
+        return np.divide(tail, largest, out=np.zeros_like(tail), where=largest > 0.0)
+
+
+def make_grid(breaks: tuple[float, ...] = (), *, order: int = 16, widest: float = 1.0) -> Grid:
+    """A grid with an edge at each of `breaks` and no panel wider than `widest`."""
+    inner = sorted(b for b in breaks if _NARROWEST < b < 1.0 - _NARROWEST)
+    edges = [0.0]
+    for stop in [*inner, 1.0]:
+        if stop - edges[-1] <= _NARROWEST:
+            continue
+        parts = int(np.ceil((stop - edges[-1]) / widest - 1e-9))
+        edges.extend(np.linspace(edges[-1], stop, parts + 1)[1:].tolist())
+    edges[-1] = 1.0
+    return Grid(np.asarray(edges), order)
+
+
+@lru_cache(maxsize=32)
+def _gauss(order: int) -> tuple[Array, Array]:
+    x, w = np.polynomial.legendre.leggauss(order)
+    return x, w
+
+
+@lru_cache(maxsize=32)
+def _to_legendre(order: int) -> Array:
+    """(order, order): Legendre coefficients of the polynomial through values at the Gauss nodes."""
+    x, w = _gauss(order)
+    degree = np.arange(order)
+    return (degree[:, None] + 0.5) * np.polynomial.legendre.legvander(x, order - 1).T * w
+
+
+def _integral_rows(local: Array, order: int) -> Array:
+    """`int_{-1}^{x} l_j dx` of the Lagrange polynomials l_j at the Gauss nodes, x = 2 local - 1: (..., order)."""
+    p = np.polynomial.legendre.legvander(2.0 * local - 1.0, order)  # P_0 .. P_order
+    degree = np.arange(1, order)
+    integral = np.empty((*np.shape(local), order))
+    integral[..., 0] = 2.0 * local
+    # (2k + 1) int_{-1}^{x} P_k = P_{k+1}(x) - P_{k-1}(x)
+    integral[..., 1:] = (p[..., 2:] - p[..., :-2]) / (2 * degree + 1)
+    return np.asarray(integral @ _to_legendre(order))
