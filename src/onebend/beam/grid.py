@@ -44,14 +44,14 @@ class Grid:
         x, _ = _gauss(self.order)
         h = np.diff(self.edges)
         s = self.edges[..., :-1, None] + 0.5 * h[..., None] * (x + 1.0)
-        return s.reshape(*s.shape[:-2], -1)
+        return np.asarray(s.reshape(*s.shape[:-2], -1))
 
     @property
     def weights(self) -> Array:
         """(..., Q) quadrature weights; they sum to 1."""
         _, w = _gauss(self.order)
         out = 0.5 * np.diff(self.edges)[..., None] * w
-        return out.reshape(*out.shape[:-2], -1)
+        return np.asarray(out.reshape(*out.shape[:-2], -1))
 
     def integral_to(self, s: Array) -> Array:
         """Rows R (..., S, Q) with `R @ f = int_0^s f` for places `s` (..., S) in [0, 1]."""
@@ -59,7 +59,7 @@ class Grid:
         h = np.diff(self.edges)  # (..., P)
         local = (s[..., :, None] - self.edges[..., None, :-1]) / h[..., None, :]  # (..., S, P), 0..1 inside
         rows = 0.5 * h[..., None, :, None] * _integral_rows(np.clip(local, 0.0, 1.0), self.order)
-        return rows.reshape(*rows.shape[:-2], -1)
+        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
     @property
     def integral_to_nodes(self) -> Array:
@@ -72,7 +72,7 @@ class Grid:
         coefficients = np.abs(per_panel @ _to_legendre(self.order).T)
         largest = np.max(coefficients, axis=(-1, -2))
         tail = np.max(coefficients[..., -2:], axis=(-1, -2))
-        return np.divide(tail, largest, out=np.zeros_like(tail), where=largest > 0.0)
+        return np.asarray(np.divide(tail, largest, out=np.zeros_like(tail), where=largest > 0.0))
 
 
 def make_grid(breaks: tuple[float, ...] = (), *, order: int = 16, widest: float = 1.0) -> Grid:
@@ -91,7 +91,7 @@ def make_grid(breaks: tuple[float, ...] = (), *, order: int = 16, widest: float 
 @lru_cache(maxsize=32)
 def _gauss(order: int) -> tuple[Array, Array]:
     x, w = np.polynomial.legendre.leggauss(order)
-    return x, w
+    return np.asarray(x, dtype=float), np.asarray(w, dtype=float)
 
 
 @lru_cache(maxsize=32)
@@ -99,7 +99,7 @@ def _to_legendre(order: int) -> Array:
     """(order, order): Legendre coefficients of the polynomial through values at the Gauss nodes."""
     x, w = _gauss(order)
     degree = np.arange(order)
-    return (degree[:, None] + 0.5) * np.polynomial.legendre.legvander(x, order - 1).T * w
+    return np.asarray((degree[:, None] + 0.5) * np.polynomial.legendre.legvander(x, order - 1).T * w)
 
 
 def _integral_rows(local: Array, order: int) -> Array:

@@ -37,7 +37,7 @@ class Loads:
     @property
     def size(self) -> int:
         """T, the number of equilibria asked for."""
-        return max(self.force.shape[0], self.moment.shape[0], self.gravity.shape[0])
+        return max(len(self.force), len(self.moment), len(self.gravity))
 
     def __add__(self, other: Loads) -> Loads:
         """Both loads together, in the same frames."""

@@ -18,7 +18,7 @@ from onebend.records import Array
 
 @dataclass(frozen=True)
 class Shape:
-    """The beam in equilibrium: one shape, or T where the force was a table of T forces (all arrays then lead with T)."""
+    """The beam in equilibrium: one shape, or T where T forces were given (all arrays then lead with T)."""
 
     solved: Equilibrium
     single: bool
@@ -57,7 +57,7 @@ class Beam:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
 
     def equilibrium(self, force: ArrayLike, at_s: ArrayLike = 1.0, *, gravity: ArrayLike | None = None) -> Shape:
-        """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, and its weight if `gravity` is given.
+        """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, and under its weight.
 
         `gravity`: (2,) or (T, 2) m/s^2 in the beam's frame.
 
@@ -72,8 +72,8 @@ class Beam:
         if not np.all(solved.converged):
             frame = int(np.flatnonzero(~solved.converged)[0])
             raise MechanicsError(
-                f"load {frame}: the equilibrium that grows from rest ends at {solved.load_factor[frame]:.1%} of the load; "
-                "beyond it the beam snaps through. Give a smaller load"
+                f"load {frame}: the equilibrium that grows from rest ends at {solved.load_factor[frame]:.1%} "
+                "of the load; beyond it the beam snaps through. Give a smaller load"
             )
         return Shape(solved, single=np.ndim(force) == 1)
 

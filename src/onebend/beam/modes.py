@@ -40,7 +40,7 @@ class Modes:
         s = np.asarray(s, dtype=float)
         if self.kind == "powers":
             return np.asarray(s[..., None] ** np.arange(self.n))
-        return np.polynomial.legendre.legvander(2.0 * s - 1.0, self.n - 1)
+        return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, self.n - 1))
 
     def angle(self, s: Array) -> Array:
         """a_i(s), the integral of phi_i from 0 to s (3): `s.shape + (n,)`."""

@@ -131,9 +131,10 @@ def pose(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Prob
     nodes = grid.nodes
     k = np.asarray(beam.stiffness(nodes))
     if not np.all(k > 0.0):
-        where = float(np.broadcast_to(nodes, k.shape)[~(k > 0.0)][0])
+        bad = np.flatnonzero(~(k > 0.0))[0]
         raise MechanicsError(
-            f"k(s) is not positive: {float(k[~(k > 0.0)][0]):.3g} N m at s = {where:.3f}; such a beam has no equilibrium"
+            f"k(s) is not positive: {k.flat[bad]:.3g} N m at s = {nodes.flat[bad]:.3f}; "
+            "such a beam has no stable equilibrium"
         )
     beyond = nodes[..., None, :] < places[..., :, None]  # (T, a + b, Q)
     forces = loads.force.shape[1]

@@ -7,6 +7,7 @@ as plain data and read back. What is linear in its coefficients also gives its b
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -64,7 +65,7 @@ class Gaussians:
             raise MechanicsError(f"{len(self.centres)} centres but {len(self.coefficients)} coefficients")
 
     def __call__(self, s: Array | float) -> Array:
-        return gaussian_basis(s, self.centres, self.width) @ np.asarray(self.coefficients)
+        return np.asarray(gaussian_basis(s, self.centres, self.width) @ np.asarray(self.coefficients))
 
     @property
     def jumps(self) -> tuple[float, ...]:
@@ -205,18 +206,22 @@ def equidistant(m: int) -> tuple[float, ...]:
     return tuple(float(c) for c in np.linspace(0.0, 1.0, m))
 
 
-_PLAIN = {"uniform": Uniform, "gaussians": Gaussians, "powers": Powers, "table": Table, "steps": Steps}
+_KINDS: dict[str, Callable[..., Profile]] = {
+    "uniform": Uniform,
+    "gaussians": Gaussians,
+    "powers": Powers,
+    "table": Table,
+    "steps": Steps,
+    "log-spline": LogSpline,
+}
 
 
 def profile_from_dict(data: dict[str, Any]) -> Profile:
     """The profile that `as_dict` wrote. Raises `MechanicsError` on an unknown kind or missing entry."""
-    fields = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items() if key != "kind"}
-    kind = data.get("kind")
+    entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items() if key != "kind"}
     try:
-        if kind == "scaled":
-            return Scaled(fields["factor"], profile_from_dict(data["profile"]))
-        if kind == "log-spline":
-            return LogSpline(**fields)
-        return _PLAIN[str(kind)](**fields)  # type: ignore[no-any-return]
+        if data["kind"] == "scaled":
+            return Scaled(float(data["factor"]), profile_from_dict(data["profile"]))
+        return _KINDS[data["kind"]](**entries)
     except (KeyError, TypeError) as error:
-        raise MechanicsError(f"cannot make a profile from kind {kind!r}: {error}") from error
+        raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error
