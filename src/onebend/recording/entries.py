@@ -1,0 +1,210 @@
+# ruff: noqa: RUF009  (key() returns a dataclass field, which is what a default may be)
+"""What `recording.toml` may say: one frozen record a table. The schema is documented in docs/recording.md.
+
+In the file every key carries its unit and angles are in degrees; in these records everything is SI and radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
+from onebend.records import Remark, Rest
+
+FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagCircle49h12", "tagStandard41h12", "tagStandard52h13")
+DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
+
+
+@dataclass(frozen=True)
+class BeamEntry:
+    """[beam]: what is known of the beam."""
+
+    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
+    mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
+    width: float = key(
+        "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
+    )
+    thickness: float = key(
+        "thickness_m", number(above=0), "the beam's size along the bending axis, m", example="0.03", default=math.nan
+    )
+    rest: Rest = key(
+        "rest",
+        one_of("straight", "unknown"),
+        'its shape with no force on it: "straight", or "unknown" if it may be curved',
+        example='"straight"',
+        default="straight",
+    )
+
+
+@dataclass(frozen=True)
+class TagEntry:
+    """One tag: where it sits and how it is turned."""
+
+    id: int = key("id", whole(least=0), "the number of the tag", example="1")
+    s: float = key(
+        "s", number(least=0, most=1), "its place along the beam, 0 at the clamp, 1 at the tip", example="1.0"
+    )
+    turn: float = key(
+        "turn_deg",
+        degrees(),
+        "its printed right-hand side against the beam's direction, counter-clockwise as the camera sees it, degrees",
+        example="0",
+        default=0.0,
+    )  # rad
+
+
+@dataclass(frozen=True)
+class TagsEntry:
+    """[tags]: the printed tags and where they sit."""
+
+    size: float = key("size_m", number(above=0), "the side of the tag's black square, m", example="0.012")
+    family: str = key("family", one_of(*FAMILIES), "the AprilTag family", example='"tag36h11"', default=FAMILIES[0])
+    placement_sd: float = key(
+        "placement_sd_m",
+        number(least=0),
+        "how far off its written place a tag may sit (one standard deviation), m",
+        example=f"{DEFAULT_PLACEMENT_SD}",
+        default=DEFAULT_PLACEMENT_SD,
+    )
+    on_base: tuple[TagEntry, ...] = ()  # at least one; the first is the origin
+    on_beam: tuple[TagEntry, ...] = ()  # at least one
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """[camera]: a pinhole camera with OpenCV's lens model, as calibrated."""
+
+    width: int = key("width", whole(least=1), "the picture's width in the calibration, px", example="1280")
+    height: int = key("height", whole(least=1), "the picture's height in the calibration, px", example="720")
+    fx: float = key("fx", number(above=0), "the focal length along x, px", example="1200.0")
+    fy: float = key("fy", number(above=0), "the focal length along y, px", example="1200.0")
+    cx: float = key("cx", number(), "the principal point's x, px (pixel centres at whole numbers)", example="639.5")
+    cy: float = key("cy", number(), "the principal point's y, px (pixel centres at whole numbers)", example="359.5")
+    dist: tuple[float, ...] = key(
+        "dist",
+        several(number(), 4, 5),
+        "the lens: k1, k2, p1, p2 and, if known, k3, as OpenCV calibrates it",
+        example="[0.0, 0.0, 0.0, 0.0]",
+    )
+
+
+@dataclass(frozen=True)
+class VideoEntry:
+    """[video]: the film and its clock."""
+
+    file: Path = key("file", text, "the video file, relative to this folder", example='"video.mp4"')
+    fps: float = key(
+        "fps", number(above=0), "the frame rate, only checked against the file's own", example="30", default=math.nan
+    )
+    frame_times: Path | Literal["container"] = key(
+        "frame_times",
+        text,
+        '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
+        example='"container"',
+        default="container",
+    )
+    start: float = key(
+        "start_s", number(), "the time of the first frame on the force log's clock, s", example="0.0", default=math.nan
+    )
+    start_uncertainty: float = key(
+        "start_uncertainty_s",
+        number(least=0),
+        "how far off start_s may be (its largest error), s",
+        example="2.0",
+        default=2.0,
+    )  # s; infinity where start_s is not given
+
+
+@dataclass(frozen=True)
+class ForceEntry:
+    """[force]: the force log, and what is known of its sensor."""
+
+    file: Path = key("file", text, "the force log, a CSV file, relative to this folder", example='"force.csv"')
+    columns: tuple[str, str, str] = key(
+        "columns",
+        several(text, 3),
+        "the columns with the time [s] and the two forces [N]",
+        example='["time_s", "fx_N", "fy_N"]',
+        default=("time_s", "fx_N", "fy_N"),
+    )
+    rotation: float = key(
+        "rotation_deg",
+        degrees(),
+        "the log's x axis against the beam's, counter-clockwise as the camera sees it, degrees",
+        example="0.0",
+        default=0.0,
+    )  # rad
+    acts_on: Literal["beam", "robot"] = key(
+        "acts_on",
+        one_of("beam", "robot"),
+        'whose force is logged: the one on the "beam", or the reaction on the "robot"',
+        example='"beam"',
+        default="beam",
+    )
+    sensor: str = key("sensor", text, "the sensor's name", example='"franka-estimate"', default="")
+    zeroed: bool = key("zeroed", flag, "whether it was zeroed just before the push", example="false", default=False)
+    gain_sd: float = key(
+        "gain_sd", number(least=0), "the sensor's scale error (one sd, 0.02 = 2 %)", example="0.02", default=math.nan
+    )
+    white_sd: float = key(
+        "white_sd_N", number(least=0), "the sensor's noise of one sample (one sd), N", example="0.03", default=math.nan
+    )
+    bias_sd: float = key(
+        "bias_sd_N", number(least=0), "the sensor's constant error (one sd), N", example="0.2", default=math.nan
+    )
+
+
+@dataclass(frozen=True)
+class PushEntry:
+    """[push]: where the force acts; a place, or the name of a column of the force log that gives it."""
+
+    at: float = key(
+        "at_s",
+        number(above=0, least=0, most=1),
+        "where the force acts, 0 at the clamp, 1 at the tip",
+        example="1.0",
+        default=math.nan,
+    )
+    column: str = key(
+        "column", text, "the force log's column that gives the place of the push", example='"push_s"', default=""
+    )
+
+
+@dataclass(frozen=True)
+class GravityEntry:
+    """[gravity]: the weight acts in the plane of the bending. Angles counter-clockwise from horizontal, as the camera
+    sees it; the beam's x axis is given once, or as a log."""
+
+    direction: float = key("direction_deg", degrees(), "where it pulls, in the room, degrees", example="-90.0")  # rad
+    magnitude: float = key(
+        "magnitude_m_s2", number(least=0), "the acceleration of gravity, m/s^2", example="9.81", default=9.81
+    )
+    base_angle: float = key(
+        "base_angle_deg", degrees(), "the beam's x axis in the room, degrees", example="0.0", default=math.nan
+    )  # rad
+    base_angle_file: Path | None = key(
+        "base_angle_file",
+        text,
+        "a CSV file with columns time_s (the force log's clock) and base_deg",
+        example='"base_angle.csv"',
+        default=None,
+    )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as it stands on disk: checked, in SI and radians, with every path made whole."""
+
+    folder: Path
+    name: str
+    beam: BeamEntry
+    tags: TagsEntry
+    camera: CameraEntry | None
+    video: VideoEntry | None  # None where markers were tracked elsewhere (not supported yet)
+    force: ForceEntry | None
+    push: PushEntry | None
+    gravity: GravityEntry | None
+    remarks: tuple[Remark, ...] = ()

@@ -1,0 +1,171 @@
+"""A recording on disk: a folder with `recording.toml`, read and checked."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from onebend.errors import RecordingError
+from onebend.recording.entries import (
+    BeamEntry,
+    CameraEntry,
+    ForceEntry,
+    GravityEntry,
+    PushEntry,
+    Recording,
+    TagEntry,
+    TagsEntry,
+    VideoEntry,
+)
+from onebend.recording.schema import Mistakes, read_table, report_unknown
+from onebend.records import Remark
+
+FILE_NAME = "recording.toml"
+FORMAT = 1
+SECTIONS: dict[str, type] = {
+    "camera": CameraEntry,
+    "video": VideoEntry,
+    "force": ForceEntry,
+    "push": PushEntry,
+    "gravity": GravityEntry,
+}
+PLANNED = {"markers": "marker tracks", "poses": "bench poses"}
+TABLES = ("beam", "tags", *SECTIONS, *PLANNED)
+
+
+def read_recording(folder: Path | str) -> Recording:
+    """Read and check `recording.toml` of `folder`, and that the files it names exist.
+
+    Raises
+    ------
+    RecordingError
+        Everything that is wrong, each with its line and what to do.
+    """
+    folder = Path(folder)
+    content, data = load(folder)
+    mistakes = Mistakes(str(folder / FILE_NAME), content)
+    check_top(data, mistakes)
+    if mistakes.found:
+        raise RecordingError(str(mistakes))
+    tags = read_tags(data["tags"], mistakes)
+    beam = read_table(BeamEntry, data["beam"], ("beam",), mistakes)
+    sections = {
+        name: read_table(record, data[name], (name,), mistakes) if name in data else None
+        for name, record in SECTIONS.items()
+    }
+    found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
+    check_together(found, data, mistakes)
+    if mistakes.found or beam is None or tags is None:
+        raise RecordingError(str(mistakes))
+    return Recording(
+        folder=folder,
+        name=data.get("name", folder.resolve().name),
+        beam=beam,
+        tags=tags,
+        remarks=remarks_on(tags, data),
+        **found,
+    )
+
+
+def load(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Text and data of the folder's `recording.toml`."""
+    path = folder / FILE_NAME
+    if not folder.is_dir():
+        raise RecordingError(f"{folder} is not a folder. Give the folder that holds {FILE_NAME}.")
+    if not path.is_file():
+        raise RecordingError(f"{folder} holds no {FILE_NAME}. Write one with `onebend new {folder}` and fill it in.")
+    try:
+        content = path.read_text(encoding="utf-8")
+        return content, tomllib.loads(content)
+    except UnicodeDecodeError as wrong:
+        raise RecordingError(f"{path} is not UTF-8 text (byte {wrong.start}). Save it as UTF-8.") from None
+    except tomllib.TOMLDecodeError as wrong:
+        raise RecordingError(f"{path} is not valid TOML: {wrong}. Text needs quotes, numbers a dot.") from None
+
+
+def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
+    """The tables and keys at the top of the file."""
+    report_unknown(data, ["format", "name", *TABLES], (), mistakes)
+    if data.get("format") != FORMAT:
+        mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
+    if not isinstance(data.get("name", ""), str):
+        mistakes.add(("name",), f"name must be text in quotes, not {data['name']!r}.")
+    for name, what in PLANNED.items():
+        if name in data:
+            mistakes.add((name,), f"[{name}]: {what} instead of a video are not supported yet. Give a [video].")
+    if "video" not in data and not any(name in data for name in PLANNED):
+        mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
+    for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
+        if name not in data:
+            mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
+
+
+def read_tags(table: Any, mistakes: Mistakes) -> TagsEntry | None:
+    """[tags] with its two lists."""
+    if not isinstance(table, dict):
+        mistakes.add(("tags",), f"[tags] must be a table, not {table!r}.")
+        return None
+    lists: dict[str, tuple[TagEntry, ...]] = {}
+    for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
+        rows = table.get(group, [])
+        if not isinstance(rows, list) or not rows:
+            mistakes.add(("tags", group), f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
+            rows = []
+        read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
+        lists[group] = tuple(tag for tag in read if tag is not None)
+    seen: set[int] = set()
+    for group, tags in lists.items():
+        for i, tag in enumerate(tags):
+            if tag.id in seen:
+                mistakes.add(
+                    ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
+                )
+            seen.add(tag.id)
+    return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
+
+
+def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
+    """`entry` with the files it names made whole paths; each must exist."""
+    if entry is None:
+        return None
+    for field_name in ("file", "frame_times", "base_angle_file"):
+        written = getattr(entry, field_name, None)
+        if written is None or (field_name == "frame_times" and written == "container"):
+            continue
+        path = folder / written
+        if not path.is_file():
+            near = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
+            hint = f"Did you mean {near[0]}?" if near else "Put it there, or correct the name."
+            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no file {path}. {hint}")
+        entry = replace(entry, **{field_name: path})
+    if isinstance(entry, VideoEntry) and math.isnan(entry.start):
+        entry = replace(entry, start_uncertainty=math.inf)
+    return entry
+
+
+def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
+    """What no table can say alone."""
+    push, gravity = found["push"], found["gravity"]
+    if push is not None and math.isnan(push.at) == (push.column == ""):
+        mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
+    if "force" in data and "push" not in data:
+        mistakes.add(("force",), "There is a [force] but no [push]: say where it acts. Add `[push]` with `at_s = 1.0`.")
+    if "push" in data and "force" not in data:
+        mistakes.add(("push",), "There is a [push] but no [force]: add the force log, or remove [push].")
+    if gravity is not None and math.isnan(gravity.base_angle) == (gravity.base_angle_file is None):
+        mistakes.add(("gravity",), "[gravity] needs either base_angle_deg or base_angle_file, not both.")
+
+
+def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
+    """What was assumed because the file does not say it."""
+    remarks = []
+    if "placement_sd_m" not in data["tags"]:
+        said = f"{1000 * tags.placement_sd:g} mm"
+        remarks.append(Remark("note", f"recording.toml does not say how exactly the tags were placed: {said} assumed."))
+    if "start_s" not in data["video"] and "force" in data:
+        remarks.append(Remark("note", "recording.toml does not say when the video starts on the force log's clock."))
+    return tuple(remarks)

@@ -1,0 +1,204 @@
+"""How a table of a TOML file becomes a frozen record: keys with their units, checks, and the line of every mistake.
+
+A field of a record is declared once with `key(...)`: its name in the file (with the unit), what may stand there and
+what it means. Reading, unit conversion, error messages and the template all follow from that declaration.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+Place = tuple[str | int, ...]  # ("tags", "on_beam", 0, "s"): where a value stands in the file
+Check = Callable[[Any], Any]  # returns the value in SI and radians, or raises ValueError with what should stand there
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of the file: its name with the unit, its check, one line that says what it is, and an example as TOML."""
+
+    name: str
+    check: Check
+    says: str
+    example: str = ""
+
+
+def key(name: str, check: Check, says: str, *, example: str = "", **default: Any) -> Any:
+    """A dataclass field that is read from the file's key `name`; required unless `default=` is given."""
+    return field(metadata={"key": Key(name, check, says, example)}, **default)
+
+
+def keys_of(record: type) -> dict[str, tuple[Key, bool]]:
+    """Field name -> (key, required) of a record declared with `key`, in the order of declaration."""
+    found = {}
+    for entry in dataclasses.fields(record):
+        if "key" in entry.metadata:
+            found[entry.name] = (entry.metadata["key"], entry.default is dataclasses.MISSING)
+    return found
+
+
+def number(*, above: float = -math.inf, least: float = -math.inf, most: float = math.inf, scale: float = 1.0) -> Check:
+    """A finite number, larger than `above` and in [`least`, `most`], multiplied by `scale`."""
+    wanted = ["a number"]
+    wanted += [f"above {above:g}"] if math.isfinite(above) else []
+    wanted += [f"of at least {least:g}"] if math.isfinite(least) and not math.isfinite(most) else []
+    wanted += [f"between {least:g} and {most:g}"] if math.isfinite(least) and math.isfinite(most) else []
+
+    def check(value: Any) -> float:
+        real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not real or not above < value or not least <= value <= most:
+            raise ValueError(" ".join(wanted))
+        return float(value) * scale
+
+    return check
+
+
+def degrees() -> Check:
+    """An angle written in degrees, kept in radians."""
+    return number(scale=math.pi / 180)
+
+
+def whole(*, least: int) -> Check:
+    """A whole number of at least `least`."""
+
+    def check(value: Any) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            raise ValueError(f"a whole number of at least {least}")
+        return value
+
+    return check
+
+
+def text(value: Any) -> str:
+    """Text that is not empty."""
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError('text in quotes, such as "video.mp4"')
+    return value
+
+
+def flag(value: Any) -> bool:
+    """true or false."""
+    if not isinstance(value, bool):
+        raise ValueError("true or false")
+    return value
+
+
+def one_of(*choices: str) -> Check:
+    """One of a few words."""
+
+    def check(value: Any) -> str:
+        if value not in choices:
+            near = difflib.get_close_matches(str(value), choices, n=1)
+            hint = f' (did you mean "{near[0]}"?)' if near else ""
+            raise ValueError("one of " + ", ".join(f'"{choice}"' for choice in choices) + hint)
+        return str(value)
+
+    return check
+
+
+def several(item: Check, *counts: int) -> Check:
+    """A list with one of the given numbers of entries, each passing `item`; kept as a tuple."""
+
+    def check(value: Any) -> tuple[Any, ...]:
+        if not isinstance(value, list) or len(value) not in counts:
+            raise ValueError("a list of " + " or ".join(str(count) for count in counts) + " entries")
+        try:
+            return tuple(item(entry) for entry in value)
+        except ValueError as wrong:
+            raise ValueError(f"a list in which each entry is {wrong}") from None
+
+    return check
+
+
+class Mistakes:
+    """What is wrong with one file, collected so that a person can mend it in one go."""
+
+    def __init__(self, file: str, content: str) -> None:
+        self.file = file
+        self.lines = lines_of_keys(content)
+        self.found: list[tuple[int, str]] = []
+
+    def add(self, place: Place, message: str) -> None:
+        """Note a mistake at `place`; it is given the line of the nearest table that stands in the file."""
+        while place and place not in self.lines:
+            place = place[:-1]
+        self.found.append((self.lines.get(place, 1), message))
+
+    def __str__(self) -> str:
+        return "\n".join(f"{self.file}:{line}: {message}" for line, message in sorted(self.found))
+
+
+def read_table(record: type[Record], table: Any, place: Place, mistakes: Mistakes, **others: Any) -> Record | None:
+    """The record that `table` describes, or None with the reasons in `mistakes`. `others` are fields without a key,
+    and tables that the caller reads itself."""
+    name = place_name(place)
+    if not isinstance(table, dict):
+        mistakes.add(place, f"{name} must be a table, not {table!r}.")
+        return None
+    before = len(mistakes.found)
+    keys = keys_of(record)
+    report_unknown(table, [entry.name for entry, _ in keys.values()] + list(others), place, mistakes)
+    values: dict[str, Any] = {}
+    for field_name, (entry, required) in keys.items():
+        if entry.name in table:
+            try:
+                values[field_name] = entry.check(table[entry.name])
+            except ValueError as wrong:
+                shown = repr(table[entry.name])
+                mistakes.add(
+                    (*place, entry.name), f"{name} {entry.name} must be {wrong}, not {shown}. It is {entry.says}."
+                )
+        elif required:
+            mistakes.add(place, f"{name} lacks {entry.name}: {entry.says}. Add `{entry.name} = {entry.example}`.")
+    if len(mistakes.found) > before:
+        return None
+    return record(**values, **others)
+
+
+def report_unknown(table: dict[str, Any], known: list[str], place: Place, mistakes: Mistakes) -> None:
+    """Note every key of `table` that is not among `known`, with the likeliest intended one."""
+    for name in table:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"Did you mean {near[0]}?" if near else "Known here: " + ", ".join(known) + "."
+            mistakes.add((*place, name), f"{place_name(place)} does not know the key {name}. {hint}")
+
+
+def place_name(place: Place) -> str:
+    """`[tags.on_beam] (entry 2)` for ("tags", "on_beam", 1)."""
+    words = [part for part in place if isinstance(part, str)]
+    counts = [part for part in place if isinstance(part, int)]
+    name = f"[{'.'.join(words)}]" if words else "the file"
+    return f"{name} (entry {counts[-1] + 1})" if counts else name
+
+
+HEADER = re.compile(r"^\s*(\[\[?)\s*([A-Za-z0-9_.\-\s\"']+?)\s*\]\]?\s*(#.*)?$")
+ASSIGNMENT = re.compile(r"^\s*([A-Za-z0-9_.\-\"']+)\s*=")
+
+
+def lines_of_keys(content: str) -> dict[Place, int]:
+    """Line (from 1) of every table header and `key =` at the start of a line; good enough to point a person there.
+
+    Keys inside inline tables and in the continuation of a multi-line value are not found; their table is.
+    """
+    lines: dict[Place, int] = {}
+    counts: dict[Place, int] = {}
+    table: Place = ()
+    for line, row in enumerate(content.splitlines(), start=1):
+        if header := HEADER.match(row):
+            table = tuple(part.strip(" \"'") for part in header[2].split("."))
+            if header[1] == "[[":
+                counts[table] = counts.get(table, -1) + 1
+                lines.setdefault(table, line)
+                table = (*table, counts[table])
+            lines.setdefault(table, line)
+        elif assignment := ASSIGNMENT.match(row):
+            parts = tuple(part.strip("\"'") for part in assignment[1].split("."))
+            lines.setdefault((*table, *parts), line)
+    return lines
