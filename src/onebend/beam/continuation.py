@@ -1,8 +1,10 @@
 """Following the equilibrium that grows from the rest shape while all loads grow together from nothing.
 
 Each step of the load is predicted along the branch's tangent and corrected by Newton's method. A step counts only if
-the corrector moved the shape by a small angle: then it cannot have landed on another branch. Otherwise it is halved.
-Where no step however short succeeds, the branch itself turns back (a limit point): a real beam would snap through.
+the corrector moved the shape by a small angle and the new shape is stable: then it cannot have landed on another
+branch. Otherwise it is shortened. Where no step however short keeps stability, the branch has passed a bifurcation
+(a perfectly straight beam under a perfectly axial load) and is followed on, marked unstable. Where no step succeeds at
+all, the branch itself turns back (a limit point): a real beam would snap through.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ class _State:
     q: Array
     factor: Array
     step: Array
+    buckled_at: Array
     iterations: int = 0
 
 
@@ -64,7 +67,7 @@ def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
     """Equilibria of a batch by load continuation from rest."""
     size = problem.size
     rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
-    state = _State(q=rest, factor=np.zeros(size), step=np.ones(size))
+    state = _State(q=rest, factor=np.zeros(size), step=np.ones(size), buckled_at=np.full(size, np.nan))
     open_frames = np.arange(size)
     for _ in range(search.most):
         if open_frames.size == 0:
@@ -78,6 +81,7 @@ def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
         converged=state.factor >= 1.0,
         stable=is_stable(problem, state.q) & (state.factor >= 1.0),
         load_factor=state.factor,
+        buckled_at=state.buckled_at,
         iterations=state.iterations,
     )
 
@@ -85,16 +89,18 @@ def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
 def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equilibrium:
     """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
     q, near = _correct(problem, start, np.ones(problem.size), search.stride, search)
+    near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
     lost = np.flatnonzero(~near)
+    buckled_at = np.full(problem.size, np.nan)
     iterations = search.corrections
     if lost.size:
         again = follow(problem.take(lost), search=search)
         q[lost] = again.q
-        near = near.copy()
         near[lost] = again.converged
         iterations += again.iterations
+        buckled_at[lost] = again.buckled_at
     factor = np.where(near, 1.0, np.nan)
-    return Equilibrium(problem, q, near, is_stable(problem, q) & near, factor, iterations)
+    return Equilibrium(problem, q, near, is_stable(problem, q) & near, factor, buckled_at, iterations)
 
 
 def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) -> None:
@@ -108,6 +114,12 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     last = factor + step >= 1.0 - 1e-12
     target = np.where(last, 1.0, factor + step)
     found, near = _correct(part, q + step[:, None] * slope, target, search.trust, search)
+    unbuckled = np.isnan(state.buckled_at[frames])
+    buckles = near & unbuckled
+    buckles[buckles] = ~is_stable(part.take(buckles), found[buckles], target[buckles])
+    at_last = buckles & (step < 4.0 * search.shortest)  # stability is lost however short the step
+    state.buckled_at[frames[at_last]] = target[at_last]
+    near &= ~buckles | at_last
     state.iterations += search.corrections
     state.q[frames[near]] = found[near]
     state.factor[frames[near]] = target[near]

@@ -99,6 +99,7 @@ class Equilibrium:
     converged: BoolArray  # (T,) equilibrium reached on the branch that grows from rest
     stable: BoolArray  # (T,) the tangent is positive definite there
     load_factor: Array  # (T,) share of the load reached: below 1 the branch ends there (snap-through)
+    buckled_at: Array  # (T,) share of the load at which the branch lost stability; NaN where it never did
     iterations: int  # Newton iterations in all
 
     @property
@@ -186,9 +187,9 @@ def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Arr
     return np.asarray(out)
 
 
-def is_stable(problem: Problem, q: Array) -> BoolArray:
+def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
     """(T,) whether the tangent is positive definite (a Cholesky factor exists)."""
-    matrices = tangent(problem, q)
+    matrices = tangent(problem, q, load_factor)
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
