@@ -18,7 +18,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("report", "export"),
     ("results",),
     ("pipeline",),
-    ("batch",),
+    ("batch", "terminal"),
     ("cli", "studio", "__init__", "__main__"),
 )
 LEVEL = {name: level for level, names in enumerate(FLOORS) for name in names}

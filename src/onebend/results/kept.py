@@ -1,0 +1,59 @@
+"""Tag detections kept on disk, so that an interrupted run does not look for the tags again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.records import Detections, Remark
+
+
+@dataclass(frozen=True)
+class KeptDetections:
+    """Detections in a folder, each under the key of what it was made from."""
+
+    folder: Path
+
+    def load(self, key: str) -> Detections | None:
+        """What was kept under `key`, or None: a file that cannot be read counts as not there."""
+        try:
+            with self._file(key).open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+                remarks = tuple(Remark(*pair) for pair in json.loads(str(data["remarks"])))
+                width, height = (int(n) for n in data["size"])
+                return Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks)
+        except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def save(self, key: str, detections: Detections) -> None:
+        """Keep `detections` under `key`; the file is whole or not there."""
+        file = self._file(key)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = file.with_suffix(".tmp")
+        with unfinished.open("wb") as stream:
+            np.savez_compressed(
+                stream,
+                time=detections.time,
+                tag_id=detections.tag_id,
+                corners=detections.corners,
+                size=np.array([detections.width, detections.height]),
+                remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
+            )
+        unfinished.replace(file)
+
+    def _file(self, key: str) -> Path:
+        return self.folder / f"detections-{key}.npz"
+
+
+def key_of(files: tuple[Path, ...], *settings: Any) -> str:
+    """A name for "these files as they are now, with these settings" (by path, size and time of change).
+
+    `settings` go in by their `repr`, so they must be plain values or frozen records of such.
+    """
+    stats = [(str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+    return hashlib.sha256(repr((stats, settings)).encode()).hexdigest()[:20]

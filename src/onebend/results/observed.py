@@ -1,0 +1,124 @@
+"""`observations.parquet`: what a recording said, so that it can be learned from again without its video.
+
+One row a frame, one column a quantity, units in the names. What is not a table (length, rests, clock, view) stands as
+JSON in the file's metadata under `onebend`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from onebend.errors import ResultsError
+from onebend.records import Array, ClockOffset, Observations, Remark, View
+
+FILE_NAME = "observations.parquet"
+_KEY = b"onebend"
+_VERSION = 1
+_VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
+_SCALARS = ("name", "length", "mass", "placement_sd", "rest")
+
+
+def save_observations(path: Path, observations: Observations) -> None:
+    """Write everything but `clean_force` (the whole force log, which is not on the frames' clock)."""
+    o = observations
+    columns: dict[str, Any] = {
+        "time_s": o.time,
+        "frame": o.frame,
+        "force_x_N": o.force[:, 0],
+        "force_y_N": o.force[:, 1],
+        "push_s": o.push_s,
+        "loaded": o.loaded,
+        "gravity_x_m_s2": o.gravity[:, 0],
+        "gravity_y_m_s2": o.gravity[:, 1],
+    }
+    for i, tag in enumerate(o.tag_id):
+        columns[f"tag_{tag}_x_m"] = o.xy[:, i, 0]
+        columns[f"tag_{tag}_y_m"] = o.xy[:, i, 1]
+        columns[f"tag_{tag}_angle_rad"] = o.angle[:, i]
+        nine = np.ascontiguousarray(o.covariance[:, i]).reshape(-1)
+        columns[f"tag_{tag}_covariance"] = pa.FixedSizeListArray.from_arrays(pa.array(nine), 9)
+    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(_rest_of(o)).encode()})
+    pq.write_table(table, path, compression="zstd")
+
+
+def load_observations(path: Path | str) -> Observations:
+    """What `save_observations` wrote (a file, or the results folder that holds it); `clean_force` is None.
+
+    Raises `ResultsError` where the file is missing, damaged, or was not written by onebend.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / FILE_NAME
+    if not file.is_file():
+        raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
+    try:
+        table = pq.read_table(file)
+        rest = json.loads(table.schema.metadata[_KEY])
+        if rest["version"] != _VERSION:
+            raise ResultsError(f"{file}: version {rest['version']!r}, but this onebend reads version {_VERSION}")
+        return _observations(table, rest)
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        raise ResultsError(
+            f"{file}: damaged, or not written by onebend ({error!r}). Learn the recording again to have it anew"
+        ) from error
+
+
+def _rest_of(o: Observations) -> dict[str, Any]:
+    """All that has no row a frame. Python's JSON keeps NaN and infinity, and floats to the last bit."""
+    rest: dict[str, Any] = {name: getattr(o, name) for name in _SCALARS}
+    rest |= {name: getattr(o, name).tolist() for name in _VECTORS}
+    view = None if o.view is None else {k: np.asarray(v).tolist() for k, v in vars(o.view).items()}
+    return rest | {
+        "version": _VERSION,
+        "clock": None if o.clock is None else asdict(o.clock),
+        "view": view,
+        "video": None if o.video is None else str(o.video),
+        "remarks": [[remark.level, remark.text] for remark in o.remarks],
+    }
+
+
+def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
+    def column(name: str) -> Array:
+        return np.asarray(table[name].to_numpy(), dtype=float)
+
+    def per_tag(ending: str) -> Array:
+        return np.stack([column(f"tag_{tag}_{ending}") for tag in rest["tag_id"]], axis=1)
+
+    covariance = [
+        np.asarray(table[f"tag_{tag}_covariance"].combine_chunks().flatten(), dtype=float).reshape(-1, 3, 3)
+        for tag in rest["tag_id"]
+    ]
+    vectors: dict[str, Any] = {name: np.asarray(rest[name], dtype=float) for name in _VECTORS if name != "tag_id"}
+    return Observations(
+        **{name: rest[name] for name in _SCALARS},
+        **vectors,
+        tag_id=np.asarray(rest["tag_id"], dtype=np.int64),
+        time=column("time_s"),
+        frame=np.asarray(table["frame"].to_numpy(), dtype=np.int64),
+        xy=np.stack([per_tag("x_m"), per_tag("y_m")], axis=-1),
+        angle=per_tag("angle_rad"),
+        covariance=np.stack(covariance, axis=1),
+        force=np.stack([column("force_x_N"), column("force_y_N")], axis=-1),
+        push_s=column("push_s"),
+        loaded=np.asarray(table["loaded"].to_numpy(), dtype=bool),
+        gravity=np.stack([column("gravity_x_m_s2"), column("gravity_y_m_s2")], axis=-1),
+        clock=None if rest["clock"] is None else ClockOffset(**rest["clock"]),
+        clean_force=None,
+        view=_view(rest["view"]),
+        video=None if rest["video"] is None else Path(rest["video"]),
+        remarks=tuple(Remark(level, text) for level, text in rest["remarks"]),
+    )
+
+
+def _view(data: dict[str, Any] | None) -> View | None:
+    if data is None:
+        return None
+    arrays = {name: np.asarray(data[name], dtype=float) for name in ("matrix", "dist", "rotation", "translation")}
+    return View(**arrays, calibrated=bool(data["calibrated"]), corner_sd=float(data["corner_sd"]))

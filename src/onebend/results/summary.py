@@ -1,0 +1,124 @@
+"""`summary.json`: the figures a script wants, in SI; `null` where a number is not known or not finite."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.learning.outcome import Comparison, Learned
+from onebend.records import Observations
+from onebend.report.findings import Findings, all_remarks
+
+LEARN_FORMAT = "onebend-learn-1"
+VALIDATE_FORMAT = "onebend-validate-1"
+
+
+def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
+    """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
+    learned, observed = findings.learned, findings.observations
+    return {
+        "format": LEARN_FORMAT,
+        "written_by": written_by,
+        "recording": observed.name,
+        "length_m": observed.length,
+        "method": learned.method,
+        "family": learned.family,
+        "chosen": _trial(learned, learned.chosen),
+        "trials": len(learned.trials),
+        "stiffness": _stiffness(learned),
+        "training": comparison_summary(learned.training),
+        "validation": [comparison_summary(one) for one in findings.validations],
+        "frames": {"all": len(observed.time), "loaded": int(observed.loaded.sum())},
+        "force": _force(observed),
+        "clock": _clock(observed),
+        "remarks": [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)],
+        "stage_seconds": dict(findings.stage_seconds),
+        "video_seconds": findings.video_seconds,
+    }
+
+
+def validation_summary(model: str, comparisons: Sequence[Comparison], *, written_by: str) -> dict[str, Any]:
+    """What `onebend validate --json` prints."""
+    rows = [comparison_summary(one) for one in comparisons]
+    return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
+
+
+def comparison_summary(one: Comparison) -> dict[str, Any]:
+    """One recording's row of Tables IV to VI."""
+    return {
+        "recording": one.name,
+        "frames": len(one.frame),
+        "tag": one.tag_id,
+        "s": one.marker_s,
+        "rms_m": one.rms,
+        "sensor_rms_m": one.sensor_rms,
+        "all_stable": bool(np.all(one.stable)),
+        "remarks": [{"level": remark.level, "text": remark.text} for remark in one.remarks],
+    }
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON knows it: arrays as lists, numbers that are not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def write_summary(path: Path, summary: Mapping[str, Any], files: Sequence[str]) -> None:
+    """Write `summary` with the list of all files of the results; it must be the last file written."""
+    path.write_text(to_json({**summary, "files": sorted({*files, path.name})}) + "\n", encoding="utf-8")
+
+
+def to_json(data: Any) -> str:
+    """Strict JSON, readable."""
+    return json.dumps(plain(data), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def _trial(learned: Learned, index: int) -> dict[str, Any]:
+    trial = learned.trials[index]
+    return {
+        "n": trial.n,
+        "m": trial.m,
+        "coefficients_N_m": trial.coefficients,
+        "rms_m": trial.rms,
+        "bic": trial.bic,
+        "lowest_k_N_m": trial.lowest_k,
+        "condition": trial.condition,
+        "why_out": trial.why_out,
+    }
+
+
+def _stiffness(learned: Learned) -> dict[str, Any]:
+    s = np.linspace(0.0, 1.0, 11)
+    return {"s": s.round(3), "k_N_m": learned.beam.stiffness(s)}
+
+
+def _force(observed: Observations) -> dict[str, Any] | None:
+    clean = observed.clean_force
+    if clean is None:
+        return None
+    return {
+        "largest_N": float(np.max(np.linalg.norm(observed.force[observed.loaded], axis=1), initial=0.0)),
+        "noise_sd_N": clean.noise_sd,
+        "tare_N": clean.tare,
+        "drift_N_s": clean.drift,
+        "cutoff_Hz": clean.cutoff,
+        "outliers": clean.outliers,
+    }
+
+
+def _clock(observed: Observations) -> dict[str, Any] | None:
+    clock = observed.clock
+    if clock is None:
+        return None
+    return {"offset_s": clock.offset, "sd_s": clock.sd, "said_s": clock.said, "found": clock.found}

@@ -1,0 +1,92 @@
+"""The tables a run leaves: comma-separated, one header line, the unit at the end of every column's name.
+
+A number that is not known is written `nan`, which NumPy, pandas, R and MATLAB all read.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.learning.outcome import Comparison, Learned
+
+PLACES = 201  # rows of stiffness.csv: s = 0, 0.005, ..., 1
+
+
+def write_stiffness(path: Path, beam: Beam) -> None:
+    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`.
+
+    A regression gives neither a band nor a word on where the data are blind: `k_lo_N_m` and `k_hi_N_m` are `nan` and
+    `identified` is `unknown` in every row. (Not "no": that would be a finding.)
+    """
+    s = np.linspace(0.0, 1.0, PLACES)
+    rows = (
+        [f"{place:.3f}", _number(k), "nan", "nan", "unknown"] for place, k in zip(s, beam.stiffness(s), strict=True)
+    )
+    _write(path, ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], rows)
+
+
+def write_selection(path: Path, learned: Learned) -> None:
+    """One row a trial of the (n, m) table: RMS per marker, BIC, lowest k, condition, and the coefficients with `;`."""
+    tags = [f"rms_{tag}_m" for tag in learned.training.tag_id]
+    header = ["n", "m", *tags, "bic", "lowest_k_N_m", "condition", "coefficients_N_m", "chosen", "why_out"]
+    rows = (
+        [
+            trial.n,
+            trial.m,
+            *map(_number, trial.rms),
+            _number(trial.bic),
+            _number(trial.lowest_k),
+            _number(trial.condition),
+            ";".join(map(_number, trial.coefficients)),
+            "yes" if i == learned.chosen else "no",
+            trial.why_out,
+        ]
+        for i, trial in enumerate(learned.trials)
+    )
+    _write(path, header, rows)
+
+
+def write_markers(path: Path, comparisons: Sequence[Comparison]) -> None:
+    """One row a recording, frame and tag: measured, predicted and residual (measured less predicted) positions."""
+    header = "recording,time_s,frame,tag,s,x_m,y_m,predicted_x_m,predicted_y_m,residual_x_m,residual_y_m"
+    forces = ["force_x_N", "force_y_N", "push_s", "stable"]
+    _write(path, [*header.split(","), *forces], (row for one in comparisons for row in _marker_rows(one)))
+
+
+def _marker_rows(one: Comparison) -> Iterable[list[Any]]:
+    residual = one.measured - one.predicted
+    for t, frame in enumerate(one.frame):
+        load = [*map(_number, one.force[t]), _number(one.push_s[t]), "yes" if one.stable[t] else "no"]
+        for i, tag in enumerate(one.tag_id):
+            places = (*one.measured[t, i], *one.predicted[t, i], *residual[t, i])
+            yield [one.name, f"{one.time[t]:.6f}", frame, tag, _number(one.marker_s[i]), *map(_number, places), *load]
+
+
+def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
+    """Tables IV to VI: one row a recording and tag, with the part that the force's noise alone explains."""
+    header = ["recording", "frames", "tag", "s", "rms_m", "sensor_rms_m"]
+    rows = (
+        [one.name, len(one.frame), tag, _number(one.marker_s[i]), _number(one.rms[i]), _number(one.sensor_rms[i])]
+        for one in comparisons
+        for i, tag in enumerate(one.tag_id)
+    )
+    _write(path, header, rows)
+
+
+def _number(value: float) -> str:
+    """Nine significant digits: a nanometre in a metre, without the noise of binary fractions. (Not for times: a log
+    may count seconds from 1970.)"""
+    return f"{float(value):.9g}"
+
+
+def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)

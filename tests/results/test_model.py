@@ -1,0 +1,111 @@
+"""model.json: exact round trips, and clear words on every damaged file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
+from onebend.errors import ResultsError
+from onebend.results.model import load_model, origin_of, read_model, save_model
+from tests import made_up
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
+POSITIVE = st.floats(min_value=1e-6, max_value=1e6)
+
+
+@given(length=POSITIVE, coefficients=st.lists(NUMBERS, min_size=1, max_size=6), width=POSITIVE, angle=NUMBERS)
+def test_round_trip_is_exact(
+    tmp_path_factory: pytest.TempPathFactory, length: float, coefficients: list[float], width: float, angle: float
+) -> None:
+    file = tmp_path_factory.mktemp("model") / "model.json"
+    centres = tuple(float(c) for c in np.linspace(0.0, 1.0, len(coefficients)))
+    beam = Beam(length, Gaussians(centres, width, tuple(coefficients)), Powers(tuple(coefficients)), angle)
+    save_model(file, beam, written_by="a test")
+    assert load_model(file) == beam
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [
+        Uniform(0.1),
+        Powers((0.1, 1 / 3)),
+        Table((0.0, 0.1, 1.0), (1 / 7, 0.2, 0.3)),
+        Steps((0.0, 0.3, 1.0), (0.1, 1 / 9)),
+        LogSpline((0.0, 0.0, 1.0, 1.0), (-1.0, -2 / 3), 1),
+        Scaled(0.7, Scaled(1 / 3, Uniform(0.2))),
+    ],
+)
+def test_every_family_comes_back(tmp_path: Path, profile: Profile) -> None:
+    beam = Beam(0.15, profile, mass_per_length=profile)
+    save_model(tmp_path / "model.json", beam, written_by="a test", origin=origin_of(made_up.learned()))
+    stored = read_model(tmp_path)  # the folder will do
+    assert stored.beam == beam
+    assert stored.origin == origin_of(made_up.learned())
+
+
+def test_origin_says_what_was_not_simulated() -> None:
+    origin = origin_of(made_up.learned())
+    assert (origin.n, origin.m, origin.push_s) == (4, 3, 1.0)
+    assert origin.training_rms_m == tuple(made_up.learned().training.rms)
+
+
+def test_a_beam_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match="not finite"):
+        save_model(tmp_path / "model.json", Beam(0.15, Uniform(float("nan"))), written_by="a test")
+    assert not (tmp_path / "model.json").exists()
+
+
+def change(data: dict[str, Any], **changes: Any) -> str:
+    return json.dumps(data | changes)
+
+
+GOOD: dict[str, Any] = {"format": "onebend-model", "version": 1, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+UNIFORM = {"kind": "uniform", "value": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "line 1: not valid JSON"),
+        ('{"format": "onebend-model",\n "version": 1', "line 2: not valid JSON"),
+        ("[1, 2]", "a JSON list, not an object"),
+        ("[" * 100_000, "nested too deeply"),
+        ("{}", "not a onebend model"),
+        (change(GOOD, format="other"), "not a onebend model"),
+        (change(GOOD, version=7), "version 7, but this onebend reads version 1"),
+        (change(GOOD, extra=1), "key 'extra'"),
+        (change(GOOD, beam=3), "key 'beam'"),
+        (change(GOOD, beam={}), "lack 'length_m'"),
+        (change(GOOD, beam=GOOD["beam"] | {"length_m": -1.0}), "length must be positive"),
+        (change(GOOD, beam=GOOD["beam"] | {"length_m": float("inf")}), "not finite"),
+        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": 3}), "describes no beam"),
+        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": {"kind": "magic"}}), "magic"),
+        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": "soft"}}), "beam"),
+        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": [1.0, 2.0]}}), "beam"),
+        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": float("nan")}}), "no finite value"),
+        (change(GOOD, origin={"recording": 3}), "key 'origin"),
+    ],
+)
+def test_a_damaged_file_is_named_with_what_to_do(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "model.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ResultsError) as caught:
+        load_model(file)
+    assert words in str(caught.value)
+    assert str(file) in str(caught.value)
+
+
+def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match="no such file"):
+        load_model(tmp_path)
+    (tmp_path / "model.json").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(ResultsError, match="not a text file"):
+        load_model(tmp_path)

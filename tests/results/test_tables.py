@@ -1,0 +1,183 @@
+"""The tables on disk say what the records say, and observations come back whole."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from onebend.errors import ResultsError
+from onebend.records import Detections, Observations, Remark
+from onebend.results.kept import KeptDetections, key_of
+from onebend.results.observed import load_observations, save_observations
+from onebend.results.summary import plain, summary_of, validation_summary, write_summary
+from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
+from tests import made_up
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_stiffness_has_201_rows_and_no_invented_band(tmp_path: Path) -> None:
+    write_stiffness(tmp_path / "k.csv", made_up.BEAM)
+    table = rows(tmp_path / "k.csv")
+    assert len(table) == 201
+    s = np.array([float(row["s"]) for row in table])
+    k = np.array([float(row["k_N_m"]) for row in table])
+    np.testing.assert_allclose(s, np.linspace(0, 1, 201), atol=1e-12)
+    np.testing.assert_allclose(k, made_up.BEAM.stiffness(s), rtol=1e-8)
+    assert {(row["k_lo_N_m"], row["k_hi_N_m"], row["identified"]) for row in table} == {("nan", "nan", "unknown")}
+
+
+def test_selection_marks_the_chosen_row_and_says_why_others_are_out(tmp_path: Path) -> None:
+    learned = made_up.learned()
+    write_selection(tmp_path / "selection.csv", learned)
+    table = rows(tmp_path / "selection.csv")
+    assert [(row["n"], row["m"], row["chosen"]) for row in table] == [
+        ("2", "2", "no"),
+        ("4", "3", "yes"),
+        ("5", "5", "no"),
+    ]
+    assert table[2]["why_out"] == "k(s) is not positive"
+    assert (table[2]["bic"], table[2]["rms_3_m"]) == ("inf", "nan")
+    assert [float(value) for value in table[1]["coefficients_N_m"].split(";")] == list(made_up.GAUSSIANS.coefficients)
+    assert float(table[1]["rms_1_m"]) == pytest.approx(learned.training.rms[0], rel=1e-8)
+
+
+def test_markers_give_the_rms_again(tmp_path: Path) -> None:
+    one = replace(made_up.comparison("epoch"), time=1.7e9 + np.arange(made_up.FRAMES) / 30)
+    write_markers(tmp_path / "markers.csv", [made_up.comparison(), one])
+    table = [row for row in rows(tmp_path / "markers.csv") if row["recording"] == "epoch"]
+    assert len(table) == made_up.FRAMES * 3
+    assert float(table[3]["time_s"]) == pytest.approx(1.7e9 + 1 / 30, abs=1e-5)
+    for i, tag in enumerate(one.tag_id):
+        square = [
+            float(row["residual_x_m"]) ** 2 + float(row["residual_y_m"]) ** 2
+            for row in table
+            if row["tag"] == str(tag) and row["x_m"] != "nan"
+        ]
+        assert np.sqrt(np.mean(square)) == pytest.approx(one.rms[i], rel=1e-6)
+
+
+def test_validation_table_keeps_the_unknown_unknown(tmp_path: Path) -> None:
+    write_validation(tmp_path / "v.csv", [made_up.comparison("a"), made_up.comparison("b", error_m=0.002)])
+    table = rows(tmp_path / "v.csv")
+    assert [(row["recording"], row["tag"]) for row in table] == [(name, tag) for name in "ab" for tag in "123"]
+    assert table[2]["sensor_rms_m"] == "nan"
+    assert float(table[3]["rms_m"]) == pytest.approx(2 * float(table[0]["rms_m"]))
+
+
+def same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray):
+        return bool(a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
+    if isinstance(a, float):
+        return bool(a == b or (np.isnan(a) and np.isnan(b)))
+    return bool(a == b)
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_observations_come_back_to_the_last_bit(tmp_path: Path, bare: bool) -> None:
+    before = made_up.observations()
+    before = replace(before, force_sd=np.array([np.inf, 1 / 3]), video=tmp_path / "video.mp4")
+    if bare:
+        before = replace(before, view=None, clock=None, video=None, remarks=())
+    save_observations(tmp_path / "observations.parquet", before)
+    after = load_observations(tmp_path)
+    for field in fields(Observations):
+        if field.name == "view" and not bare:
+            assert all(same(getattr(before.view, k), v) for k, v in vars(after.view).items())
+        elif field.name != "clean_force":
+            assert same(getattr(before, field.name), getattr(after, field.name)), field.name
+    assert after.clean_force is None
+
+
+def test_observations_that_are_not_ours_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "observations.parquet"
+    with pytest.raises(ResultsError, match="no such file"):
+        load_observations(tmp_path)
+    file.write_bytes(b"not parquet at all")
+    with pytest.raises(ResultsError, match="damaged, or not written by onebend"):
+        load_observations(file)
+    pq.write_table(pa.table({"a": [1.0]}), file)
+    with pytest.raises(ResultsError, match="damaged, or not written by onebend"):
+        load_observations(file)
+    save_observations(file, made_up.observations())
+    table = pq.read_table(file)
+    rest = json.loads(table.schema.metadata[b"onebend"]) | {"version": 9}
+    pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
+    with pytest.raises(ResultsError, match="version 9"):
+        load_observations(file)
+
+
+def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> None:
+    summary = summary_of(made_up.findings(), written_by="a test")
+    write_summary(tmp_path / "summary.json", summary, ["model.json"])
+    read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    assert read["files"] == ["model.json", "summary.json"]
+    assert (read["chosen"]["n"], read["chosen"]["m"]) == (4, 3)
+    assert read["training"]["sensor_rms_m"] == [0.0001, 0.0004, None]
+    assert read["force"]["drift_N_s"] == [0.001, None]
+    assert read["validation"][1]["recording"] == "other-2"
+    assert read["remarks"][0]["level"] == "warning"
+    texts = [(remark["recording"], remark["text"]) for remark in read["remarks"]]
+    assert len(texts) == len(set(texts))
+
+
+def test_summary_without_force_or_clock() -> None:
+    found = made_up.findings(0)
+    bare = replace(found, observations=replace(found.observations, clean_force=None, clock=None))
+    summary = summary_of(bare, written_by="a test")
+    assert summary["force"] is None
+    assert summary["clock"] is None
+    assert validation_summary("m", (), written_by="a test")["validation"] == []
+
+
+def test_plain_leaves_no_array_and_no_infinity() -> None:
+    value = plain({"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf"), "text", None, True)})
+    assert value == {"a": [1.0, None], "b": [3, None, "text", None, True]}
+
+
+def detections() -> Detections:
+    corners = np.arange(2 * 2 * 4 * 2, dtype=float).reshape(2, 2, 4, 2) / 7
+    corners[1, 0] = np.nan
+    return Detections(
+        np.array([0.0, 1 / 30]), np.array([0, 4]), corners, 1280, 720, (Remark("note", "blurred – much"),)
+    )
+
+
+def test_detections_are_kept_and_found_again(tmp_path: Path) -> None:
+    kept = KeptDetections(tmp_path / "out.partial")
+    assert kept.load("k") is None
+    kept.save("k", detections())
+    again = kept.load("k")
+    assert again is not None
+    assert all(same(getattr(again, field.name), getattr(detections(), field.name)) for field in fields(Detections))
+    assert kept.load("another") is None
+
+
+@pytest.mark.parametrize("size", [0, 10, 300])
+def test_kept_detections_that_were_cut_count_as_not_there(tmp_path: Path, size: int) -> None:
+    kept = KeptDetections(tmp_path)
+    kept.save("k", detections())
+    file = tmp_path / "detections-k.npz"
+    file.write_bytes(file.read_bytes()[:size])
+    assert kept.load("k") is None
+
+
+def test_the_key_follows_the_file_and_the_settings(tmp_path: Path) -> None:
+    video = tmp_path / "video.mp4"
+    video.write_bytes(b"12345")
+    key = key_of((video,), "tag36h11", (0, 1))
+    assert key == key_of((video,), "tag36h11", (0, 1))
+    assert key != key_of((video,), "tag36h11", (0, 2))
+    video.write_bytes(b"123456")
+    assert key != key_of((video,), "tag36h11", (0, 1))
