@@ -199,6 +199,28 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     return np.ones(problem.size, dtype=bool)
 
 
+def force_response(solved: Equilibrium, s: Array, at_s: Array) -> Array:
+    """(T, S, 2, 2) m/N: how positions at `s` (S,) move with the force at `at_s` (T,). Implicit function theorem.
+
+    NaN for frames whose tangent is singular (at a limit point the response is infinite).
+    """
+    problem, alpha = solved.problem, solved.alpha
+    beyond = problem.grid.nodes < np.asarray(at_s, dtype=float)[:, None]
+    across = np.stack([-np.sin(alpha), np.cos(alpha)], axis=-1)  # u'
+    turning = (problem.length * problem.weights * beyond)[..., None] * across
+    right = np.swapaxes(problem.to_nodes, -1, -2) @ turning
+    try:
+        dq = np.linalg.solve(tangent(problem, solved.q), right)
+    except np.linalg.LinAlgError:
+        return np.full((problem.size, len(s), 2, 2), np.nan)
+    dalpha = problem.to_nodes @ dq  # (T, Q, 2)
+    moved = across[..., :, None] * dalpha[..., None, :]  # (T, Q, 2, 2)
+    rows = problem.length * problem.grid.integral_to(s)
+    if rows.ndim == 2:
+        return np.asarray(np.einsum("sq,tqcd->tscd", rows, moved, optimize=True))
+    return np.asarray(np.einsum("tsq,tqcd->tscd", rows, moved, optimize=True))
+
+
 def _apply(rows: Array, values: Array) -> Array:
     """rows (S, Q) or (T, S, Q) on values (Q,) or (T, Q): one matrix product where the rows are shared."""
     if rows.ndim == 2:

@@ -1,0 +1,89 @@
+"""The beam at rest: its natural curvature, and how each tag sits on it.
+
+Before contact every tag should lie on the straight beam at its own s. What is seen there instead is the beam's natural
+curvature plus the tags' mounting errors; the two are told apart by how likely each is. A mounting error is rigid: it
+turns with the beam, so it is taken off every frame in the tag's own frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.kinematics import angles, jacobians, places, positions
+from onebend.beam.modes import Modes
+from onebend.records import Array, BoolArray, Observations
+
+_REST_MODES = Modes(3)
+
+
+@dataclass(frozen=True)
+class RestPrior:
+    """What is likely before any data."""
+
+    mounting_sd: float = np.deg2rad(1.5)  # rad, a tag's turn against the beam's tangent
+    curvature_sd: float = 0.15  # rad, each Legendre state of the rest shape
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """The unloaded beam."""
+
+    theta0: Array  # (3,) rad, Legendre states of q0; zeros for a straight beam
+    offset: Array  # (m, 2) m, of each tag from its place on the beam, in the beam's tangent frame there
+    turn: Array  # (m,) rad, of each tag against the tangent
+    seen: bool  # False where no rest frames exist: then all are zero
+
+    def states(self, n: int) -> Array:
+        """(n,) rest states for n Legendre modes (cut or filled with zeros)."""
+        out = np.zeros(n)
+        count = min(n, len(self.theta0))
+        out[:count] = self.theta0[:count]
+        return out
+
+
+def at_rest(observations: Observations, prior: RestPrior = RestPrior()) -> AtRest:
+    """Natural curvature and mounting from the frames before contact (maximum a posteriori, Gauss-Newton)."""
+    m = len(observations.marker_s)
+    known = np.isfinite(observations.rest_xy).all(axis=1) & np.isfinite(observations.rest_angle)
+    if not np.any(known):
+        return AtRest(np.zeros(_REST_MODES.n), np.zeros((m, 2)), np.zeros(m), seen=False)
+    theta = np.zeros(_REST_MODES.n)
+    if observations.rest == "unknown":
+        theta = _rest_states(observations, known, prior)
+    at = places(observations.length, _REST_MODES, observations.marker_s)
+    alpha = angles(at, theta[None])[0]
+    away = observations.rest_xy - positions(at, theta[None])[0]
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
+    turn = observations.rest_angle - alpha
+    return AtRest(theta, np.where(known[:, None], offset, 0.0), np.where(known, turn, 0.0), seen=True)
+
+
+def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]:
+    """Points (T, m, 2) and tangent angles (T, m) of the beam under each tag: mounting errors taken off."""
+    tangent = observations.angle - rest.turn
+    cos, sin = np.cos(tangent), np.sin(tangent)
+    dx, dy = rest.offset[:, 0], rest.offset[:, 1]
+    shift = np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
+    return observations.xy - shift, tangent
+
+
+def _rest_states(observations: Observations, known: BoolArray, prior: RestPrior) -> Array:
+    """States that balance curvature against mounting, each measured by its own sd."""
+    at = places(observations.length, _REST_MODES, observations.marker_s[known])
+    sd = np.concatenate([np.full(2 * len(at.s), observations.placement_sd), np.full(len(at.s), prior.mounting_sd)])
+    theta = np.zeros(_REST_MODES.n)
+    for _ in range(5):
+        jacobian = np.concatenate([jacobians(at, theta[None])[0].reshape(-1, _REST_MODES.n), at.to_places])
+        away = np.concatenate(
+            [
+                (observations.rest_xy[known] - positions(at, theta[None])[0]).ravel(),
+                observations.rest_angle[known] - angles(at, theta[None])[0],
+            ]
+        )
+        rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / prior.curvature_sd])
+        right = np.concatenate([away / sd, -theta / prior.curvature_sd])
+        theta = theta + np.linalg.lstsq(rows, right, rcond=None)[0]
+    return theta

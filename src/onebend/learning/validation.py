@@ -1,0 +1,123 @@
+"""A learned beam against a recording (Fig. 5): simulate it under the measured forces, compare the markers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.beam.continuation import follow
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.model import Beam
+from onebend.beam.statics import Equilibrium, Resolution, force_response, pose
+from onebend.errors import LearningError
+from onebend.learning.outcome import Comparison
+from onebend.learning.rest import AtRest, at_rest
+from onebend.records import Array, BoolArray, Observations, Remark
+
+RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
+_CHUNK = 500  # frames solved together: their tangents stay in the cache
+
+
+def usable_frames(observations: Observations) -> BoolArray:
+    """(T,) frames under load whose force is known and that show at least one tag."""
+    seen = np.any(np.all(np.isfinite(observations.xy), axis=-1), axis=1)
+    forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(observations.push_s)
+    weighed = np.any(observations.gravity != 0.0, axis=1)
+    return np.asarray(seen & forced & (observations.loaded | weighed))
+
+
+def loads_of(observations: Observations, frames: BoolArray) -> Loads:
+    """The measured loads in those frames. Raises `LearningError` where the weight counts and no mass is given."""
+    gravity = observations.gravity[frames]
+    loads = push(observations.force[frames], observations.push_s[frames])
+    if np.any(gravity != 0.0):
+        if not np.isfinite(observations.mass):
+            raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
+        loads = loads + weight(gravity)
+    return loads
+
+
+def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
+    """Equilibria of the beam, in chunks of frames."""
+    count = loads.size
+    return [follow(pose(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION)) for i in range(0, count, _CHUNK)]
+
+
+def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = None) -> Comparison:
+    """Measured markers against the beam's own under the measured forces, in every usable frame.
+
+    The tags' mounting errors, as seen at rest, ride on the simulated beam too: what is compared is the bending.
+
+    Raises:
+        LearningError: no usable frame.
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    rest = at_rest(observations) if rest is None else rest
+    frames = usable_frames(observations)
+    if not np.any(frames):
+        raise LearningError(f"{observations.name}: no frame has a load, a force and a tag; nothing to compare")
+    solved = simulate(beam, loads_of(observations, frames))
+    predicted = np.concatenate([_tags(one, observations.marker_s, rest) for one in solved])
+    stable = np.concatenate([one.stable for one in solved])
+    measured = observations.xy[frames]
+    return Comparison(
+        name=observations.name,
+        frame=observations.frame[frames],
+        time=observations.time[frames],
+        tag_id=observations.tag_id,
+        marker_s=observations.marker_s,
+        measured=measured,
+        predicted=predicted,
+        force=observations.force[frames],
+        push_s=observations.push_s[frames],
+        stable=stable,
+        rms=_rms(measured - predicted),
+        sensor_rms=_sensor_rms(solved, observations, frames),
+        remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
+    )
+
+
+def _tags(solved: Equilibrium, s: Array, rest: AtRest) -> Array:
+    """(T, m, 2) where the tags of the simulated beam are. NaN where the branch of equilibria ended before the load."""
+    angle = solved.angle(s)
+    cos, sin = np.cos(angle), np.sin(angle)
+    dx, dy = rest.offset[:, 0], rest.offset[:, 1]
+    out = solved.xy(s) + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
+    return np.asarray(np.where(solved.converged[:, None, None], out, np.nan))
+
+
+def _rms(difference: Array) -> Array:
+    """(m,) root mean square distance per marker; NaN for one that was never compared."""
+    squared = np.sum(difference**2, axis=-1)
+    seen = np.isfinite(squared)
+    count = np.sum(seen, axis=0)
+    total = np.sum(np.where(seen, squared, 0.0), axis=0)
+    mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+    return np.asarray(np.sqrt(mean))
+
+
+def _sensor_rms(solved: list[Equilibrium], observations: Observations, frames: BoolArray) -> Array:
+    """(m,) RMS that errors of `force_sd` in the force alone would give, to first order."""
+    if not np.all(np.isfinite(observations.force_sd)):
+        return np.full(len(observations.marker_s), np.nan)
+    places = observations.push_s[frames]
+    squared = np.zeros((0, len(observations.marker_s)))
+    for i, one in enumerate(solved):
+        at = places[i * _CHUNK : (i + 1) * _CHUNK]
+        response = force_response(one, observations.marker_s, at)  # (T, m, 2, 2)
+        squared = np.concatenate([squared, np.einsum("tmcd,d->tm", response**2, observations.force_sd**2)])
+    return np.asarray(np.sqrt(np.mean(squared, axis=0)))
+
+
+def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
+    out = []
+    if not np.all(converged):
+        out.append(
+            Remark(
+                "warning",
+                f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
+                "branch that grows from rest (it would snap through); these frames are left out of the comparison",
+            )
+        )
+    if not np.all(stable | ~converged):
+        out.append(Remark("warning", f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"))
+    return tuple(out)
