@@ -1,0 +1,221 @@
+"""Frames of a video with their times: the luma plane as it was encoded, and the container's own clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from onebend.errors import RecordingError
+from onebend.recording.entries import VideoEntry
+from onebend.records import Array, Remark
+
+Picture = NDArray[np.uint8]
+
+LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
+RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between what is said and what is found is remarked
+END_TOLERANCE = 0.5  # s, streams of one file may end this much apart; a video that ends earlier than said is truncated
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of a video."""
+
+    index: int
+    time: float  # s since the first frame, the video's own clock
+    luma: Picture  # (H, W), as a person sees it (rotation of the camera taken off)
+
+
+def read_frames(video: VideoEntry) -> Iterator[Frame]:
+    """Every frame in order, one at a time.
+
+    The times are the presentation times of the container, or those of the CSV file that `recording.toml` names. A
+    frame's time is taken as the middle of its exposure; a constant delay is part of the clock offset found later.
+
+    Raises
+    ------
+    RecordingError
+        Not a video, no frame, truncated or damaged (with the last good frame), no or falling frame times.
+    """
+    given = None if video.frame_times == "container" else read_times(video.frame_times)
+    index, first, last = -1, 0.0, -math.inf
+    for index, frame in enumerate(decoded(video.file)):
+        if given is None:
+            if frame.time is None:
+                raise RecordingError(
+                    f"{video.file}: frame {index} has no time. Put it into an MP4 or MKV container, or name a CSV "
+                    "file with frame_times in [video]."
+                )
+            first = frame.time if index == 0 else first
+            time = float(frame.time) - first
+        elif index < len(given):
+            time = float(given[index] - given[0])
+        else:
+            raise RecordingError(
+                f"{video.frame_times}: {len(given)} times, but the video has more frames. Give one row for each frame."
+            )
+        if not time > last:
+            raise RecordingError(
+                f"{video.file}: the time of frame {index} ({time:.6f} s) does not rise. Write it anew."
+            )
+        last = time
+        yield Frame(index, time, luma_of(frame))
+    if given is not None and index + 1 < len(given):
+        raise RecordingError(
+            f"{video.frame_times}: {len(given)} times for {index + 1} frames. Give one row for each frame."
+        )
+
+
+def frame_at(video: VideoEntry, index: int) -> Picture:
+    """Frame `index` in colour, (H, W, 3) RGB, as a person sees it.
+
+    Raises
+    ------
+    RecordingError
+        The video has no such frame, or cannot be read.
+    """
+    for count, frame in enumerate(decoded(video.file)):
+        if count == index:
+            return upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
+    raise RecordingError(f"{video.file} has no frame {index}.")
+
+
+def frame_count(video: VideoEntry) -> int | None:
+    """How many frames the container says it holds; None where it does not say. For progress only."""
+    with opened(video.file) as container:
+        return container.streams.video[0].frames or None
+
+
+def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
+    """A remark where the written frame rate is not the one found."""
+    if math.isnan(video.fps) or len(time) < 2:
+        return ()
+    found = 1 / float(np.median(np.diff(time)))
+    if abs(found / video.fps - 1) <= RATE_TOLERANCE:
+        return ()
+    said = (
+        f"recording.toml says {video.fps:g} frames/s, the video's own times say {found:.4g}; the video's own were used."
+    )
+    return (Remark("warning", said),)
+
+
+def read_times(path: Path) -> Array:
+    """The column `time_s` of a CSV file, (T,) s.
+
+    Raises
+    ------
+    RecordingError
+        No such column, or an entry that is not a finite number.
+    """
+    rows = path.read_text(encoding="utf-8-sig").splitlines()
+    names = [name.strip() for name in rows[0].split(",")] if rows else []
+    if "time_s" not in names:
+        raise RecordingError(f"{path}:1: no column time_s. Write it in the first row, one time a frame below it.")
+    column = names.index("time_s")
+    times = []
+    for line, row in enumerate(rows[1:], start=2):
+        if not row.strip():
+            continue
+        cells = row.split(",")
+        try:
+            value = float(cells[column])
+        except (ValueError, IndexError):
+            value = math.nan
+        if not math.isfinite(value):
+            raise RecordingError(f"{path}:{line}: time_s is not a number: {row.strip()!r}. Correct the row.")
+        times.append(value)
+    return np.array(times)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[av.container.InputContainer]:
+    """The container of a file that holds at least one video stream."""
+    try:
+        container = av.open(str(path))
+    except FileNotFoundError:
+        raise RecordingError(f"There is no file {path}. Put it there, or correct [video] file.") from None
+    except (av.error.FFmpegError, OSError) as wrong:
+        raise RecordingError(
+            f"{path} is not a readable video ({wrong.strerror}). If it is truncated, copy it again from the camera."
+        ) from None
+    with container:
+        if not container.streams.video:
+            raise RecordingError(f"{path} holds no video stream. Name the video file in [video] file.")
+        yield container
+
+
+def decoded(path: Path) -> Iterator[av.VideoFrame]:
+    """Frames of the first video stream; an error where the file is damaged or ends before it says it does."""
+    with opened(path) as container:
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        count, end = 0, None
+        frames = container.decode(stream)
+        while True:
+            try:
+                frame = next(frames)
+            except StopIteration:
+                break
+            except av.error.FFmpegError as wrong:
+                raise damaged(path, count, wrong.strerror) from None
+            if frame.is_corrupt:
+                raise damaged(path, count, "the frame is damaged")
+            end = frame.time if frame.time is not None else end
+            count += 1
+            yield frame
+        if count == 0:
+            raise RecordingError(f"{path} holds no frame. Copy it again from the camera.")
+        said = end_said(container, stream)
+        if end is not None and said is not None and end < said - END_TOLERANCE:
+            raise damaged(path, count, f"it says it lasts {said:.2f} s and ends at {end:.2f} s")
+
+
+def end_said(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:
+    """Where the file says the stream ends, s on the stream's clock; None where it does not say."""
+    if stream.duration is not None and stream.time_base is not None:
+        return float((stream.start_time or 0) * stream.time_base + stream.duration * stream.time_base)
+    if container.duration is not None and container.format.name != "mpegts":
+        return float(((container.start_time or 0) + container.duration) / av.time_base)
+    return None
+
+
+def damaged(path: Path, count: int, why: str | None) -> RecordingError:
+    """The error for a video that is readable only up to a frame."""
+    good = f"frames 0 to {count - 1} are good" if count else "no frame is good"
+    return RecordingError(
+        f"{path} is damaged or truncated: {good}, then {why}. Copy it again, or cut it there with a video tool."
+    )
+
+
+def luma_of(frame: av.VideoFrame) -> Picture:
+    """The luma plane, (H, W) of 8 bit, without a colour conversion where the pixel format has such a plane."""
+    layout = frame.format
+    bits = layout.components[0].bits
+    if not layout.name.startswith(LUMA_FIRST):
+        return upright(frame.to_ndarray(format="gray").astype(np.uint8, copy=False), frame.rotation)
+    plane = frame.planes[0]
+    if bits == 8:
+        rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
+        return upright(rows[: frame.height, : frame.width], frame.rotation)
+    wide = np.dtype(">u2" if layout.is_big_endian else "<u2")
+    deep = np.frombuffer(memoryview(plane), wide).reshape(-1, plane.line_size // 2)[: frame.height, : frame.width]
+    return upright((deep >> (bits - 8)).astype(np.uint8), frame.rotation)
+
+
+def upright(picture: Picture, rotation: int) -> Picture:
+    """The picture turned as the camera's orientation says (degrees counter-clockwise), in memory of its own.
+
+    Raises
+    ------
+    RecordingError
+        The turn is not a multiple of 90 degrees.
+    """
+    if rotation % 90:
+        raise RecordingError(f"The video is stored turned by {rotation} degrees. Only multiples of 90 can be read.")
+    return np.array(np.rot90(picture, rotation // 90), order="C")
