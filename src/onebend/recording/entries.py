@@ -14,7 +14,7 @@ from typing import Literal
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
 from onebend.records import Remark, Rest
 
-FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagCircle49h12", "tagStandard41h12", "tagStandard52h13")
+FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
 
 
