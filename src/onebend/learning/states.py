@@ -16,7 +16,7 @@ from onebend.errors import LearningError
 from onebend.learning.rest import AtRest, at_rest, beam_points
 from onebend.records import Array, BoolArray, Observations
 
-_LEAST_CURVATURE = 1e-7  # weight of the curvature's norm against whitened data: decides only what data leave open
+_LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data (a prior sd of about 30 rad)
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def solve_states(
     at = places(observations.length, Modes(n), observations.marker_s)
     theta, converged = _levenberg(at, target, whiten, _start(at, target, data > 0, whiten), most)
     jacobian = _whitened(whiten, _jacobian(at, theta))
-    information = np.swapaxes(jacobian, 1, 2) @ jacobian + _LEAST_CURVATURE * np.eye(n)
+    information = np.swapaxes(jacobian, 1, 2) @ jacobian + np.diag(_energy(n))
     seen = np.any(data > 0, axis=1)
     theta[~seen] = np.nan
     return States(
@@ -125,13 +125,14 @@ def _levenberg(at: Places, target: Array, whiten: Array, theta: Array, most: int
 def _damped_step(jacobian: Array, residual: Array, theta: Array, damping: Array) -> Array:
     """Step of min |J d - r|^2 + small |theta + d|^2 + damping |D d|^2, by QR of the stacked rows."""
     count, rows, n = jacobian.shape
-    scale = np.sqrt(np.sum(jacobian**2, axis=1) + _LEAST_CURVATURE)  # (T, n)
+    energy = np.sqrt(_energy(n))
+    scale = np.sqrt(np.sum(jacobian**2, axis=1) + energy**2)  # (T, n)
     stacked = np.zeros((count, rows + 2 * n, n))
     stacked[:, :rows] = jacobian
     diagonal = np.arange(n)
-    stacked[:, rows + diagonal, diagonal] = np.sqrt(_LEAST_CURVATURE)
+    stacked[:, rows + diagonal, diagonal] = energy
     stacked[:, rows + n + diagonal, diagonal] = np.sqrt(damping)[:, None] * scale
-    right = np.concatenate([residual, -np.sqrt(_LEAST_CURVATURE) * theta, np.zeros((count, n))], axis=1)
+    right = np.concatenate([residual, -energy * theta, np.zeros((count, n))], axis=1)
     q, r = np.linalg.qr(stacked)
     return np.asarray(np.linalg.solve(r, np.einsum("tri,tr->ti", q, right)[..., None])[..., 0])
 
@@ -154,4 +155,9 @@ def _whitened(whiten: Array, jacobian: Array) -> Array:
 
 
 def _cost(residual: Array, theta: Array) -> Array:
-    return np.asarray(np.sum(residual**2, axis=1) + _LEAST_CURVATURE * np.sum(theta**2, axis=1))
+    return np.asarray(np.sum(residual**2, axis=1) + theta**2 @ _energy(theta.shape[1]))
+
+
+def _energy(n: int) -> Array:
+    """(n,) weights of `int q^2 = sum theta_i^2 / (2 i + 1)` (Legendre states)."""
+    return np.asarray(_LEAST_CURVATURE / (2.0 * np.arange(n) + 1.0))
