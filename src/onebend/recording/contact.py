@@ -1,0 +1,142 @@
+"""When the beam is touched and when it is free, from the markers and the force.
+
+The film is taken to begin with a free beam (a person starts the camera, then the push). The beam is free where its
+markers stand as they did then, and stand still; it is also free where it swings about that rest with no more force
+than before the push. Everything between is contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2
+
+from onebend.recording.signals import MAD_TO_SD, bridged, outliers, runs
+from onebend.records import Array, BoolArray, ForceLog, Markers, Remark
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """How contact is told from rest."""
+
+    window: int = 5  # frames averaged
+    chance: float = 1e-6  # of a false contact in one frame, were the noise as estimated
+    returned: float = 0.005  # of the largest displacement: nearer to the first rest than this is back at rest
+    shortest_rest: float = 0.25  # s
+    margin: float = 0.1  # s, taken off a rest where it borders on contact: the tool touches before markers show it
+    released: float = 0.05  # of the largest force: less than this, to the end, is no force
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The film divided into rest and contact; times on the video's clock."""
+
+    loaded: BoolArray  # (T,)
+    rests: tuple[tuple[float, float], ...]  # s, spans with a free beam, margin taken off; usable for the force's tare
+    still: BoolArray  # (T,) free and standing still: the rest shape can be read
+    begin: float  # s, first contact; NaN where there is none
+    end: float  # s, end of the last contact; infinite where it outlasts the film; NaN where there is none
+    remarks: tuple[Remark, ...] = ()
+
+
+def find_contact(
+    markers: Markers,
+    log: ForceLog | None = None,
+    *,
+    offset: float = 0.0,
+    settings: ContactSettings = ContactSettings(),
+) -> Contact:
+    """Rest and contact of a film, with the force log (own clock = video clock + `offset`) where there is one."""
+    time = markers.time
+    away, threshold = departure(markers, settings)
+    if not away[0] <= threshold:
+        text = "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero."
+        loaded = np.full(len(time), log is not None)
+        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (Remark("warning", text),))
+    first = int(np.argmax(away > threshold)) if np.any(away > threshold) else len(time)
+    near = away < max(threshold, settings.returned * float(away.max()))
+    near[:first] = True
+    still = long_enough(near, time, settings.shortest_rest)
+    free = still.copy()
+    remarks: list[Remark] = []
+    if log is not None and not free[-1]:
+        released = release(log, time[free & (time < time[min(first, len(time) - 1)])] + offset, settings) - offset
+        if released < time[-1]:
+            free |= time >= released
+            if np.any(~still & free):
+                remarks.append(Remark("note", f"The beam swings freely from {released:.2f} s of the film on."))
+    if not free[: max(first, 1)].any():
+        remarks.append(Remark("warning", "The rest before contact is too short to use: the force has no zero."))
+    spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
+    rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)
+    touched = np.flatnonzero(~free)
+    begin = float(time[touched[0]]) if len(touched) else np.nan
+    end = np.nan if not len(touched) else np.inf if touched[-1] == len(time) - 1 else float(time[touched[-1]])
+    return Contact(~free, rests, still & free, begin, end, tuple(remarks))
+
+
+def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float]:
+    """(T,) distance of every frame from the first frames in sd of the noise, and how far noise alone would go.
+
+    The noise of each coordinate is the larger of what second differences say and the scatter of the first frames;
+    the first frames are taken anew, up to the first departure, once that is known.
+    """
+    count = len(markers.time)
+    flat = np.concatenate([markers.xy.reshape(count, -1), markers.angle], axis=1)
+    seen = np.isfinite(flat).sum(axis=0) > settings.window
+    filled = bridged(markers.time, flat[:, seen])
+    if not filled.size:
+        return np.full(count, np.inf), 0.0
+    quick = np.median(np.abs(np.diff(filled, n=2, axis=0)), axis=0) * MAD_TO_SD / np.sqrt(6)
+    smooth = uniform_filter1d(filled, settings.window, axis=0, mode="nearest")
+    upto = min(count, max(2 * settings.window, 10))
+    threshold = 2.0 * float(np.sqrt(chi2.isf(settings.chance, filled.shape[1]) / settings.window))
+    away = np.zeros(count)
+    for _ in range(3):
+        rest = filled[:upto]
+        noise = np.maximum(quick, np.minimum(np.std(rest, axis=0), 3 * quick)) + np.finfo(float).tiny
+        away = np.linalg.norm((smooth - np.median(rest, axis=0)) / noise, axis=1)
+        if np.ptp(smooth[:upto] / noise, axis=0).max() > 2 * threshold:
+            away[0] = np.inf
+            return away, threshold
+        far = away > threshold
+        steady = uniform_filter1d(far.astype(float), settings.window, mode="nearest") > 0.9
+        upto = max(int(np.argmax(steady)) - settings.window, upto) if steady.any() else count
+    return away, threshold
+
+
+def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
+    """Time on the log's clock from which the force stays what it was in `rest` [s, log's clock]; infinite if never."""
+    good = ~outliers(log.force)
+    time, force = log.time[good], log.force[good]
+    before = (time >= rest.min(initial=np.inf)) & (time <= rest.max(initial=-np.inf))
+    width = 0.1
+    if before.sum() < 10:
+        return float("inf")
+    away = force - np.median(force[before], axis=0)
+    span = max(1, round(width / float(np.median(np.diff(time)))))
+    size = np.linalg.norm(uniform_filter1d(away, span, axis=0, mode="nearest"), axis=1)
+    noise = float(np.sqrt(np.mean(size[before] ** 2)))
+    pushed = np.flatnonzero(size > max(6 * noise, settings.released * size.max()))
+    if not len(pushed) or time[-1] - time[pushed[-1]] < 2 * settings.shortest_rest:
+        return float("inf")
+    return float(time[pushed[-1]] + width / 2)
+
+
+def long_enough(mask: BoolArray, time: Array, shortest: float) -> BoolArray:
+    """`mask` without runs of True shorter than `shortest` [s]."""
+    out = np.zeros_like(mask)
+    for start, stop in runs(mask):
+        if time[stop - 1] - time[start] >= shortest:
+            out[start:stop] = True
+    return out
+
+
+def shrunk(time: Array, start: int, stop: int, settings: ContactSettings) -> tuple[float, float]:
+    """The span of the frames [start, stop), less the margin on the sides that border on contact, and open where the
+    film begins or ends: the log may show more of the same rest."""
+    low = -np.inf if start == 0 else float(time[start]) + settings.margin
+    high = np.inf if stop == len(time) else float(time[stop - 1]) - settings.margin
+    return low, high

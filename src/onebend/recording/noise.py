@@ -1,0 +1,82 @@
+"""The noise of a force sensor: white, coloured and wandering; its size from the data.
+
+A force estimate from joint torques is wrong slowly: friction and temperature wander, filters colour. Three parts are
+told apart, each axis alike and independent: white samples, an Ornstein-Uhlenbeck process (exponential correlation) and
+a random walk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, solve_triangular
+from scipy.optimize import minimize
+
+from onebend.records import Array
+
+
+@dataclass(frozen=True)
+class ForceNoise:
+    """Sizes of the three parts, for samples of one given spacing (white noise averages down with wider ones)."""
+
+    white: float  # N, sd of one sample
+    coloured: float  # N, sd
+    tau: float  # s, correlation time of the coloured part
+    walk: float  # N / sqrt(s)
+
+    def covariance(self, time: Array) -> Array:
+        """(N, N) N^2, the walk started at zero at the first time."""
+        apart = np.abs(time[:, None] - time[None, :])
+        since = np.minimum(time[:, None], time[None, :]) - time.min()
+        out = self.coloured**2 * np.exp(-apart / self.tau) + self.walk**2 * since
+        out[np.diag_indices(len(time))] += self.white**2 + 1e-12 * out.max() + np.finfo(float).tiny
+        return np.asarray(out)
+
+    def passed(self, cutoff: float) -> float:
+        """N, sd of the coloured part that an ideal low-pass at `cutoff` [Hz] lets through (its Lorentz spectrum)."""
+        share = 1.0 if not np.isfinite(cutoff) else 2 / np.pi * np.arctan(2 * np.pi * cutoff * self.tau)
+        return float(self.coloured * np.sqrt(share))
+
+
+def log_evidence(covariance: Array, design: Array, values: Array) -> float:
+    """Log probability of `values` (N, a) = `design` (N, p) @ standard normal coefficients + noise, less a constant.
+
+    The coefficients are integrated out (Bayesian linear model; the p x p form of the matrix inversion lemma), for each
+    of the a axes on its own.
+    """
+    factor = cho_factor(covariance, lower=True, check_finite=False)[0]
+    white = solve_triangular(factor, np.hstack([design, values]), lower=True, check_finite=False)
+    x, y = white[:, : design.shape[1]], white[:, design.shape[1] :]
+    inner = cho_factor(np.eye(x.shape[1]) + x.T @ x, lower=True, check_finite=False)[0]
+    told = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
+    axes = values.shape[1]
+    spread = np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.diag(inner)))
+    return float(-0.5 * (np.sum(y**2) - np.sum(told**2)) - axes * spread)
+
+
+def first_guess(values: Array, spacing: float) -> ForceNoise:
+    """A noise of plausible size for `values` (N, a) sampled every `spacing` [s]."""
+    jumps = np.diff(values, n=2, axis=0)
+    white = float(np.median(np.abs(jumps))) * 1.4826 / np.sqrt(6) if len(jumps) else 0.0
+    size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
+    return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size)
+
+
+def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> ForceNoise:
+    """The likeliest noise of `values` (N, a) around anything `design` (N, p) can follow.
+
+    Sizes are kept from running off by a weak prior: each within a factor of about five (one sd) of `start`, the
+    correlation time within a factor of about two and a half.
+    """
+    spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
+    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+
+    def unlikely(z: Array) -> float:
+        noise = ForceNoise(*np.exp(centre + spread * z))
+        return 0.5 * float(z @ z) - log_evidence(noise.covariance(time), design, values)
+
+    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
+    options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    found = minimize(unlikely, np.zeros(4), method="Nelder-Mead", options=options)
+    return ForceNoise(*np.exp(centre + spread * found.x))

@@ -1,0 +1,117 @@
+"""Small tools for sampled signals: bandwidth, outliers, gaps, the zero-phase low-pass. Arrays in, arrays out."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import butter, sosfiltfilt
+
+from onebend.records import Array, BoolArray, IntArray
+
+MAD_TO_SD = 1.4826  # of a normal distribution
+FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
+
+
+def step(time: Array) -> float:
+    """Median time between samples, s."""
+    return float(np.median(np.diff(time)))
+
+
+def bridged(time: Array, values: Array) -> Array:
+    """`values` (T, c) with NaN replaced by linear interpolation in time; a column without two numbers becomes zero."""
+    out = np.array(values, dtype=float)
+    for column in out.T:
+        good = np.isfinite(column)
+        if not good.all():
+            column[~good] = np.interp(time[~good], time[good], column[good]) if good.sum() > 1 else 0.0
+    return out
+
+
+def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
+    """Frequency below which `fraction` of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
+
+    The noise of the samples is taken as white: it rises as sin^2(pi f dt) in the velocity's spectrum, and its size is
+    read above 0.6 of the highest frequency and taken off. (T, c) columns share a unit and are summed.
+    """
+    dt = step(time)
+    grid = np.arange(time[0], time[-1] + 0.5 * dt, dt)
+    if len(grid) < 16:
+        return float("nan")
+    full = bridged(time, values)
+    even = np.stack([np.interp(grid, time, column) for column in full.T], axis=1)
+    velocity = np.diff(even, axis=0) / dt
+    power = np.sum(np.abs(np.fft.rfft(velocity * np.hanning(len(velocity))[:, None], axis=0)) ** 2, axis=1)
+    frequency = np.fft.rfftfreq(len(velocity), dt)
+    noise = np.sin(np.pi * frequency * dt) ** 2
+    high = frequency > 0.6 * frequency[-1]
+    noise *= float(np.mean(power[high] / noise[high]))
+    total = np.maximum.accumulate(np.cumsum(power - noise))
+    # Without motion the sum only wanders; its own scatter tells how far.
+    if total[-1] <= 4.0 * float(np.sqrt(np.sum(noise**2))):
+        return float("nan")
+    return float(frequency[min(int(np.searchsorted(total, fraction * total[-1])), len(frequency) - 1)])
+
+
+def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
+    """(N,) True in every row where a column is away from its running median by `threshold` robust local sd (Hampel).
+
+    The local scale is the running median of the absolute deviation over ten times the window, never below half of the
+    whole signal's: a quiet stretch does not make ordinary samples outliers. A signal without noise has no outliers.
+    """
+    size = 2 * half_width + 1
+    found = np.zeros(len(values), dtype=bool)
+    if len(values) < size:
+        return found
+    for column in values.T:
+        away = np.abs(column - median_filter(column, size, mode="nearest"))
+        whole = MAD_TO_SD * float(np.median(away))
+        stride = max(1, size // 3)
+        coarse = MAD_TO_SD * median_filter(away[::stride], max(3, 10 * size // stride), mode="nearest")
+        scale = np.maximum(np.repeat(coarse, stride)[: len(away)], 0.5 * whole)
+        if whole > 0:
+            found |= away > threshold * scale
+    return found
+
+
+def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:
+    """Zero-phase Butterworth low-pass (half power twice, so -6 dB, at `cutoff` [Hz]) of (N, c) `values` at `time`.
+
+    Irregular samples are put on an even grid by linear interpolation, filtered, and read at their own times again.
+    Stretches apart by more than `longest_gap` [s] are filtered separately: nothing is carried across a gap. A stretch
+    too short to filter becomes its mean.
+    """
+    out = np.array(values, dtype=float)
+    if not np.isfinite(cutoff):
+        return out
+    dt = step(time)
+    if cutoff >= 0.45 / dt:
+        return out
+    sos = butter(FILTER_ORDER, 2 * cutoff * dt, output="sos")
+    for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > longest_gap)):
+        t = time[rows]
+        grid = t[0] + dt * np.arange(int(np.floor((t[-1] - t[0]) / dt + 0.5)) + 1)
+        if len(grid) < 16:
+            out[rows] = np.mean(values[rows], axis=0)
+            continue
+        even = np.stack([np.interp(grid, t, column) for column in values[rows].T], axis=1)
+        pad = min(len(grid) - 1, int(2.0 / (cutoff * dt)))
+        # Even reflection: at a rest the noise of the very last sample must not become the level beyond it.
+        smooth = sosfiltfilt(sos, even, axis=0, padtype="even", padlen=pad)
+        out[rows] = np.stack([np.interp(t, grid, column) for column in smooth.T], axis=1)
+    return out
+
+
+def at_times(time: Array, values: Array, at: Array, *, longest_gap: float) -> Array:
+    """(T, c) `values` interpolated at `at`; NaN outside `time` and inside gaps longer than `longest_gap` [s]."""
+    out = np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+    after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    outside = (at < time[0]) | (at > time[-1])
+    on_sample = (at == time[after]) | (at == time[after - 1])
+    out[outside | ((time[after] - time[after - 1] > longest_gap) & ~on_sample)] = np.nan
+    return out
+
+
+def runs(mask: BoolArray) -> IntArray:
+    """(r, 2) first and one-past-last index of every run of True."""
+    edges = np.diff(np.concatenate([[0], mask.astype(np.int64), [0]]))
+    return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1).astype(np.int64)
