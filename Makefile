@@ -1,15 +1,27 @@
 # Every target does its own set-up: `make demo` and `make test` work on a fresh machine with Python 3.11 or newer.
-PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
 TESTS  := $(VENV)/.ready-dev
+# The first Python on the path that is new enough; `make PYTHON=...` overrides it.
+FITS   := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 python3.11 python,\
+            $(shell $(name) -c '$(FITS)' 2>/dev/null && echo $(name))))
 
 # One BLAS thread: the arrays are small and batched; threads are used where they pay (tag detection).
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all bench lock clean
+.PHONY: help demo test test-all bench picture lock clean
+
+help:
+	@echo "make demo      learn the bundled recording and validate it on another one"
+	@echo "make test      lint, types, layers and tests"
+	@echo "make test-all  the slow tests as well"
+	@echo "make bench     accuracy and speed, written to out/benchmarks/"
+	@echo "make picture   draw the picture of the README again"
+	@echo "make lock      renew the locked dependencies"
+	@echo "make clean     remove the environment and everything made"
 
 demo: $(STAMP)
 	$(BIN)/onebend learn examples/linear-beam/train --output out/linear-beam --validate examples/linear-beam/fast --force
@@ -26,22 +38,26 @@ test-all: $(TESTS)
 bench: $(TESTS)
 	$(BIN)/python -m benchmarks
 
-$(VENV)/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-	    { echo "onebend needs Python 3.11 or newer; '$(PYTHON)' is $$($(PYTHON) --version 2>&1). Try: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv $(VENV)
+picture: $(STAMP)
+	$(BIN)/python examples/readme_picture.py
 
-$(STAMP): $(VENV)/bin/python requirements.lock
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+$(VENV)/bin/python:
+	@test -n "$(PYTHON)" || { echo "onebend needs Python 3.11 or newer, and none was found. Install one, or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python"; exit 1; }
+	@$(PYTHON) -c '$(FITS)' || { echo "onebend needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1)."; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make virtual environments. On Debian or Ubuntu: apt install python3-venv"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
+
+$(STAMP): $(VENV)/bin/python requirements.lock pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(TESTS): $(STAMP) requirements-dev.lock
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
 	@touch $@
 
 # Locks carry hashes and no host names. uv is needed only here.
-lock:
+lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 	    pyproject.toml tools/build.in -o requirements.lock

@@ -85,7 +85,7 @@ def test_a_stranger_with_our_name_is_not_replaced(tmp_path: Path) -> None:
         place_at(out, overwrite=True)
     earlier(tmp_path / "other", figures=("a.png",))
     (tmp_path / "other" / "figures" / "new.png").write_text("mine")
-    with pytest.raises(ResultsError, match="not ours"):
+    with pytest.raises(ResultsError, match="did not come from an earlier run"):
         publish(place_at(tmp_path / "other", overwrite=True), lambda folder: write(folder, figures=("new.png",)))
     assert (tmp_path / "other" / "figures" / "new.png").read_text() == "mine"
     assert (tmp_path / "other" / "model.json").read_text() == "old"

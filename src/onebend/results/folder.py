@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from onebend.errors import ResultsError
 
 SUMMARY = "summary.json"
+COMPLETE = "results"  # in the workplace: new results, all written, not yet in place
 FIXED_NAMES = ("model.json", "stiffness.csv", "selection.csv", "markers.csv", "validation.csv", "report.html")
 
 
@@ -50,13 +51,15 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> Workplace:
 def publish(place: Workplace, write: Callable[[Path], None]) -> None:
     """Let `write` fill a fresh folder, then put it in place as a whole and remove the workplace.
 
-    Raises `ResultsError`, with everything so far kept in the workplace, where writing or moving fails.
+    Raises `ResultsError` where writing or moving fails; what was there before stands as it was.
     """
-    fresh = place.partial / "results"
+    unfinished, fresh = place.partial / "unfinished", place.partial / COMPLETE
     try:
-        shutil.rmtree(fresh, ignore_errors=True)
-        fresh.mkdir()
-        write(fresh)
+        for stale in (unfinished, fresh):
+            shutil.rmtree(stale, ignore_errors=True)
+        unfinished.mkdir()
+        write(unfinished)
+        unfinished.rename(fresh)
         _check_free(place)
         if not place.out.exists():
             fresh.rename(place.out)
@@ -67,9 +70,20 @@ def publish(place: Workplace, write: Callable[[Path], None]) -> None:
     except OSError as error:
         raise ResultsError(
             f"{error.filename or place.out}: cannot write the results ({error.strerror}). "
-            f"What there is stands in {place.partial}; make room or choose another -o, and run again"
+            "Make room, or choose another -o, and run again"
         ) from error
     shutil.rmtree(place.partial, ignore_errors=True)
+
+
+def abandon(place: Workplace) -> bool:
+    """After work that ended early: keep what is complete in the workplace, drop the rest. Whether anything is kept."""
+    for half in ("unfinished", "*.tmp"):
+        for path in place.partial.glob(half):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if any(place.partial.iterdir()):
+        return True
+    place.partial.rmdir()
+    return False
 
 
 def own_files(folder: Path, kind: str) -> set[str]:
@@ -145,7 +159,9 @@ def _replace_files(fresh: Path, place: Workplace) -> None:
     new, old = files_in(fresh), own_files(out, place.kind)
     clash = sorted(set(new) & strangers(out, place.kind))
     if clash:
-        raise ResultsError(f"{out / clash[0]}: not ours, so not replaced. The new results stand in {fresh}")
+        raise ResultsError(
+            f"{out / clash[0]}: did not come from an earlier run, so it is not replaced. Choose another -o"
+        )
     for name in sorted(new, key=lambda name: name == SUMMARY):
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (fresh / name).replace(out / name)

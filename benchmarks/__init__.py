@@ -1,0 +1,1 @@
+"""Figures that others can check: accuracy against known truth, speed against peers in the same run."""

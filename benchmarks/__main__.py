@@ -1,0 +1,58 @@
+"""`python -m benchmarks [NAME ...]`: run every benchmark (or those named), each in its own process.
+
+A benchmark is a module of this folder with a `main()` that prints a Markdown table. What it prints goes to the screen
+and to out/benchmarks/NAME.md, under the module's own first line and the command that makes it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+OUT = FOLDER.parent / "out" / "benchmarks"
+
+
+def benchmarks() -> dict[str, str]:
+    """Name and first line of every module with a `main()`."""
+    found = {}
+    for path in sorted(FOLDER.glob("[a-z]*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
+            found[path.stem] = (ast.get_docstring(tree) or path.stem).splitlines()[0]
+    return found
+
+
+def run(name: str, title: str) -> bool:
+    """Run one benchmark and write its table; whether it ended well."""
+    began = time.monotonic()
+    command = [sys.executable, "-m", f"benchmarks.{name}"]
+    done = subprocess.run(command, cwd=FOLDER.parent, stdout=subprocess.PIPE, text=True, check=False)
+    seconds = time.monotonic() - began
+    ended = "" if done.returncode == 0 else f"\n\nEnded early, with exit code {done.returncode}."
+    text = f"# {title}\n\n`python -m benchmarks.{name}` ({seconds:.0f} s)\n\n{done.stdout.strip()}{ended}\n"
+    print(text, flush=True)
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / f"{name}.md").write_text(text, encoding="utf-8")
+    return done.returncode == 0
+
+
+def main() -> None:
+    known = benchmarks()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(known)}; default: all")
+    wanted = parser.parse_args().names or list(known)
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        parser.error(f"no benchmark {unknown[0]}; there are {', '.join(known)}")
+    failed = [name for name in wanted if not run(name, known[name])]
+    if failed:
+        sys.exit(f"failed: {', '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""All figures of a report, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from onebend.beam.model import Beam
+from onebend.errors import OnebendError
+from onebend.learning.outcome import Comparison
+from onebend.progress import Progress, Silent, track
+from onebend.recording.entries import VideoEntry
+from onebend.recording.video import frame_at
+from onebend.records import Observations
+from onebend.report import figures
+from onebend.report.findings import Findings
+from onebend.report.simulated import largest_push
+from onebend.report.style import png_of
+
+Draw = Callable[[], Figure | None]
+
+
+def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, bytes]:
+    """PNGs of every figure that the findings allow, in the order of the page."""
+    learned, seen = findings.learned, findings.observations
+    beam, training = learned.beam, learned.training
+    pushed = training.push_s[np.isfinite(training.push_s)]
+    push_s = float(pushed.max()) if pushed.size else None
+    wanted: dict[str, Draw] = {
+        "stiffness": partial(figures.stiffness, beam, marker_s=training.marker_s, push_s=push_s),
+        "fit": partial(fit, beam, training, seen),
+        "shapes": partial(figures.shapes, beam, training, seen),
+        "markers": partial(figures.markers, training),
+        "residuals": partial(figures.residuals, training),
+        "selection": partial(figures.selection, learned),
+        "force": partial(figures.force, seen),
+    }
+    wanted |= validation_figures(beam, findings.validations, findings.validation_observations, training)
+    return draw(wanted, progress)
+
+
+def validation_figures(
+    beam: Beam, comparisons: Sequence[Comparison], seen: Sequence[Observations], *others: Comparison
+) -> dict[str, Draw]:
+    """The bars over all recordings (`others` first), and shapes and residuals of each."""
+    if not comparisons:
+        return {}
+    wanted: dict[str, Draw] = {"validation": partial(figures.validation, (*others, *comparisons))}
+    for i, (one, where) in enumerate(zip(comparisons, seen, strict=True), start=1):
+        wanted[f"validation-{i}-shapes"] = partial(figures.shapes, beam, one, where)
+        wanted[f"validation-{i}-residuals"] = partial(figures.residuals, one)
+    return wanted
+
+
+def draw(wanted: dict[str, Draw], progress: Progress) -> dict[str, bytes]:
+    """PNGs of what could be drawn."""
+    drawn = {}
+    for name, make in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
+        figure = make()
+        if figure is not None:
+            drawn[name] = png_of(figure)
+    return drawn
+
+
+def fit(beam: Beam, one: Comparison, seen: Observations) -> Figure | None:
+    """The fit over the video frame; None where there is no video any more, or no camera."""
+    if seen.view is None or seen.video is None:
+        return None
+    try:
+        image = frame_at(VideoEntry(file=seen.video), int(one.frame[largest_push(one)]))
+    except OnebendError:
+        return None
+    return figures.fit_over_frame(image, seen.view, beam, one, seen)

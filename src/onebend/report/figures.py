@@ -1,0 +1,249 @@
+"""The figures of a report, one function a figure. Lengths are shown in mm, forces in N, stiffness in N m."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from onebend.beam.model import Beam
+from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.recording.lens import project
+from onebend.records import Array, Observations, View
+from onebend.report.simulated import centreline, largest_push, spread_of_pushes
+from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
+
+MM = 1000.0
+_HALO: dict[str, Any] = {"color": "white", "linewidth": 4.5, "alpha": 0.85}
+
+
+@styled
+def stiffness(beam: Beam, *, marker_s: Array | Sequence[float] = (), push_s: float | None = None) -> Figure:
+    """k(s) along the beam, with the places of the tags and, hatched, what no push reached."""
+    figure, (axes,) = blank(3.1)
+    length = MM * beam.length
+    s = np.linspace(0.0, 1.0, 401)
+    k = beam.stiffness(s)
+    axes.plot(s, k, color=BLUE)
+    axes.fill_between(s, 0.0, k, color=BLUE, alpha=0.08, linewidth=0)
+    axes.set(xlim=(0, 1), xlabel="place along the beam s", ylabel="bending stiffness k = EI / L [N m]")
+    axes.set_ylim(min(0.0, 1.15 * float(k.min())), 1.15 * max(float(k.max()), 0.0) or None)
+    if k.min() <= 0.0:
+        axes.fill_between(s, 0.0, k, where=k <= 0.0, color=ORANGE, alpha=0.35, label="not positive: no beam")
+        axes.legend(loc="upper right")
+    for i, place in enumerate(marker_s):
+        axes.plot(place, 0.0, marker=shape(i), color=colour(i), markersize=7, clip_on=False, zorder=5)
+        axes.annotate(
+            f"M{i + 1}", (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=colour(i), fontsize=8.5
+        )
+    if push_s is not None and push_s < 0.999:
+        axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
+        axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
+    top = axes.secondary_xaxis("top", functions=(partial(np.multiply, length), partial(np.multiply, 1.0 / length)))
+    top.set_xlabel("distance from the clamp [mm]", color=MUTED)
+    return figure
+
+
+@styled
+def fit_over_frame(image: NDArray[np.uint8], view: View, beam: Beam, one: Comparison, seen: Observations) -> Figure:
+    """Measured markers and the simulated beam at the largest push, over the video frame (RGB) itself."""
+    t = largest_push(one)
+    line = centreline(beam, one, seen, t)
+    figure, (axes,) = blank(4.4)
+    axes.imshow(image)
+    axes.set_axis_off()
+    points = [project(view, one.measured[t])]
+    if line is not None:
+        on_image = project(view, line)
+        axes.plot(*on_image.T, **_HALO)
+        axes.plot(*on_image.T, color=BLUE, linewidth=2.2, label="simulated beam")
+        predicted = project(view, one.predicted[t])
+        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=1.8, label="simulated markers")
+        points += [on_image]
+    axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=1.8,
+              label="measured markers")  # fmt: skip
+    where = line[round(float(one.push_s[t]) * (len(line) - 1))] if line is not None else one.measured[t, -1]
+    points += [_draw_force(axes, view, where, one.force[t], 0.22 * beam.length)]
+    _crop(axes, np.concatenate(points), image.shape)
+    axes.set_title(f"{one.name}, frame {one.frame[t]}: {np.linalg.norm(one.force[t]):.2f} N at s = {one.push_s[t]:.2g}")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    return figure
+
+
+def _draw_force(axes: Axes, view: View, tip: Array, force: Array, length_m: float) -> Array:
+    """An arrow that ends where the force acts; returns its two ends [px]."""
+    size = float(np.linalg.norm(force))
+    if size == 0.0:
+        return np.asarray(project(view, tip[None]))
+    ends = np.asarray(project(view, np.stack([tip - force / size * length_m, tip])))
+    axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", "color": ORANGE, "linewidth": 2.2})
+    return ends
+
+
+def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
+    """Show what holds all `points` [px], with room around."""
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.12 * float(np.max(high - low)) + 20.0
+    axes.set_xlim(max(low[0] - room, -0.5), min(high[0] + room, size[1] - 0.5))
+    axes.set_ylim(min(high[1] + room, size[0] - 0.5), max(low[1] - room, -0.5))
+
+
+@styled
+def shapes(beam: Beam, one: Comparison, seen: Observations) -> Figure:
+    """The simulated beam and the measured markers at rest and at pushes of growing size (Fig. 7 of the paper)."""
+    figure, (axes,) = blank(3.6)
+    chosen = spread_of_pushes(one, 6)
+    for order, t in enumerate(chosen):
+        line = centreline(beam, one, seen, t)
+        strength = 0.25 + 0.75 * (order + 1) / len(chosen)
+        if line is not None:
+            axes.plot(*(MM * line.T), color=BLUE, alpha=strength, linewidth=1.6)
+        for i in range(len(one.tag_id)):
+            axes.plot(
+                *(MM * one.measured[t, i]), shape(i), color=colour(i), alpha=strength, markersize=6, zorder=4,
+                label=f"M{i + 1} measured" if order == len(chosen) - 1 else None,
+            )  # fmt: skip
+    axes.plot([], [], color=BLUE, label="simulated beam")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.set_title(f"{one.name}: shapes under growing force")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+@styled
+def markers(one: Comparison) -> Figure:
+    """Every marker over time, measured (dots) and simulated (lines), in x and y."""
+    figure, (above, below) = blank(4.6, 2, 1, sharex=True)
+    time = one.time - one.time[0]
+    step = max(1, len(time) // 150)  # dots that would only cover each other are left out
+    for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
+        for i in range(len(one.tag_id)):
+            axes.plot(time[::step], MM * one.measured[::step, i, axis], shape(i), color=colour(i), alpha=0.45,
+                      markersize=3.2, markeredgewidth=0)  # fmt: skip
+            axes.plot(*_unbroken(time, MM * one.predicted[:, i, axis]), color=colour(i), linewidth=1.4,
+                      label=f"M{i + 1}, s = {one.marker_s[i]:.3g}")  # fmt: skip
+        axes.set_ylabel(f"{name} [mm]")
+    below.set_xlabel("time [s]")
+    above.set_title(f"{one.name}: markers measured (dots) and simulated (lines)")
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(one.tag_id)))
+    return figure
+
+
+def _unbroken(time: Array, values: Array) -> tuple[Array, Array]:
+    """A line that is not drawn across gaps in time (frames that were not simulated)."""
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > 5.0 * np.median(steps)) + 1 if len(time) > 2 else np.array([], dtype=int)
+    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
+
+
+@styled
+def residuals(one: Comparison) -> Figure:
+    """How far the simulated markers are from the measured ones: over time, and in the plane."""
+    figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
+    residual = MM * (one.measured - one.predicted)
+    time = one.time - one.time[0]
+    for i, rms in enumerate(MM * one.rms):
+        distance = np.linalg.norm(residual[:, i], axis=1)
+        left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=f"M{i + 1}: {rms:.2f} mm RMS")
+        right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
+    left.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
+    left.set_title(f"{one.name}: distance, measured to simulated")
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(one.tag_id))), fontsize=8)
+    right.axhline(0, color=MUTED, linewidth=0.8)
+    right.axvline(0, color=MUTED, linewidth=0.8)
+    right.set(xlabel="in x [mm]", ylabel="in y [mm]", aspect="equal", adjustable="datalim")
+    right.set_title("measured less simulated")
+    return figure
+
+
+@styled
+def selection(learned: Learned) -> Figure:
+    """The (n, m) table as a map of the BIC; the chosen pair framed, pairs out of the running left grey."""
+    trials = learned.trials
+    ns, ms = sorted({trial.n for trial in trials}), sorted({trial.m for trial in trials})
+    figure, (axes,) = blank(0.42 * len(ns) + 1.3)
+    running = [trial.bic for trial in trials if np.isfinite(trial.bic)]
+    low = min(running, default=0.0)
+    scale = Normalize(0.0, max(max(running, default=1.0) - low, 1e-9))
+    colours = LinearSegmentedColormap.from_list("quiet", ["#2c7fb8", "#bfdcec", "#f5f7fa"])
+    axes.grid(visible=False)
+    for i, trial in enumerate(trials):
+        x, y = ms.index(trial.m), ns.index(trial.n)
+        above = trial.bic - low
+        inside = bool(np.isfinite(trial.bic))
+        face = colours(scale(above)) if inside else "#eceef1"
+        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=face, edgecolor="white", linewidth=2))
+        dark = inside and scale(above) < 0.35
+        axes.text(x, y, _cell(trial), ha="center", va="center", color="white" if dark else INK, fontsize=8.5)
+        if i == learned.chosen:
+            box = Rectangle((x - 0.47, y - 0.44), 0.94, 0.88, fill=False, edgecolor=ORANGE, linewidth=2.4, zorder=5)
+            axes.add_patch(box)
+    axes.set(xlim=(-0.5, len(ms) - 0.5), ylim=(len(ns) - 0.5, -0.5))
+    axes.set_xticks(range(len(ms)), [str(m) for m in ms])
+    axes.set_yticks(range(len(ns)), [str(n) for n in ns])
+    axes.set(xlabel="stiffness functions m", ylabel="curvature modes n")
+    axes.set_title("BIC (lower is better; framed: chosen; grey: out of the running)")
+    return figure
+
+
+def _cell(trial: Trial) -> str:
+    return f"{trial.bic:.0f}" if np.isfinite(trial.bic) else "out"
+
+
+@styled
+def force(seen: Observations) -> Figure:
+    """The force on the beam over time, on the log's clock: what was filmed, when contact was, what was taken off."""
+    clean = seen.clean_force
+    figure, (axes,) = blank(3.0)
+    time, values = (seen.time, seen.force) if clean is None else (clean.time, clean.force)
+    start = float(seen.time[0])
+    step = max(1, len(time) // 4000)
+    for axis, (name, tint) in enumerate((("x", GREEN), ("y", BLUE))):
+        label = f"F{name}"
+        if clean is not None:
+            label += f"  (tare {clean.tare[axis]:+.3f} N taken off, noise left {MM * clean.noise_sd[axis]:.1f} mN)"
+        axes.plot(time[::step] - start, values[::step, axis], color=tint, linewidth=1.2, label=label)
+    axes.axhline(0, color=MUTED, linewidth=0.8)
+    for first, last in _spans(seen.time - start, seen.loaded):
+        axes.axvspan(first, last, color=ORANGE, alpha=0.08, linewidth=0)
+    axes.axvline(0.0, color=MUTED, linestyle=":", linewidth=1)
+    axes.axvline(float(seen.time[-1]) - start, color=MUTED, linestyle=":", linewidth=1)
+    axes.set(xlabel="time since the first frame [s]", ylabel="force [N]")
+    axes.set_title("force on the beam (shaded: in contact; dotted: first and last frame)")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1)
+    return figure
+
+
+def _spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """First and last time of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(float(time[a]), float(time[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+@styled
+def validation(comparisons: Sequence[Comparison]) -> Figure:
+    """RMS per marker and recording (Tables IV to VI), with the part that the force's noise alone explains."""
+    figure, (axes,) = blank(0.9 + 0.28 * sum(len(one.tag_id) + 1 for one in comparisons))
+    y, ticks = 0.0, []
+    for one in comparisons:
+        for i, rms in enumerate(MM * one.rms):
+            axes.barh(y, rms, height=0.8, color=colour(i), alpha=0.85)
+            axes.plot(MM * one.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
+            axes.annotate(f"{rms:.2f}", (rms, y), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
+            ticks.append((y, f"{one.name}  M{i + 1}" if i == 0 else f"M{i + 1}"))
+            y += 1.0
+        y += 0.7
+    axes.set_yticks(*zip(*ticks, strict=True))
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.margins(x=0.1)
+    axes.set(xlabel="RMS distance, measured to simulated [mm]  (|: explained by the force log's noise)")
+    return figure

@@ -1,0 +1,37 @@
+"""Which frames a picture shows, and the beam simulated for them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.errors import MechanicsError
+from onebend.learning.outcome import Comparison
+from onebend.records import Array, Observations
+
+
+def largest_push(one: Comparison) -> int:
+    """Index of the frame with the largest force among those where most markers were seen."""
+    seen = np.isfinite(one.measured[..., 0]).sum(axis=1)
+    size = np.linalg.norm(one.force, axis=1)
+    return int(np.argmax(np.where((seen == seen.max()) & np.isfinite(size), size, -1.0)))
+
+
+def spread_of_pushes(one: Comparison, count: int) -> list[int]:
+    """Frames with about 0, 1/(count-1), ..., 1 times the largest force, up to the largest."""
+    size = np.nan_to_num(np.linalg.norm(one.force, axis=1))
+    last = largest_push(one)
+    rising = size[: last + 1]
+    wanted = np.linspace(0.0, size[last], count)
+    return sorted({int(np.argmin(np.abs(rising - value))) for value in wanted})
+
+
+def centreline(beam: Beam, one: Comparison, seen: Observations, t: int, places: int = 121) -> Array | None:
+    """(places, 2) m, the beam simulated under the measured force of the comparison's frame t; None if it cannot be."""
+    here = np.flatnonzero(seen.frame == one.frame[t])
+    gravity = seen.gravity[here[0]] if here.size else np.zeros(2)
+    try:
+        shape = beam.equilibrium(one.force[t], float(one.push_s[t]), gravity=gravity if gravity.any() else None)
+    except MechanicsError:
+        return None
+    return shape.xy(np.linspace(0.0, 1.0, places))

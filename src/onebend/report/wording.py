@@ -1,0 +1,143 @@
+"""Numbers and sentences as people read them, the same in the report and in the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from onebend.learning.outcome import Comparison
+from onebend.records import CleanForce, ClockOffset, Observations
+from onebend.report.findings import Findings
+
+UNKNOWN = "–"
+
+FILES = {
+    "model.json": "the learned beam; `load_model` reads it",
+    "stiffness.csv": "k(s) at 201 places",
+    "selection.csv": "the (n, m) table",
+    "markers.csv": "measured and simulated markers, every frame and recording",
+    "observations.parquet": "what the recording said, so that its video is not needed again",
+    "summary.json": "the figures of this page for scripts, in SI",
+    "report.html": "this page",
+    "figures/": "every figure as a PNG",
+}
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """`value` with that many significant digits, without an exponent where it can be; a dash where it is not known."""
+    if not np.isfinite(value):
+        return UNKNOWN
+    if value == 0.0 or not 1e-4 <= abs(value) < 1e6:
+        return f"{float(value):.{digits}g}"
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{float(value):.{max(decimals, 0)}f}"
+
+
+def millimetres(metres: float) -> str:
+    """A length in mm with two decimals; a dash where it is not known."""
+    return f"{1000.0 * float(metres):.2f}" if np.isfinite(metres) else UNKNOWN
+
+
+def percent(part: float, whole: float) -> str:
+    """The share of the whole; a dash where there is no whole."""
+    return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN
+
+
+def cards(findings: Findings) -> list[dict[str, str]]:
+    """The headline figures."""
+    learned, seen = findings.learned, findings.observations
+    k = learned.beam.stiffness(np.linspace(0.0, 1.0, 201))
+    found = [
+        {
+            "what": "bending stiffness k(s)",
+            "value": f"{significant(k.min())} … {significant(k.max())} N m",
+            "note": f"EI {significant(1e6 * seen.length * k.min())} … {significant(1e6 * seen.length * k.max())} N mm²",
+        },
+        {
+            "what": "fit, worst marker",
+            "value": worst_marker(learned.training),
+            "note": f"RMS over {len(learned.training.frame)} frames it was learned from",
+        },
+    ]
+    if findings.validations:
+        worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
+        note = f"RMS, worst of {len(findings.validations)} other recordings ({worst.name})"
+        found.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
+    if seen.clean_force is not None:
+        size = np.linalg.norm(seen.force[seen.loaded], axis=1)
+        noise = 1000.0 * float(np.max(seen.clean_force.noise_sd))
+        note = f"noise left in it: {significant(noise, 2)} mN (sd)"
+        found.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
+    return found
+
+
+def worst_marker(one: Comparison) -> str:
+    """The largest RMS of a comparison, with the marker it belongs to."""
+    if not np.isfinite(one.rms).any():
+        return UNKNOWN
+    i = int(np.nanargmax(one.rms))
+    return f"{millimetres(one.rms[i])} mm (M{i + 1})"
+
+
+def clock_words(clock: ClockOffset) -> str:
+    """The offset with its sd, against what was said."""
+    if not clock.found:
+        return f"{clock.offset:.3f} s as written in recording.toml; the data could not settle it"
+    away = 1000.0 * (clock.offset - clock.said)
+    said = f", {away:+.0f} ms from the written {clock.said:.3f} s" if np.isfinite(clock.said) else ""
+    return f"{clock.offset:.3f} s ± {1000.0 * clock.sd:.1f} ms (sd){said}; the sensor's own lag is inside"
+
+
+def inputs(seen: Observations) -> list[tuple[str, str]]:
+    """What was done to the force log and to the clocks, row by row."""
+    rows = [] if seen.clean_force is None else _force_rows(seen.clean_force)
+    if seen.clock is not None:
+        rows.append(("log time less video time", clock_words(seen.clock)))
+    if seen.view is not None:
+        how = "calibrated" if seen.view.calibrated else "not calibrated: lens and focal length inferred from the tags"
+        rows.append(("camera", f"{how}; corners to {seen.view.corner_sd:.2f} px (sd)"))
+    found = 100.0 * np.isfinite(seen.xy[..., 0]).mean(axis=0)
+    tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(seen.tag_id))
+    return [*rows, ("frames in which a tag was found", tags)]
+
+
+def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
+    known = bool(np.isfinite(clean.drift).any())
+    drift = _pair(1000.0 * clean.drift, "mN/s") if known else "unknown (only one rest was seen)"
+    filtered = f"zero-phase, {significant(clean.cutoff)} Hz" if np.isfinite(clean.cutoff) else "none"
+    return [
+        ("tare taken off (x, y)", _pair(clean.tare, "N")),
+        ("drift between the rests (x, y)", drift),
+        ("low-pass filter", filtered),
+        ("noise left in the force (x, y), sd", _pair(1000.0 * clean.noise_sd, "mN")),
+        ("outliers replaced", f"{clean.outliers} of {len(clean.time)} rows"),
+    ]
+
+
+def _pair(values: Iterable[float], unit: str) -> str:
+    return ", ".join(significant(value) for value in values) + f" {unit}"
+
+
+def assumptions(findings: Findings) -> list[str]:
+    """What the result rests on, in plain words."""
+    seen = findings.observations
+    rest = "straight when nothing pushes it" if seen.rest == "straight" else "of unknown shape at rest"
+    weight = "its weight acts in the plane of bending and is simulated" if np.any(seen.gravity != 0.0) else (
+        "gravity acts across the plane of bending, so its weight does not bend it"
+    )  # fmt: skip
+    return [
+        f"The beam is planar, neither stretches nor shears, is clamped at s = 0, and is {rest}; {weight}.",
+        "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
+        "The logged force acts at one point of the beam, and nothing else touches it.",
+        f"Each tag sits at its written s to {millimetres(seen.placement_sd)} mm (sd).",
+        "What the force sensor reads at rest is taken off; an error that it has only under load is not seen, and "
+        "goes into k.",
+    ]
+
+
+def files_described(figures: Iterable[str]) -> list[tuple[str, str]]:
+    """Every file of a results folder with what it is."""
+    count = len(list(figures))
+    return [(name, what if name != "figures/" else f"the {count} figures as PNGs") for name, what in FILES.items()]

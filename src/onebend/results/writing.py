@@ -1,0 +1,57 @@
+"""The files of a results folder, written from what was found. Where they go and when is `folder`'s business."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from onebend.learning.outcome import Comparison
+from onebend.report.findings import Findings
+from onebend.report.page import page
+from onebend.results.folder import files_in
+from onebend.results.model import FILE_NAME, origin_of, save_model
+from onebend.results.observed import save_observations
+from onebend.results.summary import write_summary
+from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
+
+
+def learned_writer(
+    findings: Findings, figures: Mapping[str, bytes], summary: Mapping[str, Any], *, version: str
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with the results of learning."""
+
+    def write(folder: Path) -> None:
+        learned, comparisons = findings.learned, (findings.learned.training, *findings.validations)
+        save_model(folder / FILE_NAME, learned.beam, written_by=f"onebend {version}", origin=origin_of(learned))
+        write_stiffness(folder / "stiffness.csv", learned.beam)
+        write_selection(folder / "selection.csv", learned)
+        write_markers(folder / "markers.csv", comparisons)
+        if findings.validations:
+            write_validation(folder / "validation.csv", findings.validations)
+        save_observations(folder / "observations.parquet", findings.observations)
+        (folder / "report.html").write_text(page(findings, figures, version=version), encoding="utf-8")
+        _write_figures(folder, figures)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write
+
+
+def validation_writer(
+    comparisons: Sequence[Comparison], figures: Mapping[str, bytes], summary: Mapping[str, Any]
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with a validation."""
+
+    def write(folder: Path) -> None:
+        write_validation(folder / "validation.csv", comparisons)
+        write_markers(folder / "markers.csv", comparisons)
+        _write_figures(folder, figures)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write
+
+
+def _write_figures(folder: Path, figures: Mapping[str, bytes]) -> None:
+    (folder / "figures").mkdir()
+    for name, png in figures.items():
+        (folder / "figures" / f"{name}.png").write_bytes(png)

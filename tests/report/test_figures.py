@@ -1,0 +1,129 @@
+"""Every figure draws what the records say, with units, also where something is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Powers, Uniform
+from onebend.report import figures
+from onebend.report.simulated import centreline, largest_push, spread_of_pushes
+from onebend.report.style import png_of
+from tests import made_up
+
+ONE = made_up.comparison()
+SEEN = made_up.observations(one=ONE)
+IMAGE = np.full((500, 640, 3), 128, dtype=np.uint8)
+
+
+def every_figure() -> dict[str, Figure]:
+    learned = made_up.learned(ONE)
+    assert SEEN.view is not None
+    return {
+        "stiffness": figures.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
+        "fit": figures.fit_over_frame(IMAGE, SEEN.view, learned.beam, ONE, SEEN),
+        "shapes": figures.shapes(learned.beam, ONE, SEEN),
+        "markers": figures.markers(ONE),
+        "residuals": figures.residuals(ONE),
+        "selection": figures.selection(learned),
+        "force": figures.force(SEEN),
+        "validation": figures.validation((ONE, made_up.comparison("other"))),
+    }
+
+
+FIGURES = every_figure()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figure_is_a_picture_with_units_on_its_axes(name: str) -> None:
+    figure = FIGURES[name]
+    assert png_of(figure).startswith(b"\x89PNG")
+    labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+    bare = ("place along the beam s", "stiffness functions m", "curvature modes n")
+    assert all("[" in text or text in bare for text in labels), labels
+
+
+def test_drawing_leaves_no_trace_in_the_callers_settings() -> None:
+    before = dict(matplotlib.rcParams)
+    png_of(figures.markers(ONE))
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_the_same_records_give_the_same_bytes() -> None:
+    assert png_of(figures.residuals(ONE)) == png_of(figures.residuals(ONE))
+
+
+def test_stiffness_curve_is_the_beams() -> None:
+    axes = figures.stiffness(made_up.BEAM).axes[0]
+    s, k = np.array(axes.lines[0].get_data(), dtype=float)
+    np.testing.assert_allclose(k, made_up.BEAM.stiffness(s))
+
+
+def test_stiffness_that_is_no_beam_is_marked() -> None:
+    axes = figures.stiffness(Beam(0.1, Powers((0.1, -0.2)))).axes[0]
+    assert axes.get_ylim()[0] < -0.1
+    legend = axes.get_legend()
+    assert legend is not None
+    assert "not positive" in legend.get_texts()[0].get_text()
+
+
+def test_markers_are_where_the_records_say() -> None:
+    above, below = figures.markers(ONE).axes
+    for axes, axis in ((above, 0), (below, 1)):
+        drawn = [np.array(line.get_ydata(), dtype=float) for line in axes.lines]
+        for i in range(3):
+            np.testing.assert_allclose(drawn[2 * i], 1000 * ONE.measured[:, i, axis])
+            np.testing.assert_allclose(drawn[2 * i + 1], 1000 * ONE.predicted[:, i, axis])
+
+
+def test_a_gap_in_time_is_a_gap_in_the_line() -> None:
+    time = np.concatenate([ONE.time[:40], ONE.time[40:] + 5.0])
+    line = figures.residuals(replace(ONE, time=time)).axes[0].lines[0]
+    y = np.array(line.get_ydata(), dtype=float)
+    assert len(y) == len(time) + 1
+    assert np.isnan(y[40])
+
+
+def test_the_frame_shown_is_the_largest_push_with_all_markers() -> None:
+    t = largest_push(ONE)
+    size = np.linalg.norm(ONE.force, axis=1)
+    assert size[t] == size.max()
+    hidden = replace(ONE, measured=np.where((size > 0.2)[:, None, None], np.nan, ONE.measured))
+    assert size[largest_push(hidden)] <= 0.2
+    chosen = spread_of_pushes(ONE, 6)
+    assert chosen[-1] == t
+    np.testing.assert_allclose(size[chosen], np.linspace(0, size.max(), 6), atol=0.01)
+
+
+def test_the_line_runs_through_the_predicted_markers() -> None:
+    line = centreline(made_up.BEAM, ONE, SEEN, 60, places=301)
+    assert line is not None
+    np.testing.assert_allclose(line[[100, 200, 300]], ONE.predicted[60], atol=1e-9)
+
+
+def test_a_beam_that_cannot_stand_draws_its_markers_only() -> None:
+    beam = Beam(0.15, Uniform(-0.1))
+    assert centreline(beam, ONE, SEEN, 60) is None
+    assert SEEN.view is not None
+    png_of(figures.fit_over_frame(IMAGE, SEEN.view, beam, ONE, SEEN))
+    png_of(figures.shapes(beam, ONE, SEEN))
+
+
+def test_few_frames_unknown_sensor_and_no_force_log() -> None:
+    short = made_up.comparison(frames=2)
+    png_of(figures.residuals(short))
+    png_of(figures.markers(short))
+    png_of(figures.force(replace(SEEN, clean_force=None)))
+    unknown = replace(ONE, rms=np.full(3, np.nan), sensor_rms=np.full(3, np.nan))
+    png_of(figures.validation((unknown,)))
+
+
+def test_all_trials_out_of_the_running_can_be_drawn() -> None:
+    learned = made_up.learned(ONE)
+    out = tuple(replace(trial, bic=float("inf"), why_out="k(s) is not positive") for trial in learned.trials)
+    png_of(figures.selection(replace(learned, trials=out)))

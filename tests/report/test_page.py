@@ -1,0 +1,155 @@
+"""The page: self-contained, escaped, and with the figures of the records."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend.records import ClockOffset, Remark
+from onebend.report.drawing import draw_all, fit
+from onebend.report.findings import all_remarks
+from onebend.report.page import page
+from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
+from tests import made_up
+
+PNG = b"\x89PNG not really"
+
+
+class Links(HTMLParser):
+    """Every address the page would fetch, and its text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(
+        self,
+        tag: str,  # noqa: ARG002
+        attrs: list[tuple[str, str | None]],
+    ) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict[str, bytes]:
+    return draw_all(made_up.findings(2))
+
+
+def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
+    expected = {"stiffness", "shapes", "markers", "residuals", "selection", "force", "validation"}
+    expected |= {f"validation-{i}-{what}" for i in (1, 2) for what in ("shapes", "residuals")}
+    assert set(drawn) == expected  # and no fit: there is no video
+    links = Links(page(made_up.findings(2), drawn, version="1.2.3"))
+    assert sum(address.startswith("data:image/png;base64,") for address in links.addresses) == len(expected)
+
+
+def test_nothing_is_fetched_and_every_anchor_leads_somewhere() -> None:
+    html = page(made_up.findings(2), {"stiffness": PNG}, version="1.2.3")
+    links = Links(html)
+    assert all(address.startswith(("data:", "#")) for address in links.addresses)
+    assert {address[1:] for address in links.addresses if address.startswith("#")} <= set(links.ids)
+    assert not re.search(r"https?://|@import|url\(", html)
+
+
+def test_page_says_the_figures() -> None:
+    found = made_up.findings(2)
+    text = Links(page(found, {}, version="1.2.3")).text
+    k = found.learned.beam.stiffness(np.linspace(0, 1, 201))
+    for words in (
+        "onebend 1.2.3",
+        "n = 4 curvature modes",
+        f"{significant(k.min())} … {significant(k.max())} N m",
+        worst_marker(found.learned.training),
+        "k(s) is not positive",
+        "other-2",
+        "tag 3 was hidden for 2 frames",
+        "254.310 s ± 4.0 ms",
+        "1.00, – mN/s",
+    ):
+        assert words in text, words
+
+
+def test_names_from_files_cannot_become_markup() -> None:
+    found = made_up.findings(1)
+    evil = "<script>alert(1)</script>"
+    seen = replace(found.observations, name=evil, remarks=(Remark("warning", evil),))
+    html = page(replace(found, observations=seen), {}, version="1.2.3")
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+
+
+def test_bare_findings_make_a_page_without_empty_sections() -> None:
+    found = made_up.findings(0)
+    seen = replace(found.observations, clean_force=None, clock=None, view=None, remarks=(), rest="unknown")
+    bare = replace(found, observations=seen, learned=replace(found.learned, remarks=()), video_seconds=float("nan"))
+    links = Links(page(bare, draw_all(bare), version="1.2.3"))
+    assert "Validation" not in links.text
+    assert "Nothing looked odd" in links.text
+    assert "nan" not in links.text.split()
+
+
+def test_a_fit_without_its_video_is_left_out(tmp_path: Path) -> None:
+    found = made_up.findings(0)
+    training, beam = found.learned.training, found.learned.beam
+    assert fit(beam, training, replace(found.observations, video=tmp_path / "gone.mp4")) is None
+    assert fit(beam, training, replace(found.observations, view=None)) is None
+
+
+def test_remarks_come_once_and_warnings_first() -> None:
+    found = made_up.findings(1)
+    again = replace(found.learned, remarks=found.observations.remarks)
+    remarks = all_remarks(replace(found, learned=again))
+    assert [remark.level for _, remark in remarks] == sorted((r.level for _, r in remarks), key="warning note".index)
+    assert len(remarks) == len({(whose, remark.text) for whose, remark in remarks}) == 4
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0412345, "0.0412"),
+        (0.051, "0.0510"),
+        (6182.3, "6182"),
+        (1.0, "1.00"),
+        (-0.0213, "-0.0213"),
+        (0.0, "0"),
+        (9.9999, "10.00"),
+        (1.5e-7, "1.5e-07"),
+        (2e9, "2e+09"),
+        (float("nan"), "–"),
+        (float("inf"), "–"),
+    ],
+)
+def test_significant(value: float, text: str) -> None:
+    assert significant(value) == text
+
+
+def test_small_words() -> None:
+    assert millimetres(0.0012345) == "1.23"
+    assert percent(1.0, 4.0) == "25 %"
+    assert percent(1.0, 0.0) == "–"
+    assert worst_marker(replace(made_up.comparison(), rms=np.full(3, np.nan))) == "–"
+
+
+def test_a_clock_that_was_not_found_says_so() -> None:
+    assert "could not settle it" in clock_words(ClockOffset(1.0, 2.0, 1.0, found=False))
+    assert "from the written" not in clock_words(ClockOffset(1.0, 0.01, float("nan"), found=True))
+
+
+def test_gravity_and_uncalibrated_cameras_are_said() -> None:
+    seen = made_up.observations()
+    assert seen.view is not None
+    heavy = replace(seen, gravity=seen.gravity - 9.81, view=replace(seen.view, calibrated=False))
+    assert "weight acts in the plane" in assumptions(replace(made_up.findings(0), observations=heavy))[0]
+    assert any("not calibrated" in text for _, text in inputs(heavy))
