@@ -1,0 +1,112 @@
+"""Gravity in the beam's frame: the direction in the room, and how the base is turned, constant or logged."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from onebend.errors import ObservationError, RecordingError
+from onebend.recording.entries import GravityEntry
+from onebend.records import Array, ClockOffset, Markers
+
+
+@dataclass(frozen=True)
+class BaseLog:
+    """How the base was turned, on the force log's clock."""
+
+    time: Array  # (N,) s
+    angle: Array  # (N,) rad, the beam's x axis in the room
+
+
+def read_base_log(path: Path) -> BaseLog:
+    """Read a CSV with the columns time_s and base_deg.
+
+    Raises
+    ------
+    RecordingError
+        A missing column, text or NaN, times that do not rise, fewer than two rows; with the line.
+    """
+    time, angle = [], []
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        rows = csv.DictReader(stream, skipinitialspace=True)
+        missing = {"time_s", "base_deg"} - set(rows.fieldnames or ())
+        if missing:
+            raise RecordingError(f"{path}, line 1: no column {', '.join(sorted(missing))}. Name them time_s, base_deg.")
+        for row in rows:
+            try:
+                t, degrees = float(row["time_s"]), float(row["base_deg"])
+            except (TypeError, ValueError):
+                t = degrees = math.nan
+            if not (math.isfinite(t) and math.isfinite(degrees)):
+                raise RecordingError(f"{path}, line {rows.line_num}: not two numbers. Correct or remove the line.")
+            if time and t <= time[-1]:
+                raise RecordingError(f"{path}, line {rows.line_num}: the time {t:g} s does not rise. Sort the file.")
+            time.append(t)
+            angle.append(math.radians(degrees))
+    if len(time) < 2:
+        raise RecordingError(f"{path} holds {len(time)} rows; at least 2 are needed. Give base_angle_deg instead.")
+    return BaseLog(np.array(time), np.unwrap(angle))
+
+
+def base_clock(markers: Markers, log: BaseLog, said: float, uncertainty: float, *, margin: float = 2.0) -> ClockOffset:
+    """The offset that lays the base tag's turn in the film over the logged one (least squares, one constant free).
+
+    `sd` counts the residuals as correlated over a second, as from a log that is sampled sparsely.
+    """
+    if not math.isfinite(said) or not math.isfinite(uncertainty):
+        said = float(log.time[0] - markers.time[0]) if not math.isfinite(said) else said
+        uncertainty = float(np.ptp(log.time))
+    unsettled = ClockOffset(offset=said, sd=uncertainty, said=said, found=False)
+    if np.ptp(markers.base_angle) < math.radians(1.0):
+        return unsettled
+    seen = np.isfinite(markers.base_angle)
+    time, angle = markers.time[seen], markers.base_angle[seen]
+
+    def misfit(offset: float) -> float:
+        at = time + offset
+        inside = (at >= log.time[0]) & (at <= log.time[-1])
+        if inside.sum() < 0.5 * len(at):
+            return math.inf
+        return float(np.var(np.interp(at[inside], log.time, log.angle) - angle[inside]))
+
+    reach, centre, width = uncertainty + margin, said, 0.02
+    for width in (0.02, 0.002):
+        tries = np.arange(centre - reach, centre + reach + width / 2, width)
+        cost = np.array([misfit(each) for each in tries])
+        best = int(np.argmin(cost))
+        centre, reach = float(tries[best]), 0.05
+    if not math.isfinite(cost[best]) or cost[best] > 0.05 * float(np.var(angle)):
+        return unsettled
+    near = slice(max(best - 10, 0), best + 11)
+    curve = float(np.polyfit(tries[near] - centre, cost[near], 2)[0])
+    independent = max(float(np.ptp(time)), 2.0)
+    sd = math.sqrt(cost[best] / (independent * curve)) if curve > 0 else uncertainty
+    return ClockOffset(offset=centre, sd=max(sd, width), said=said, found=True)
+
+
+def gravity_in_frame(entry: GravityEntry | None, log: BaseLog | None, markers: Markers, time: Array) -> Array:
+    """(T, 2) m/s^2 along and across the beam's x axis; zeros where gravity acts across the plane.
+
+    `time` is on the base log's clock. A base whose angle is written as a constant but turns in the film is followed
+    by its tag.
+    """
+    if entry is None:
+        return np.zeros((len(time), 2))
+    base = np.interp(time, log.time, log.angle) if log is not None else entry.base_angle + markers.base_angle
+    angle = entry.direction - base
+    return np.asarray(entry.magnitude * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -> None:
+    """Raise where no frame lies inside the log."""
+    film = markers.time[[0, -1]] + offset
+    if film[1] < log_time[0] or film[0] > log_time[-1]:
+        raise ObservationError(
+            f"The film ({film[0]:.1f} to {film[1]:.1f} s on the log's clock) and the {what} ({log_time[0]:.1f} to "
+            f"{log_time[-1]:.1f} s) do not overlap. Check start_s in [video] of recording.toml, and that the log "
+            "belongs to this film."
+        )

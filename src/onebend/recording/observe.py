@@ -1,0 +1,117 @@
+"""From a recording on disk to observations: the paper's section IV-C, on one screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from onebend.errors import ObservationError
+from onebend.progress import Progress, Silent
+from onebend.recording.camera import measure_markers
+from onebend.recording.clock import ClockSettings
+from onebend.recording.contact import ContactSettings, find_contact
+from onebend.recording.entries import Recording
+from onebend.recording.folder import read_recording
+from onebend.recording.force import ForceSettings
+from onebend.recording.frame import to_beam_frame
+from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
+from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
+from onebend.recording.tags import detect_tags
+from onebend.records import Detections, ForceLog, Markers, Observations
+
+
+@dataclass(frozen=True)
+class ObserveSettings:
+    """How a recording is read."""
+
+    threads: int | None = None  # for the tags; None: one a core
+    pairing: Literal["interpolate", "nearest"] = "interpolate"
+    epsilon: float = 0.02  # s, the paper's margin: with "nearest", frames farther from any row of the log are dropped
+    check_force: bool = True  # refuse a force that contradicts the bending
+    clock: ClockSettings = field(default_factory=ClockSettings)
+    contact: ContactSettings = field(default_factory=ContactSettings)
+    force: ForceSettings = field(default_factory=ForceSettings)
+
+
+def observe(
+    recording: Recording | Path | str,
+    *,
+    settings: ObserveSettings = ObserveSettings(),
+    detections: Detections | None = None,
+    progress: Progress = Silent(),
+) -> Observations:
+    """All that a recording says, on the force log's clock and in the beam's frame.
+
+    `detections` are tags found earlier in the same video; without them the video is searched.
+
+    Raises
+    ------
+    RecordingError
+        A file is missing or cannot be read.
+    ObservationError
+        No tags, no overlap of film and log, or a force that contradicts the bending.
+    """
+    rec = recording if isinstance(recording, Recording) else read_recording(recording)
+    if rec.video is None:
+        raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
+    log = read_log(rec)
+    base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
+    if detections is None:
+        detections = detect_tags(rec.video, rec.tags, threads=settings.threads, progress=progress)
+    markers = measure_markers(detections, rec)
+    return assemble(rec, markers, log, base, settings)
+
+
+def assemble(
+    rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ObserveSettings
+) -> Observations:
+    """Markers and logs on one clock and in one frame."""
+    fit = match_clocks(rec, markers, log, base, settings.clock)
+    at = markers.time + fit.clock.offset
+    contact = find_contact(markers, log, offset=fit.clock.offset, settings=settings.contact)
+    gravity = gravity_in_frame(rec.gravity, base, markers, at)
+    seen, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
+    clean = None if log is None else cleaned(rec, markers, log, contact, fit, settings.force)
+    force, push_s = pair(rec, clean, at, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
+    loaded = contact.loaded if clean is not None else np.zeros(len(at), dtype=bool)
+    odd = check_direction(rec.name, seen, rest, force, push_s, loaded, refuse=settings.check_force)
+    kept, drop_remarks = usable(markers, force)
+    return Observations(
+        name=rec.name,
+        length=rec.beam.length,
+        time=at[kept],
+        frame=np.flatnonzero(kept).astype(np.int64),
+        tag_id=markers.tag_id,
+        marker_s=markers.s,
+        xy=seen.xy[kept],
+        angle=seen.angle[kept],
+        covariance=seen.covariance[kept],
+        force=force[kept],
+        force_sd=np.zeros(2) if clean is None else clean.noise_sd,
+        push_s=push_s[kept],
+        loaded=loaded[kept],
+        rest_xy=rest.xy,
+        rest_angle=rest.angle,
+        rest_covariance=rest.covariance,
+        gravity=gravity[kept],
+        mass=rec.beam.mass,
+        placement_sd=rec.tags.placement_sd,
+        rest=rec.beam.rest,
+        clock=fit.clock,
+        clean_force=clean,
+        view=seen.view,
+        video=rec.video.file if rec.video else None,
+        remarks=(
+            *rec.remarks,
+            *markers.remarks,
+            *fit.remarks,
+            *(contact.remarks if clean is not None else ()),
+            *frame_remarks,
+            *(() if clean is None else clean.remarks),
+            *odd,
+            *drop_remarks,
+        ),
+    )

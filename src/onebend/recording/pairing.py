@@ -1,0 +1,153 @@
+"""Markers and force on one clock: the steps between two readings of one push and its pairs."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from onebend.errors import ObservationError
+from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
+from onebend.recording.contact import Contact
+from onebend.recording.entries import Recording
+from onebend.recording.force import ForceSettings, choose_cutoff, clean_force, force_at, gap_limit, read_force_log
+from onebend.recording.frame import RestShape
+from onebend.recording.gravity import BaseLog, base_clock, check_overlap
+from onebend.recording.plausible import read_force
+from onebend.recording.signals import at_times, bandwidth
+from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
+
+
+def read_log(rec: Recording) -> ForceLog | None:
+    """The force log, where the recording has one."""
+    if rec.force is None:
+        return None
+    return read_force_log(rec.force.file, rec.force.columns, rec.push.column if rec.push else "")
+
+
+def match_clocks(
+    rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ClockSettings
+) -> ClockFit:
+    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
+
+    Raises
+    ------
+    ObservationError
+        Film and log do not overlap, or nothing says when the film starts.
+    """
+    said, uncertainty = (rec.video.start, rec.video.start_uncertainty) if rec.video else (math.nan, math.inf)
+    if log is None and base is None:
+        start = said if math.isfinite(said) else 0.0
+        return ClockFit(ClockOffset(offset=start, sd=uncertainty, said=said, found=False), None)
+    fit = None if log is None else fit_clock(markers, log, said, uncertainty, settings=settings)
+    if base is not None and (fit is None or not fit.clock.found):
+        turned = base_clock(markers, base, said, uncertainty, margin=settings.margin)
+        if turned.found or fit is None:
+            fit = ClockFit(turned, None)
+    assert fit is not None
+    if not math.isfinite(fit.clock.offset):
+        raise ObservationError(
+            f"{rec.name}: nothing says when the film starts on the log's clock, and the data do not show it. "
+            "Write start_s in [video] of recording.toml."
+        )
+    times = log.time if log is not None else base.time if base is not None else markers.time
+    check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
+    return fit
+
+
+def cleaned(
+    rec: Recording, markers: Markers, log: ForceLog, contact: Contact, fit: ClockFit, settings: ForceSettings
+) -> CleanForce:
+    """The force on the beam, its cut-off from the markers' motion and its zero from the rests."""
+    assert rec.force is not None
+    offset = fit.clock.offset
+    clean = clean_force(
+        log,
+        [(low + offset, high + offset) for low, high in contact.rests],
+        rotation=rec.force.rotation,
+        acts_on=rec.force.acts_on,
+        cutoff=choose_cutoff(bandwidth(markers.time, displacements(markers)), settings),
+        noise=fit.noise,
+        settings=settings,
+    )
+    return clean
+
+
+def pair(
+    rec: Recording,
+    clean: CleanForce | None,
+    at: Array,
+    *,
+    pairing: Literal["interpolate", "nearest"],
+    epsilon: float,
+    settings: ForceSettings,
+) -> tuple[Array, Array]:
+    """(T, 2) N force and (T,) place of the push at the times `at` [s, log's clock]; NaN where the log is silent.
+
+    "nearest" is the paper's way: the nearest row of the log, if within `epsilon` [s]. Without a log the force is
+    zero and its place unknown.
+    """
+    count = len(at)
+    if clean is None:
+        return np.zeros((count, 2)), np.full(count, np.nan)
+    if pairing == "nearest":
+        after = np.clip(np.searchsorted(clean.time, at), 1, len(clean.time) - 1)
+        row = np.where(at - clean.time[after - 1] < clean.time[after] - at, after - 1, after)
+        close = np.abs(clean.time[row] - at) <= epsilon
+        force = np.where(close[:, None], clean.force[row], np.nan)
+        place = clean.push_s[row] if clean.push_s is not None else None
+    else:
+        force = force_at(clean, at, settings=settings)
+        limit = gap_limit(clean.time, clean.cutoff, settings)
+        place = (
+            None if clean.push_s is None else at_times(clean.time, clean.push_s[:, None], at, longest_gap=limit)[:, 0]
+        )
+    if place is None:
+        place = np.full(count, rec.push.at if rec.push else math.nan)
+    return force, place
+
+
+def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
+    """(T,) frames with a force and at least one marker, and what was left out.
+
+    Raises
+    ------
+    ObservationError
+        No frame is left.
+    """
+    forced = np.isfinite(force).all(axis=1)
+    seen = np.isfinite(markers.xy).all(axis=-1).any(axis=1)
+    remarks = []
+    if not forced.all():
+        text = f"{int(np.sum(~forced))} of {len(forced)} frames lie outside the force log or in its gaps; left out."
+        remarks.append(Remark("note", text))
+    if not seen.all():
+        remarks.append(Remark("note", f"{int(np.sum(~seen))} of {len(seen)} frames show no marker; left out."))
+    kept = forced & seen
+    if not kept.any():
+        raise ObservationError("No frame has both a marker and a force. Check the film, the log and start_s.")
+    return kept, tuple(remarks)
+
+
+def check_direction(
+    name: str, markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, refuse: bool
+) -> tuple[Remark, ...]:
+    """A remark where another reading of the force's axes explains the bending far better.
+
+    Raises
+    ------
+    ObservationError
+        Where `refuse`, if the force as it is contradicts the bending.
+    """
+    reading = read_force(markers, rest, force, push_s, loaded)
+    if reading is None or not (reading.impossible or reading.better):
+        return ()
+    text = "The force contradicts the way the beam bends"
+    if reading.better == "opposite":
+        text = 'The force looks as if it had the opposite sign: try the other value of acts_on ("beam" or "robot")'
+    elif reading.better:
+        text = f"The force looks wrong; it fits the bending with: {reading.better}. Check columns and rotation_deg"
+    if refuse and reading.impossible:
+        raise ObservationError(f"{name}: {text} in [force] of recording.toml.")
+    return (Remark("warning", f"{text} in [force]."),)
