@@ -10,18 +10,18 @@ from onebend.errors import RecordingError
 from onebend.recording.entries import CameraEntry, Recording
 from onebend.recording.lens import project as project
 from onebend.recording.lens import to_plane
-from onebend.recording.plane import fit_view, lay_square, square
+from onebend.recording.plane import FREEDOMS, PlaneFit, fit_plane, lay_square, square
 from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
 
 CALIBRATION_FRAMES = 150  # frames that fix the camera's plane, spread evenly over the tags' travel
 REFINEMENTS = 3  # Gauss-Newton steps of a tag's pose; the first is already within a hundredth of a pixel
+END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
-FREEDOMS = 5  # a tag's 8 coordinates less the 3 of its pose
 MEDIAN_CHI2 = 4.35146  # median of chi-squared with 5 degrees of freedom
 WRONG = 10.0  # sd: a tag whose corners are further (RMS) from any square in the plane is not used
+GRID_ERROR = 0.03  # px, one sd: shift of a whole tag that its shape does not betray (pixel grid, compression)
 MOVED = 5.0  # sd: a base tag further from its middle place, after a running median, moves
 RUNNING = 5  # frames of that running median
-AVERAGED = 10  # averaging more frames of a still tag than this gains nothing: the detector's error at one place stays
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,15 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
     """
     tags, base = recording.tags, len(recording.tags.on_base)
     check_picture(detections, recording.camera)
-    view = fit_view(spread(detections.corners), tags.size, recording.camera, (detections.width, detections.height))
-    poses, fit, view = measure_poses(view, detections.corners, tags.size)
-    wrong = fit > (WRONG * view.corner_sd)
+    plane = fit_plane(spread(detections.corners), tags.size, recording.camera, (detections.width, detections.height))
+    poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
+    wrong = misfit > WRONG * view.corner_sd
     poses = drop(poses, wrong)
     turns = np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)])
     poses = replace(poses, angle=poses.angle - turns)
     origin = base_pose(poses)
     relative = relative_to(origin, Poses(poses.xy[:, base:], poses.angle[:, base:], poses.covariance[:, base:]))
+    doubt = plane_doubt(plane, detections.corners, base)
     first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
     return Markers(
         time=detections.time,
@@ -64,7 +65,7 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
         s=np.array([tag.s for tag in tags.on_beam]),
         xy=relative.xy,
         angle=unwrap(relative.angle),
-        covariance=relative.covariance,
+        covariance=relative.covariance + doubt,
         base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
         view=view_of(view, origin.xy[first, 0], float(origin.angle[first, 0])),
         remarks=(*detections.remarks, *wrong_remarks(detections, wrong)),
@@ -92,23 +93,78 @@ def spread(corners: Array) -> Array:
 
 
 def measure_poses(view: View, corners: Array, size: float) -> tuple[Poses, Array, View]:
-    """Pose of each sighting in the plane, the RMS of what its square leaves [px], and the view with the corners' noise.
+    """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
 
-    `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Gauss-Newton on the eight coordinates of each tag.
+    `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Generalised least squares by Gauss-Newton on the eight
+    coordinates of each tag. The misfit is the RMS left over, in px, comparable with the view's `corner_sd`.
     """
     xy, angle = lay_square(to_plane(view, corners))
+    weight = corner_weight(corners)
     for _ in range(REFINEMENTS):
         jacobian, left = linearise(view, xy, angle, corners, size)
-        normal = np.linalg.inv(np.swapaxes(jacobian, -1, -2) @ jacobian)
-        step = (normal @ np.swapaxes(jacobian, -1, -2) @ left[..., None])[..., 0]
+        step = weighted_step(jacobian, left, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]
     jacobian, left = linearise(view, xy, angle, corners, size)
-    squares = (left**2).sum(axis=-1)
+    squares = np.einsum("...i,...ij,...j->...", left, weight, left)
     sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2))
     variance = np.maximum(squares / FREEDOMS, sd**2)
-    normal = np.linalg.inv(np.swapaxes(jacobian, -1, -2) @ jacobian)
-    poses = Poses(xy, angle, variance[..., None, None] * normal)
+    normal = np.swapaxes(jacobian, -1, -2) @ weight @ jacobian
+    covariance = variance[..., None, None] * np.linalg.inv(normal) + grid_covariance(jacobian)
+    poses = Poses(xy, angle, covariance)
     return poses, np.sqrt(squares / FREEDOMS), replace(view, corner_sd=sd)
+
+
+def grid_covariance(jacobian: Array) -> Array:
+    """Covariance (..., 3, 3) of a pose for a shift of all four corners together by `GRID_ERROR`."""
+    place = jacobian[..., :2].reshape(*jacobian.shape[:-2], 4, 2, 2).mean(axis=-3)  # px per metre
+    metre = np.linalg.inv(place)
+    covariance = np.zeros((*jacobian.shape[:-2], 3, 3))
+    covariance[..., :2, :2] = GRID_ERROR**2 * metre @ np.swapaxes(metre, -1, -2)
+    return covariance
+
+
+def weighted_step(jacobian: Array, left: Array, weight: Array) -> Array:
+    """The generalised least-squares solution (..., 3) of `jacobian @ step = left`."""
+    across = np.swapaxes(jacobian, -1, -2) @ weight
+    return np.asarray(np.linalg.solve(across @ jacobian, across @ left[..., None])[..., 0])
+
+
+def corner_weight(corners: Array) -> Array:
+    """Inverse covariance (..., 8, 8) of the corners' errors, for errors of unit variance along each edge's normal.
+
+    A detector puts straight lines through noisy edge points and calls their crossings corners. So an error is one of
+    an edge, along its normal, and the errors at the two ends of an edge are correlated by -1/2: a line through many
+    equally noisy points has the variance 4 at its ends and 1 in its middle.
+    """
+    covariance = np.zeros((*corners.shape[:-2], 8, 8))
+    for start, end in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        along = corners[..., end, :] - corners[..., start, :]
+        normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+        normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        outer = normal[..., :, None] * normal[..., None, :]
+        a, b = slice(2 * start, 2 * start + 2), slice(2 * end, 2 * end + 2)
+        covariance[..., a, a] += outer
+        covariance[..., b, b] += outer
+        covariance[..., a, b] += END_CORRELATION * outer
+        covariance[..., b, a] += END_CORRELATION * outer
+    return np.asarray(np.linalg.inv(covariance))
+
+
+def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
+    """Covariance (T, m, 3, 3) of the beam tags' poses relative to the first base tag that comes from not knowing the
+    plane and, uncalibrated, the camera exactly."""
+
+    def relative(view: View) -> Array:
+        xy, angle = lay_square(to_plane(view, corners))
+        none = np.zeros((*angle.shape, 3, 3))
+        own = relative_to(
+            Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, base:], angle[:, base:], none[:, base:])
+        )
+        return np.concatenate([own.xy, own.angle[..., None]], axis=-1)
+
+    middle = relative(plane.view)
+    shifts = [relative(view) - middle for view in plane.variations()]
+    return np.asarray(sum(shift[..., :, None] * shift[..., None, :] for shift in shifts))
 
 
 def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) -> tuple[Array, Array]:
@@ -132,7 +188,11 @@ def drop(poses: Poses, wrong: BoolArray) -> Poses:
 
 
 def base_pose(poses: Poses) -> Poses:
-    """Pose (T, 1) of the base: of its first tag, averaged over all frames where it stands still."""
+    """Pose (T, 1) of the base: of its first tag, its middle over all frames where it stands still.
+
+    The uncertainty of that middle is taken as that of a single frame: the detector's error at one place of the pixel
+    grid is the same in every frame and does not average out.
+    """
     xy, angle, covariance = poses.xy[:, :1], poses.angle[:, :1], poses.covariance[:, :1]
     angle = unwrap(angle)
     state = np.concatenate([xy[:, 0], angle], axis=1)
@@ -144,11 +204,10 @@ def base_pose(poses: Poses) -> Poses:
     if (chi2 > MOVED**2).any():
         return Poses(xy, angle, covariance)
     frames = len(xy)
-    mean_covariance = typical / min(int(known.sum()), AVERAGED)
     return Poses(
         np.broadcast_to(middle[:2], (frames, 1, 2)),
         np.broadcast_to(middle[2:], (frames, 1)),
-        np.broadcast_to(mean_covariance, (frames, 1, 3, 3)),
+        np.broadcast_to(typical, (frames, 1, 3, 3)),
     )
 
 

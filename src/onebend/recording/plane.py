@@ -9,6 +9,7 @@ seven where focal length, one lens term and principal point must be inferred too
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -19,7 +20,9 @@ from onebend.recording.entries import CameraEntry
 from onebend.recording.lens import project, to_plane
 from onebend.records import Array, View
 
-FACING = np.diag([1.0, -1.0, -1.0])  # the plane's axes when it faces the camera: x right, y up, z towards the camera
+FACING: Array = np.diag(
+    [1.0, -1.0, -1.0]
+)  # the plane's axes when it faces the camera: x right, y up, z towards the camera
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
 SURE = 3.0  # sd: residuals beyond are trusted less and less
 # What is assumed of a camera that nobody calibrated, as one standard deviation around the plainest camera.
@@ -27,10 +30,33 @@ PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
 FOCAL_SD = 0.5  # of its logarithm
 LENS_SD = 0.1  # k1
 CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer side
+NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
+FREEDOMS = 5  # a tag's eight coordinates less the three of its pose
+LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
 OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
 
 
-def fit_view(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
+@dataclass(frozen=True)
+class PlaneFit:
+    """The unknowns that were fitted, and how sure they are."""
+
+    unknowns: Array  # (3,) or (7,), see `view_from`
+    covariance: Array  # of the unknowns
+    camera: CameraEntry | None
+    picture: tuple[int, int]
+
+    @property
+    def view(self) -> View:
+        return view_from(self.unknowns, self.camera, self.picture)
+
+    def variations(self) -> list[View]:
+        """Views one standard deviation away along each principal direction of the unknowns' uncertainty."""
+        variance, direction = np.linalg.eigh(self.covariance)
+        shifts = direction * np.sqrt(np.maximum(variance, 0.0))
+        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts.T]
+
+
+def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
     """Camera and plane that make all sightings squares of the known size.
 
     Parameters
@@ -42,8 +68,8 @@ def fit_view(corners: Array, size: float, camera: CameraEntry | None, picture: t
 
     Returns
     -------
-    View
-        Its plane frame has its origin on the optical axis and x towards the picture's right.
+    PlaneFit
+        The plane's frame has its origin on the optical axis and x towards the picture's right.
 
     Raises
     ------
@@ -52,20 +78,20 @@ def fit_view(corners: Array, size: float, camera: CameraEntry | None, picture: t
     """
     side = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
-    best = None
-    for start in starts(math.log(focal * size / side), camera is None):
-        fit = solve(start, corners, size, camera, picture, sd=1.0)
-        best = fit if best is None or fit.cost < best.cost else best
-    assert best is not None  # starts() is never empty
-    rough = float(np.median(np.abs(best.fun[: corners.size]))) / 0.6745
-    fit = solve(best.x, corners, size, camera, picture, sd=max(rough, 1e-6))
-    view = view_from(fit.x, camera, picture)
-    if not np.isfinite(to_plane(view, corners)).all() or rough > 0.1 * side:
+    tries = [
+        solve(start, corners, size, camera, picture, sd=1.0)
+        for start in starts(math.log(focal * size / side), camera is None)
+    ]
+    best = min(tries, key=lambda fit: float(fit.cost))
+    rough = float(np.median(np.abs(best.fun[: corners.size]))) / NORMAL_MEDIAN * math.sqrt(8 / FREEDOMS)
+    final = solve(best.x, corners, size, camera, picture, sd=max(rough, LEAST_NOISE))
+    fit = PlaneFit(final.x, np.linalg.inv(final.jac.T @ final.jac), camera, picture)
+    if not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane."
         )
-    return view
+    return fit
 
 
 def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
