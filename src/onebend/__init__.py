@@ -1,3 +1,48 @@
 """onebend: learn how stiff a soft slender object is along its length from one push, then bend it where you want."""
 
+from onebend.beam.model import Beam, Shape
+from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
+from onebend.errors import (
+    LearningError,
+    MechanicsError,
+    ObservationError,
+    OnebendError,
+    RecordingError,
+    ResultsError,
+)
+from onebend.learning.learn import learn
+from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.selection import Settings
+from onebend.learning.validation import validate
+from onebend.pipeline import learn_recording
+from onebend.recording.folder import read_recording
+from onebend.recording.observe import observe
+from onebend.records import Observations
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Beam",
+    "Comparison",
+    "Gaussians",
+    "Learned",
+    "LearningError",
+    "LogSpline",
+    "MechanicsError",
+    "Observations",
+    "ObservationError",
+    "OnebendError",
+    "Powers",
+    "RecordingError",
+    "ResultsError",
+    "Settings",
+    "Shape",
+    "Steps",
+    "Table",
+    "Uniform",
+    "learn",
+    "learn_recording",
+    "observe",
+    "read_recording",
+    "validate",
+]

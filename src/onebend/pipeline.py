@@ -45,16 +45,16 @@ def learn_recording(
     Raises:
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
-    watch = _Watch()
-    with watch.stage("observe"):
-        observations = observe(folder, settings=observing, detections=detections, progress=progress)
-    with watch.stage("learn"):
-        learned = learn(observations, settings, progress=progress)
+    watch = Stopwatch(progress)
+    with watch.whole("observe"):
+        observations = observe(folder, settings=observing, detections=detections, progress=watch)
+    with watch.whole("learn"):
+        learned = learn(observations, settings, progress=watch)
     others: list[Observations] = []
     validations: list[Comparison] = []
     for other in validate_on:
-        with watch.stage("validate"):
-            others.append(observe(other, settings=observing, progress=progress))
+        with watch.whole("validate"):
+            others.append(observe(other, settings=observing, progress=watch))
             validations.append(validate(learned.beam, others[-1]))
     return Run(
         learned=learned,
@@ -67,13 +67,28 @@ def learn_recording(
 
 
 @dataclass
-class _Watch:
-    """Seconds spent in each stage."""
+class Stopwatch:
+    """A `Progress` that passes everything on and keeps the seconds of each stage."""
 
+    inner: Progress
     seconds: dict[str, float] = field(default_factory=dict)
+    _open: list[tuple[str, float]] = field(default_factory=list)
+
+    def start(self, stage: str, total: int | None) -> None:
+        self._open.append((stage, time.perf_counter()))
+        self.inner.start(stage, total)
+
+    def advance(self, count: int = 1) -> None:
+        self.inner.advance(count)
+
+    def done(self) -> None:
+        stage, begin = self._open.pop()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
+        self.inner.done()
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def whole(self, stage: str) -> Iterator[None]:
+        """Time a stage that has no steps to count; stages inside it are listed on their own as well."""
         begin = time.perf_counter()
         yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
