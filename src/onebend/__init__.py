@@ -18,6 +18,8 @@ from onebend.pipeline import learn_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.records import Observations
+from onebend.results.model import load_model, save_model
+from onebend.results.observed import load_observations, save_observations
 
 __version__ = "0.1.0"
 
@@ -29,8 +31,8 @@ __all__ = [
     "LearningError",
     "LogSpline",
     "MechanicsError",
-    "Observations",
     "ObservationError",
+    "Observations",
     "OnebendError",
     "Powers",
     "RecordingError",
@@ -42,7 +44,11 @@ __all__ = [
     "Uniform",
     "learn",
     "learn_recording",
+    "load_model",
+    "load_observations",
     "observe",
     "read_recording",
+    "save_model",
+    "save_observations",
     "validate",
 ]

@@ -7,14 +7,20 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
+from onebend.beam.model import Beam
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.progress import Progress, Silent
-from onebend.records import Detections, Observations
-from onebend.recording.observe import ObserveSettings, observe
+from onebend.recording.folder import read_recording
+from onebend.recording.observe import Detect, ObserveSettings, observe
+from onebend.recording.tags import detect_tags
+from onebend.records import Observations
+
+SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,15 @@ class Run:
     validations: tuple[Comparison, ...]
     validation_observations: tuple[Observations, ...]
     stage_seconds: dict[str, float]
-    video_seconds: float  # length of the learned video, to compare the stages with
+    video_seconds: float  # length of all videos together, to compare the stages with
+
+
+class Detect(Protocol):
+    """How tags are found in a video: `detect_tags`, or one that keeps what it found."""
+
+    def __call__(
+        self, video: VideoEntry, tags: TagsEntry, *, threads: int | None, progress: Progress
+    ) -> Detections: ...
 
 
 def learn_recording(
@@ -35,60 +49,89 @@ def learn_recording(
     settings: Settings = Settings(),
     observing: ObserveSettings = ObserveSettings(),
     validate_on: Sequence[Path | str] = (),
-    detections: Detections | None = None,
+    detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> Run:
     """Learn k(s) from the recording in `folder`, then compare the learned beam with each of `validate_on`.
-
-    `detections`: tags found earlier in the same video, so that they need not be searched again.
 
     Raises:
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        observations = observe(folder, settings=observing, detections=detections, progress=watch)
+        observations = _observed(folder, observing, detect, watch)
     with watch.whole("learn"):
         learned = learn(observations, settings, progress=watch)
-    others: list[Observations] = []
-    validations: list[Comparison] = []
-    for other in validate_on:
-        with watch.whole("validate"):
-            others.append(observe(other, settings=observing, progress=watch))
-            validations.append(validate(learned.beam, others[-1]))
+    with watch.whole("validate"):
+        pairs = compare(learned.beam, validate_on, observing=observing, detect=detect, progress=progress)
     return Run(
         learned=learned,
         observations=observations,
-        validations=tuple(validations),
-        validation_observations=tuple(others),
+        validations=tuple(comparison for _, comparison in pairs),
+        validation_observations=tuple(seen for seen, _ in pairs),
         stage_seconds=watch.seconds,
         video_seconds=float(observations.time[-1] - observations.time[0]),
     )
 
 
+def compare(
+    beam: Beam,
+    recordings: Sequence[Path | str],
+    *,
+    observing: ObserveSettings = ObserveSettings(),
+    detect: Detect = detect_tags,
+    progress: Progress = Silent(),
+) -> list[tuple[Observations, Comparison]]:
+    """The beam simulated under the forces of each recording, and its markers beside the measured ones."""
+    seen = [_observed(folder, observing, detect, progress) for folder in recordings]
+    return [(one, validate(beam, one)) for one in seen]
+
+
+def _observed(folder: Path | str, observing: ObserveSettings, detect: Detect, progress: Progress) -> Observations:
+    recording = read_recording(folder)
+    detections = None
+    if recording.video is not None:
+        detections = detect(recording.video, recording.tags, threads=observing.threads, progress=progress)
+    return observe(recording, settings=observing, detections=detections, progress=progress)
+
+
 @dataclass
 class Stopwatch:
-    """A `Progress` that passes everything on and keeps the seconds of each stage."""
+    """A `Progress` that passes everything on and keeps the seconds of each stage, without those of stages inside it."""
 
     inner: Progress
     seconds: dict[str, float] = field(default_factory=dict)
-    _open: list[tuple[str, float]] = field(default_factory=list)
+    _open: list[list[float]] = field(default_factory=list)  # begin, and seconds of the stages inside
+    _names: list[str] = field(default_factory=list)
 
     def start(self, stage: str, total: int | None) -> None:
-        self._open.append((stage, time.perf_counter()))
+        self._begin(stage)
         self.inner.start(stage, total)
 
     def advance(self, count: int = 1) -> None:
         self.inner.advance(count)
 
     def done(self) -> None:
-        stage, begin = self._open.pop()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
+        self._end()
         self.inner.done()
 
     @contextmanager
     def whole(self, stage: str) -> Iterator[None]:
-        """Time a stage that has no steps to count; stages inside it are listed on their own as well."""
-        begin = time.perf_counter()
+        """Time a stage that has no steps to count."""
+        self._begin(stage)
         yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
+        self._end()
+
+    def _begin(self, stage: str) -> None:
+        self._names.append(stage)
+        self.seconds.setdefault(": ".join(self._names).lower(), 0.0)
+        self._open.append([time.perf_counter(), 0.0])
+
+    def _end(self) -> None:
+        name = ": ".join(self._names).lower()
+        begin, inside = self._open.pop()
+        self._names.pop()
+        spent = time.perf_counter() - begin
+        self.seconds[name] += spent - inside
+        if self._open:
+            self._open[-1][1] += spent

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -25,8 +26,11 @@ from rich.text import Text
 
 from onebend.beam.model import Beam
 from onebend.learning.outcome import Comparison, Learned, Trial
-from onebend.records import Remark
+from onebend.records import Observations, Remark
+from onebend.report.findings import Findings, all_remarks
+from onebend.report.overview import Overview
 from onebend.report.wording import millimetres, percent, significant, worst_marker
+from onebend.results.model import StoredModel
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
 QUIET_SECONDS = 1.0  # a stage that took less leaves no line behind where there is no screen to draw a bar on
@@ -185,3 +189,49 @@ def headline(learned: Learned, where: str) -> Panel:
         ("report ", "bold"), where,
     )  # fmt: skip
     return Panel(text, expand=False, border_style="green")
+
+
+def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out: Path) -> None:
+    """All that `onebend learn` says in the end."""
+    parts: list[RenderableType] = [selection_table(run.learned), stiffness_plot(run.learned.beam)]
+    if run.validations:
+        parts.append(validation_table(run.validations))
+    parts += [remarks_list(all_remarks(run)), stages_table(seconds, run.video_seconds)]
+    parts.append(headline(run.learned, str(out / "report.html")))
+    for part in parts:
+        console.print(part)
+        console.print()
+
+
+def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
+    """All that `onebend validate` says."""
+    console.print(validation_table([one for one, _ in pairs]))
+    console.print()
+    console.print(remarks_list([(one.name, r) for one, seen in pairs for r in (*seen.remarks, *one.remarks)]))
+    if out is not None:
+        console.print(f"\nTables and figures are in {out}", markup=False, highlight=False)
+
+
+def show_overview(console: Console, found: Overview) -> None:
+    """What `onebend check` understood."""
+    table = Table(title=found.name, title_justify="left", box=None, show_header=False)
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column(overflow="fold")
+    for what, understood in found.rows:
+        table.add_row(what, escape(understood))
+    console.print(table)
+    console.print()
+    console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+
+
+def show_model(console: Console, stored: StoredModel) -> None:
+    """What `onebend show` draws."""
+    beam, origin = stored.beam, stored.origin
+    console.print(stiffness_plot(beam))
+    lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
+    if lowest <= 0.0:
+        console.print(f"[yellow]k(s) falls to {significant(lowest)} N m: this is no beam and cannot be simulated.[/]")
+    console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
+    if origin is not None:
+        text = f"learned from {origin.recording} by {origin.method}: n = {origin.n}, m = {origin.m} {origin.family}"
+        console.print(text, markup=False, highlight=False)

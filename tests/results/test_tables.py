@@ -155,7 +155,7 @@ def detections() -> Detections:
 
 
 def test_detections_are_kept_and_found_again(tmp_path: Path) -> None:
-    kept = KeptDetections(tmp_path / "out.partial")
+    kept = KeptDetections(tmp_path / "out.partial", "1")
     assert kept.load("k") is None
     kept.save("k", detections())
     again = kept.load("k")
@@ -166,7 +166,7 @@ def test_detections_are_kept_and_found_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [0, 10, 300])
 def test_kept_detections_that_were_cut_count_as_not_there(tmp_path: Path, size: int) -> None:
-    kept = KeptDetections(tmp_path)
+    kept = KeptDetections(tmp_path, "1")
     kept.save("k", detections())
     file = tmp_path / "detections-k.npz"
     file.write_bytes(file.read_bytes()[:size])

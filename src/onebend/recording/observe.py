@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from onebend.progress import Progress, Silent
 from onebend.recording.camera import measure_markers
 from onebend.recording.clock import ClockSettings
 from onebend.recording.contact import ContactSettings, find_contact
-from onebend.recording.entries import Recording
+from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import ForceSettings
 from onebend.recording.frame import to_beam_frame
@@ -36,16 +36,26 @@ class ObserveSettings:
     force: ForceSettings = field(default_factory=ForceSettings)
 
 
+class Detect(Protocol):
+    """What finds the tags: `detect_tags`, or something around it that keeps what was found."""
+
+    def __call__(
+        self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
+    ) -> Detections: ...
+
+
 def observe(
     recording: Recording | Path | str,
     *,
     settings: ObserveSettings = ObserveSettings(),
     detections: Detections | None = None,
+    detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> Observations:
     """All that a recording says, on the force log's clock and in the beam's frame.
 
-    `detections` are tags found earlier in the same video; without them the video is searched.
+    `detections` are tags found earlier in the same video; without them the video is searched by `detect`, once the
+    other files are known to be good.
 
     Raises
     ------
@@ -60,7 +70,7 @@ def observe(
     log = read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if detections is None:
-        detections = detect_tags(rec.video, rec.tags, threads=settings.threads, progress=progress)
+        detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = measure_markers(detections, rec)
     return assemble(rec, markers, log, base, settings)
 

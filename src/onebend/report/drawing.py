@@ -38,18 +38,19 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, 
         "selection": partial(figures.selection, learned),
         "force": partial(figures.force, seen),
     }
-    wanted |= validation_figures(beam, findings.validations, findings.validation_observations, training)
+    pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
+    wanted |= validation_figures(beam, pairs, training)
     return draw(wanted, progress)
 
 
 def validation_figures(
-    beam: Beam, comparisons: Sequence[Comparison], seen: Sequence[Observations], *others: Comparison
+    beam: Beam, pairs: Sequence[tuple[Comparison, Observations]], *others: Comparison
 ) -> dict[str, Draw]:
     """The bars over all recordings (`others` first), and shapes and residuals of each."""
-    if not comparisons:
+    if not pairs:
         return {}
-    wanted: dict[str, Draw] = {"validation": partial(figures.validation, (*others, *comparisons))}
-    for i, (one, where) in enumerate(zip(comparisons, seen, strict=True), start=1):
+    wanted: dict[str, Draw] = {"validation": partial(figures.validation, (*others, *(one for one, _ in pairs)))}
+    for i, (one, where) in enumerate(pairs, start=1):
         wanted[f"validation-{i}-shapes"] = partial(figures.shapes, beam, one, where)
         wanted[f"validation-{i}-residuals"] = partial(figures.residuals, one)
     return wanted

@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from onebend.progress import Progress, Silent
+from onebend.recording.entries import TagsEntry, VideoEntry
+from onebend.recording.tags import detect_tags
 from onebend.records import Detections, Remark
 
 
@@ -19,6 +22,20 @@ class KeptDetections:
     """Detections in a folder, each under the key of what it was made from."""
 
     folder: Path
+    version: str  # of onebend: another one may find the tags better
+
+    def detect(
+        self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
+    ) -> Detections:
+        """As `detect_tags`, but what was found earlier in the same video is taken from the folder."""
+        files = (video.file,) if video.frame_times == "container" else (video.file, video.frame_times)
+        ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
+        key = key_of(files, self.version, tags.family, video.fps, ids)
+        found = self.load(key)
+        if found is None:
+            found = detect_tags(video, tags, threads=threads, progress=progress)
+            self.save(key, found)
+        return found
 
     def load(self, key: str) -> Detections | None:
         """What was kept under `key`, or None: a file that cannot be read counts as not there."""

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.model import Beam
 from onebend.learning.outcome import Comparison, Learned
 from onebend.records import Observations
 from onebend.report.findings import Findings, all_remarks
+from onebend.results.model import StoredModel
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -29,7 +31,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "family": learned.family,
         "chosen": _trial(learned, learned.chosen),
         "trials": len(learned.trials),
-        "stiffness": _stiffness(learned),
+        "stiffness": _stiffness(learned.beam),
         "training": comparison_summary(learned.training),
         "validation": [comparison_summary(one) for one in findings.validations],
         "frames": {"all": len(observed.time), "loaded": int(observed.loaded.sum())},
@@ -41,10 +43,21 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
     }
 
 
-def validation_summary(model: str, comparisons: Sequence[Comparison], *, written_by: str) -> dict[str, Any]:
-    """What `onebend validate --json` prints."""
-    rows = [comparison_summary(one) for one in comparisons]
+def validation_summary(
+    model: str, pairs: Sequence[tuple[Comparison, Observations]], *, written_by: str
+) -> dict[str, Any]:
+    """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
+    rows = []
+    for one, seen in pairs:
+        remarks = [{"level": remark.level, "text": remark.text} for remark in (*seen.remarks, *one.remarks)]
+        rows.append(comparison_summary(one) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
+
+
+def model_summary(stored: StoredModel) -> dict[str, Any]:
+    """What `onebend show --json` prints."""
+    origin = None if stored.origin is None else stored.origin.model_dump()
+    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": _stiffness(stored.beam)}
 
 
 def comparison_summary(one: Comparison) -> dict[str, Any]:
@@ -98,9 +111,9 @@ def _trial(learned: Learned, index: int) -> dict[str, Any]:
     }
 
 
-def _stiffness(learned: Learned) -> dict[str, Any]:
+def _stiffness(beam: Beam) -> dict[str, Any]:
     s = np.linspace(0.0, 1.0, 11)
-    return {"s": s.round(3), "k_N_m": learned.beam.stiffness(s)}
+    return {"s": s.round(3), "k_N_m": beam.stiffness(s)}
 
 
 def _force(observed: Observations) -> dict[str, Any] | None:

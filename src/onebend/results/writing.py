@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from onebend.learning.outcome import Comparison
+from onebend.records import Observations
 from onebend.report.findings import Findings
 from onebend.report.page import page
 from onebend.results.folder import files_in
@@ -38,9 +39,11 @@ def learned_writer(
 
 
 def validation_writer(
-    comparisons: Sequence[Comparison], figures: Mapping[str, bytes], summary: Mapping[str, Any]
+    pairs: Sequence[tuple[Comparison, Observations]], figures: Mapping[str, bytes], summary: Mapping[str, Any]
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a validation."""
+
+    comparisons = [one for one, _ in pairs]
 
     def write(folder: Path) -> None:
         write_validation(folder / "validation.csv", comparisons)

@@ -1,0 +1,240 @@
+"""The command line. Results go to standard output, progress and errors to standard error.
+
+Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Literal, NoReturn
+
+import typer
+from rich.console import Console
+
+from onebend import __version__, terminal
+from onebend.errors import OnebendError
+from onebend.learning.selection import Settings
+from onebend.pipeline import compare, learn_recording
+from onebend.progress import Progress, Silent
+from onebend.recording.observe import ObserveSettings
+from onebend.recording.template import write_template
+from onebend.report.drawing import draw, draw_all, validation_figures
+from onebend.report.overview import overview
+from onebend.results.folder import Workplace, abandon, prepare, publish
+from onebend.results.kept import KeptDetections
+from onebend.results.model import read_model
+from onebend.results.summary import (
+    LEARN_FORMAT,
+    VALIDATE_FORMAT,
+    model_summary,
+    summary_of,
+    to_json,
+    validation_summary,
+)
+from onebend.results.writing import learned_writer, validation_writer
+
+BY = f"onebend {__version__}"
+
+app = typer.Typer(
+    help="Learn how stiff a soft slender object is along its length from one filmed push.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
+Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
+Threads = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
+]
+
+
+@app.command()
+def learn(
+    recording: Recording,
+    *,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="OUT", help="Results folder; default: REC's name + -results."),
+    ] = None,
+    validate_on: Annotated[
+        list[Path] | None,
+        typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
+    ] = None,
+    method: Annotated[
+        Literal["regression", "paper"], typer.Option(help="paper: its literal rows (17), tags' positions only.")
+    ] = "regression",
+    family: Annotated[
+        Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")
+    ] = "gaussians",
+    width: Annotated[
+        float | None,
+        typer.Option(min=0.0, metavar="SIGMA", help="Sigma of the Gaussians, in s; default: their distance."),
+    ] = None,
+    bic: Annotated[
+        Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")
+    ] = "textbook",
+    n: Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")] = None,
+    m: Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")] = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn k(s) from the recording REC, and write results and a report to OUT."""
+    out = output or Path(f"{recording.resolve().name}-results")
+    settings = Settings(method=method, family=family, width=width, bic=bic, n=n, m=m)
+    with _clean_errors(), _workplace(out, LEARN_FORMAT, overwrite) as place, _progress(quiet) as progress:
+        run = learn_recording(
+            recording,
+            settings=settings,
+            observing=ObserveSettings(threads=threads),
+            validate_on=validate_on or (),
+            detect=KeptDetections(place.partial, __version__).detect,
+            progress=progress,
+        )
+        began = time.perf_counter()
+        summary = summary_of(run, written_by=BY)
+        publish(place, learned_writer(run, draw_all(run, progress=progress), summary, version=__version__))
+    seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
+    if as_json:
+        _print_json({**summary, "stage_seconds": seconds, "output": str(out)})
+    else:
+        terminal.show_run(Console(), run, seconds, out)
+
+
+@app.command()
+def validate(
+    model: Model,
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings of the same beam.")],
+    *,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and figures; default: none.")
+    ] = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
+    observing = ObserveSettings(threads=threads)
+    with _clean_errors():
+        beam = read_model(model).beam
+        if output is None:
+            with _progress(quiet) as progress:
+                pairs = compare(beam, recordings, observing=observing, progress=progress)
+        else:
+            with _workplace(output, VALIDATE_FORMAT, overwrite) as place, _progress(quiet) as progress:
+                detect = KeptDetections(place.partial, __version__).detect
+                pairs = compare(beam, recordings, observing=observing, detect=detect, progress=progress)
+                figures = draw(validation_figures(beam, pairs), progress)
+                publish(place, validation_writer(pairs, figures, validation_summary(str(model), pairs, written_by=BY)))
+    if as_json:
+        _print_json(validation_summary(str(model), pairs, written_by=BY))
+    else:
+        terminal.show_validation(Console(), pairs, output)
+
+
+@app.command()
+def new(folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]) -> None:
+    """Write a recording.toml to fill in."""
+    with _clean_errors():
+        path = write_template(folder)
+    typer.echo(f"Wrote {path}. Fill it in, put the video and the force log beside it, then: onebend check {folder}")
+
+
+@app.command()
+def check(recording: Recording, *, as_json: Json = False) -> None:
+    """Read a recording's files without looking for tags, and say what was understood."""
+    with _clean_errors():
+        found = overview(recording)
+    if as_json:
+        _print_json(found.as_dict())
+    else:
+        terminal.show_overview(Console(), found)
+
+
+@app.command()
+def show(model: Model, *, as_json: Json = False) -> None:
+    """Draw the learned k(s) in the terminal."""
+    with _clean_errors():
+        stored = read_model(model)
+    if as_json:
+        _print_json(model_summary(stored))
+    else:
+        terminal.show_model(Console(), stored)
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        typer.echo(BY)
+        raise typer.Exit
+
+
+@app.callback()
+def _all_commands(
+    *, version: Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")] = False
+) -> None:
+    pass
+
+
+@contextmanager
+def _clean_errors() -> Iterator[None]:
+    """A user's mistake ends in one message, not in a traceback."""
+    try:
+        yield
+    except OnebendError as error:
+        _fail(str(error), error, 2)
+    except KeyboardInterrupt as error:
+        _fail("Interrupted.", error, 130)
+    except OSError as error:
+        _fail(f"{error.filename or 'a file'}: {error.strerror or error}", error, 2)
+
+
+def _fail(message: str, error: BaseException, code: int) -> NoReturn:
+    """Say what is wrong, and what was added to the error on its way here."""
+    text = " ".join([message, *getattr(error, "__notes__", ())])
+    typer.echo(f"onebend: {text}", err=True)
+    raise typer.Exit(code) from None
+
+
+@contextmanager
+def _workplace(out: Path, kind: str, overwrite: bool) -> Iterator[Workplace]:
+    """A place to work for results in `out`; when the work ends early, its error says what was kept."""
+    place = prepare(out, kind=kind, overwrite=overwrite)
+    try:
+        yield place
+    except (OnebendError, KeyboardInterrupt, OSError) as error:
+        if abandon(place):
+            error.add_note(
+                f"What was found so far is kept in {place.partial}; the next run for {out} goes on from there."
+            )
+        elif isinstance(error, KeyboardInterrupt):
+            error.add_note("Nothing was written.")
+        raise
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Progress]:
+    """Bars on standard error, or nothing."""
+    if quiet:
+        yield Silent()
+        return
+    with terminal.Bars(Console(stderr=True)) as bars:
+        yield bars
+
+
+def _print_json(data: object) -> None:
+    typer.echo(to_json(data))
+
+
+def main() -> None:
+    """The entry point of `onebend`."""
+    app()

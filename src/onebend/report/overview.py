@@ -1,0 +1,126 @@
+"""What a recording's files say before any tag is looked for: enough to find most mistakes in a second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording.folder import read_recording
+from onebend.recording.force import read_force_log
+from onebend.recording.video import frame_count, opened, read_frames
+from onebend.records import ForceLog, Remark
+from onebend.report.wording import significant
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What was understood, row by row, and what looked odd."""
+
+    name: str
+    rows: tuple[tuple[str, str], ...]
+    remarks: tuple[Remark, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for `--json`."""
+        remarks = [{"level": remark.level, "text": remark.text} for remark in self.remarks]
+        return {"recording": self.name, "understood": dict(self.rows), "remarks": remarks}
+
+
+@dataclass(frozen=True)
+class Film:
+    """What a look at the container and the first frame tells."""
+
+    width: int
+    height: int
+    frames: int | None  # None where the container does not say
+    seconds: float  # NaN where the container does not say
+
+
+def overview(folder: Path | str) -> Overview:
+    """Read and check the recording's files; no tag is looked for and only the first frame is decoded.
+
+    Raises `RecordingError` as `read_recording` and the readers of the single files do.
+    """
+    recording = read_recording(folder)
+    film = None if recording.video is None else first_look(recording.video)
+    log = None
+    if recording.force is not None:
+        column = recording.push.column if recording.push is not None else ""
+        log = read_force_log(recording.force.file, recording.force.columns, column)
+    rows = [*_beam_rows(recording), *_film_rows(recording, film), *_log_rows(recording, log)]
+    return Overview(recording.name, tuple(rows), (*recording.remarks, *_oddities(recording, film, log)))
+
+
+def first_look(video: VideoEntry) -> Film:
+    """Size, and what the container says of its length."""
+    height, width = next(read_frames(video)).luma.shape
+    with opened(video.file) as container:
+        seconds = container.duration / 1e6 if container.duration else float("nan")
+    return Film(width, height, frame_count(video), seconds)
+
+
+def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
+    beam, tags = recording.beam, recording.tags
+    mass = f"{1000 * beam.mass:.4g} g" if np.isfinite(beam.mass) else "mass not given"
+    places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam)
+    base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
+    weight = "acts in the plane of bending" if recording.gravity is not None else "across the plane of bending"
+    return [
+        ("beam", f"{1000 * beam.length:.4g} mm long, {mass}, at rest: {beam.rest}; gravity {weight}"),
+        ("tags", f"{tags.family}, {1000 * tags.size:.4g} mm; {base} on the base; {places}"),
+    ]
+
+
+def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]:
+    if film is None or recording.video is None:
+        return []
+    length = f", {film.seconds:.2f} s" if np.isfinite(film.seconds) else ""
+    count = f", {film.frames} frames" if film.frames else ""
+    camera = recording.camera
+    how = "not calibrated: the tags' size gives the scale"
+    if camera is not None:
+        how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
+    video = recording.video.file.name
+    return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
+
+
+def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str]]:
+    if log is None or recording.force is None or recording.push is None or recording.video is None:
+        return [("force", "none")]
+    span = log.time[-1] - log.time[0]
+    rate = 1.0 / float(np.median(np.diff(log.time)))
+    reach = ", ".join(f"{low:.2f} … {high:.2f} N" for low, high in zip(log.force.min(0), log.force.max(0), strict=True))
+    column = recording.push.column
+    place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
+    start = recording.video.start
+    said = f"the video starts at {start:.3f} s of the log, give or take {recording.video.start_uncertainty:.2g} s"
+    return [
+        ("force log", f"{recording.force.file.name}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
+        ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "
+                                   f"{np.rad2deg(recording.force.rotation):.4g} deg"),
+        ("push", place),
+        ("clocks", said if np.isfinite(start) else "the start is not given and will be looked for in the whole log"),
+    ]  # fmt: skip
+
+
+def _oddities(recording: Recording, film: Film | None, log: ForceLog | None) -> list[Remark]:
+    found = []
+    camera, video = recording.camera, recording.video
+    if camera is not None and film is not None and camera.width * film.height != camera.height * film.width:
+        text = (
+            f"the camera was calibrated at {camera.width} x {camera.height}, the video is {film.width} x {film.height}"
+        )
+        found.append(Remark("warning", f"{text}: another crop. Calibrate as you film."))
+    if log is not None and film is not None and video is not None and np.isfinite(video.start + film.seconds):
+        begin, end = video.start, video.start + film.seconds
+        slack = video.start_uncertainty
+        if end + slack < log.time[0] or begin - slack > log.time[-1]:
+            text = (
+                f"the video ({begin:.1f} to {end:.1f} s) and the force log ({log.time[0]:.1f} to {log.time[-1]:.1f} s)"
+            )
+            found.append(Remark("warning", f"{text} do not overlap. Check start_s in [video]."))
+    return found
