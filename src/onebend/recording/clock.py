@@ -1,33 +1,32 @@
 """Two clocks made one: the offset between the video's clock and the force log's, from the data.
 
-The force on an elastic beam that moves slowly is a smooth function of its markers' displacements, whatever the beam.
-So for every offset the log is explained by low-order polynomials of the markers' leading principal components plus the
-sensor's noise, and the offset is judged by how probable that makes the log. No stiffness enters.
-
-Two things decide about the accuracy, and both are minded here:
+For every offset the log is explained by what the markers say of the force (`relation.py`: levers and polynomials with
+unknown coefficients; no stiffness enters) plus the sensor's noise, and the offset is judged by how probable that makes
+the log. Three things decide about the accuracy, and all are minded here:
 
 - the log's rows stay fixed and the markers are shifted under them. Shifting the log instead would compare different
   samples of its noise, whose scatter is larger than what an offset of some hundredths of a second changes;
-- the polynomials' coefficients are integrated out under a prior (evidence), not fitted: for a push in one direction
-  a free function of the displacement could follow any offset, and a maximum would claim an accuracy it does not have.
+- coefficients are integrated out under a prior (evidence), not fitted: for a push in one direction a free function of
+  the displacement could follow any offset, and a maximum would claim an accuracy it does not have;
+- the noise is coloured and wanders (`noise.py`); its sizes come from the same data.
 
-The noise is coloured and wanders (`noise.py`), its sizes come from the same data. A push whose force rises at F' [N/s]
-during T under a noise of spectral density S tells the offset to about sqrt(S / (F'^2 T)) and no method does better:
-slow pushes with a weak force leave tens of milliseconds, and `sd` says so.
+A push whose force rises at F' [N/s] during T under a noise of spectral density S tells the offset to about
+sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force leave tens of milliseconds. `sd` says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from itertools import combinations_with_replacement
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
 
 from onebend.recording.noise import ForceNoise, first_guess, fit_noise, log_evidence
-from onebend.recording.signals import bandwidth, bridged, outliers, runs, step
-from onebend.records import Array, BoolArray, ClockOffset, ForceLog, Markers, Remark
+from onebend.recording.relation import Track, make_track
+from onebend.recording.signals import bandwidth, outliers, step
+from onebend.records import Array, ClockOffset, ForceLog, Markers, Remark
+
+Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,7 @@ class ClockSettings:
     """How the offset is searched."""
 
     margin: float = 2.0  # s, searched beyond what was said plus its uncertainty
-    components: int = 3  # principal components of the markers
-    degree: int = 3  # of the polynomials
-    prior: tuple[float, ...] = (2.0, 0.5, 0.25, 0.12)  # sd of a coefficient by degree, per largest force
+    corrections: tuple[float, ...] = (0.01, 0.1)  # prior of the polynomials that mend the levers, tried in turn
     most_rows: int = 250  # of the log, after averaging
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
@@ -54,55 +51,52 @@ class ClockFit:
 
 
 @dataclass(frozen=True)
-class Track:
-    """The markers as polynomials of their principal components, to be averaged over any span of time."""
-
-    integral: PPoly  # antiderivative of the (p,) features
-    covered: BoolArray  # (T,) frames whose features are known
-    time: Array  # (T,) s, video clock
-    before: float  # s, how long the beam is taken to have stood still before the film, as in its first frames
-    after: float  # s, the same after the film
-
-    def mean(self, centre: Array, width: float) -> Array:
-        """(N, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover them."""
-        first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
-        held = np.clip(centre, first_centre, last_centre)
-        held = np.where((centre < first_centre - self.before) | (centre > last_centre + self.after), centre, held)
-        low, high = held - width / 2, held + width / 2
-        out = np.asarray((self.integral(high) - self.integral(low)) / width)
-        holes = np.concatenate([[0], np.cumsum(~self.covered)])
-        first, last = np.searchsorted(self.time, low), np.searchsorted(self.time, high)
-        inside = (low >= self.time[0] - 1e-9) & (high <= self.time[-1] + 1e-9)
-        full = holes[np.minimum(last + 1, len(self.time))] == holes[np.maximum(first - 1, 0)]
-        out[~(inside & full)] = np.nan
-        return out
-
-
-@dataclass(frozen=True)
 class Rows:
     """The log averaged over even bins (boxcar), outliers left out."""
 
     time: Array  # (N,) s, centres of the bins, log's clock
     force: Array  # (N, 2) N
     width: float  # s
-    largest: float = field(default=0.0)  # N, largest deviation from the median
+    largest: float  # N, largest deviation from the median
+
+
+@dataclass(frozen=True)
+class Search:
+    """One way to explain the log, tried at all offsets."""
+
+    track: Track
+    noise: ForceNoise
+    chance: Array  # log posterior over the coarse offsets
 
 
 def find_offset(
-    markers: Markers, log: ForceLog, said: float, uncertainty: float, *, settings: ClockSettings = ClockSettings()
+    markers: Markers,
+    log: ForceLog,
+    said: float,
+    uncertainty: float,
+    *,
+    push_s: float | None = None,
+    settings: ClockSettings = ClockSettings(),
 ) -> ClockOffset:
     """`log time = video time + offset`, searched over `said` +- (`uncertainty` + margin) [s]; see `fit_clock`."""
-    return fit_clock(markers, log, said, uncertainty, settings=settings).clock
+    return fit_clock(markers, log, said, uncertainty, push_s=push_s, settings=settings).clock
 
 
 def fit_clock(
-    markers: Markers, log: ForceLog, said: float, uncertainty: float, *, settings: ClockSettings = ClockSettings()
+    markers: Markers,
+    log: ForceLog,
+    said: float,
+    uncertainty: float,
+    *,
+    push_s: float | None = None,
+    settings: ClockSettings = ClockSettings(),
 ) -> ClockFit:
     """The posterior of the offset between the two clocks.
 
     The prior takes `uncertainty` [s] as two sd of `said`, with exponential tails beyond. Where `said` is NaN every
     offset counts alike under which half of the film is inside the log. `found` is False where the data leave more than
-    half of the prior's spread; then the offset is what was said.
+    half of the prior's spread; then the offset is what was said. `push_s` is the place of the push; with it, `log`
+    must be in the beam's axes (its sign and bias do not matter).
 
     Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
     beam moves slowly against its own oscillations for most of the film.
@@ -113,23 +107,38 @@ def fit_clock(
     rate = bandwidth(markers.time, displacements(markers))
     if not np.isfinite(rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    track = marker_track(markers, settings)
     rows = binned(log, rate, (markers.time[0] + low, markers.time[-1] + high), settings)
-    if len(rows.time) < 10 or rows.largest == 0 or track.covered.sum() < 10:
-        return ClockFit(unsettled, None, (Remark("note", "Too little force and motion to match the clocks."),))
     coarse = np.arange(low, high + 0.05, min(0.05, 0.25 / rate))
-    noise, chance = coarse_search(track, rows, coarse, prior)
-    offset, sd = refined(track, rows, coarse, chance, noise, prior)
+    searches = [
+        coarse_search(track, rows, coarse, prior)
+        for track in tracks(markers, push_s, settings)
+        if len(rows.time) >= 10 and rows.largest > 0 and track.covered.sum() >= 10
+    ]
+    searches = [search for search in searches if np.isfinite(search.chance).any()]
+    if not searches:
+        return ClockFit(unsettled, None, (Remark("note", "Too little force and motion to match the clocks."),))
+    best = max(searches, key=lambda search: float(search.chance.max()))
+    offset, sd = refined(best, rows, coarse, prior)
     if not sd < 0.5 * spread:
         text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); the written start time is used."
         return ClockFit(unsettled, None, (Remark("warning", text),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
-    return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
+    return ClockFit(clock, best.noise, remarks_on(clock, uncertainty, low, high))
+
+
+def tracks(markers: Markers, push_s: float | None, settings: ClockSettings) -> list[Track]:
+    """The explanations to try: polynomials alone, and levers with small and larger polynomials to mend them."""
+    ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
+    made = [
+        make_track(markers, push_s=place, polynomials=scale, longest_gap=settings.longest_gap, hold=settings.hold)
+        for place, scale in ways
+    ]
+    return [track for track in made if track is not None]
 
 
 def search_range(
     film: Array, log: Array, said: float, uncertainty: float, settings: ClockSettings
-) -> tuple[float, float, Callable[[Array], Array]]:
+) -> tuple[float, float, Prior]:
     """Lowest and highest offset to try, and the log of the prior over offsets."""
     half = 0.5 * (film[-1] - film[0])
     first, last = log[0] - film[0] - half, log[-1] - film[-1] + half
@@ -139,12 +148,12 @@ def search_range(
 
     def prior(offset: Array) -> Array:
         away = np.abs(offset - said) / scale
-        return -np.where(away < 2, 0.5 * away**2, 2 * away - 2)
+        return np.asarray(-np.where(away < 2, 0.5 * away**2, 2 * away - 2))
 
     return max(first, said - reach), min(last, said + reach), prior
 
 
-def prior_spread(low: float, high: float, prior: Callable[[Array], Array]) -> float:
+def prior_spread(low: float, high: float, prior: Prior) -> float:
     """sd of the prior over offsets, s."""
     if high <= low:
         return float("inf")
@@ -161,50 +170,10 @@ def moments(offset: Array, log_chance: Array) -> tuple[float, float]:
 
 
 def displacements(markers: Markers) -> Array:
-    """(T, 3m) every marker's x, y and angle against their medians; angles as arc lengths of a tenth of the reach."""
-    with np.errstate(all="ignore"):
-        reach = float(np.nanmax(np.abs(markers.xy))) if np.isfinite(markers.xy).any() else 1.0
-    flat = np.concatenate([markers.xy.reshape(len(markers.time), -1), 0.1 * reach * markers.angle], axis=1)
-    seen = np.isfinite(flat).any(axis=0)
-    return np.asarray(flat[:, seen] - np.nanmedian(flat[:, seen], axis=0))
-
-
-def marker_track(markers: Markers, settings: ClockSettings) -> Track:
-    """Polynomials of the principal components of the markers that are hardly ever missing."""
-    moved = displacements(markers)
-    missing = ~np.isfinite(moved)
-    long = np.zeros_like(missing)
-    for i, column in enumerate(missing.T):
-        for start, stop in runs(column):
-            edge = start == 0 or stop == len(column)
-            if edge or markers.time[stop] - markers.time[start - 1] > settings.longest_gap:
-                long[start:stop, i] = True
-    lost = long.sum(axis=0)
-    kept = lost <= lost.min()
-    full = bridged(markers.time, moved[:, kept])
-    full -= full[: max(5, len(full) // 50)].mean(axis=0)
-    left, size, _ = np.linalg.svd(full, full_matrices=False)
-    count = int(min(settings.components, np.sum(size > 1e-9 * size[0])))
-    scores = left[:, :count] / np.abs(left[:, :count]).max(axis=0)
-    terms = [
-        settings.prior[degree - 1] * np.prod(scores[:, list(which)], axis=1)
-        for degree in range(1, settings.degree + 1)
-        for which in combinations_with_replacement(range(count), degree)
-    ]
-    # The first column is a free constant: the log's bias, far wider than any force.
-    features = np.stack([np.full(len(full), 10.0), *terms], axis=1)
-    spline = CubicSpline(markers.time, features, axis=0)
-    before, after = (settings.hold if is_still(full, rows) else 0.0 for rows in (slice(0, 10), slice(-10, None)))
-    return Track(spline.antiderivative(), np.asarray(~long[:, kept].any(axis=1)), markers.time, before, after)
-
-
-def is_still(moved: Array, rows: slice) -> bool:
-    """Whether nothing moves in `rows` of (T, c) displacements: less than a thousandth of the whole motion, or noise."""
-    part = moved[rows]
-    half = len(part) // 2
-    change = np.abs(part[half:].mean(axis=0) - part[:half].mean(axis=0))
-    noise = np.std(np.diff(moved, n=2, axis=0)[rows], axis=0)
-    return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))
+    """(T, 2m) m, every marker's x and y against their medians; markers never seen are left out."""
+    flat = markers.xy.reshape(len(markers.time), -1)
+    flat = flat[:, np.isfinite(flat).any(axis=0)]
+    return np.asarray(flat - np.nanmedian(flat, axis=0)) if flat.size else np.zeros((len(markers.time), 1))
 
 
 def binned(log: ForceLog, rate: float, span: tuple[float, float], settings: ClockSettings) -> Rows:
@@ -212,7 +181,7 @@ def binned(log: ForceLog, rate: float, span: tuple[float, float], settings: Cloc
     inside = (log.time >= span[0]) & (log.time <= span[1]) & ~outliers(log.force)
     time, force = log.time[inside], log.force[inside]
     if len(time) < 10:
-        return Rows(np.empty(0), np.empty((0, 2)), 1.0)
+        return Rows(np.empty(0), np.empty((0, 2)), 1.0, 0.0)
     per_second = min(max(8 * rate, settings.slowest), settings.most_rows / (time[-1] - time[0]), 1 / step(time))
     width = 1 / per_second
     index = np.floor((time - time[0]) / width).astype(np.int64)
@@ -225,8 +194,8 @@ def binned(log: ForceLog, rate: float, span: tuple[float, float], settings: Cloc
     return Rows(time[0] + width * (np.flatnonzero(good) + 0.5), mean, width, largest)
 
 
-def coarse_search(track: Track, rows: Rows, offset: Array, prior: Callable[[Array], Array]) -> tuple[ForceNoise, Array]:
-    """The noise at the best offset and the log posterior over all of them.
+def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Search:
+    """The log posterior over all offsets, with the noise fitted at the best of them, twice.
 
     Each offset covers other rows with film, so they are compared by what the markers add to the rows they cover: the
     evidence with them over the evidence of a plain random walk as large as the force.
@@ -235,53 +204,55 @@ def coarse_search(track: Track, rows: Rows, offset: Array, prior: Callable[[Arra
     span = max(rows.time[-1] - rows.time[0], 1.0)
     wander = ForceNoise(noise.white, noise.coloured, noise.tau, rows.largest / np.sqrt(span))
     chance = np.full(len(offset), -np.inf)
+    plain: dict[bytes, float] = {}
     for _ in range(2):
         for i, each in enumerate(offset):
             design = rows.largest * track.mean(rows.time - each, rows.width)
-            use = np.isfinite(design).all(axis=1)
-            if use.sum() >= max(10, 0.25 * len(rows.time)):
-                time, force = rows.time[use], rows.force[use]
-                plain = log_evidence(wander.covariance(time), design[use, :1], force)
-                chance[i] = log_evidence(noise.covariance(time), design[use], force) - plain
-        best = offset[int(np.argmax(chance + prior(offset)))]
-        design = rows.largest * track.mean(rows.time - best, rows.width)
-        use = np.isfinite(design).all(axis=1)
+            use = np.isfinite(design).all(axis=(1, 2))
+            if use.sum() < max(10, 0.25 * len(rows.time)):
+                continue
+            time, force, key = rows.time[use], rows.force[use], use.tobytes()
+            if key not in plain:
+                nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
+                plain[key] = log_evidence(wander.covariance(time), nothing, force)
+            chance[i] = log_evidence(noise.covariance(time), design[use], force) - plain[key]
         if not np.isfinite(chance).any():
             break
+        design = rows.largest * track.mean(rows.time - offset[int(np.argmax(chance + prior(offset)))], rows.width)
+        use = np.isfinite(design).all(axis=(1, 2))
         noise = fit_noise(rows.time[use], design[use], rows.force[use], noise)
-        wander = ForceNoise(noise.white, noise.coloured, noise.tau, max(wander.walk, noise.walk))
-    return noise, chance + prior(offset)
+    return Search(track, noise, chance + prior(offset))
 
 
-def refined(
-    track: Track, rows: Rows, coarse: Array, chance: Array, noise: ForceNoise, prior: Callable[[Array], Array]
-) -> tuple[float, float]:
+def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[float, float]:
     """Mean and sd of the posterior around its highest peak; other peaks widen the sd by their share."""
-    if not np.isfinite(chance).any():
-        return float("nan"), float("inf")
+    chance = search.chance
     centre, reach = float(coarse[int(np.argmax(chance))]), max(3 * (coarse[1] - coarse[0]), 0.1)
     mean, sd = centre, float("inf")
     for _ in range(6):
-        offset = np.linspace(centre - reach, centre + reach, 41)
-        ends = [track.mean(rows.time - each, rows.width)[:, 0] for each in (offset[0], offset[-1])]
-        use = np.isfinite(ends).all(axis=0)
-        if use.sum() < 10:
+        offset = np.linspace(centre - reach, centre + reach, 33)
+        gain = fixed_rows(search, rows, offset)
+        if gain is None:
             break
-        spread = noise.covariance(rows.time[use])
-        gain = np.full(len(offset), -np.inf)
-        for i, each in enumerate(offset):
-            design = rows.largest * track.mean(rows.time[use] - each, rows.width)
-            if np.isfinite(design).all():
-                gain[i] = log_evidence(spread, design, rows.force[use])
         mean, sd = moments(offset, gain + prior(offset))
-        if sd < 0.3 * reach and abs(mean - centre) < 0.5 * reach and sd > 0.08 * reach:
+        if 0.08 * reach < sd < 0.3 * reach and abs(mean - centre) < 0.5 * reach:
             break
         centre, reach = mean, min(max(4.5 * sd, 1e-3), 2 * reach)
     away = np.abs(coarse - mean) > max(reach, 4 * sd)
     peak = np.exp(chance - np.max(chance))
-    share = float(peak[away].sum() / peak.sum()) if away.any() else 0.0
+    share = float(peak[away].sum() / peak.sum())
     far = float(peak[away] @ (coarse[away] - mean) ** 2 / peak[away].sum()) if share > 0 else 0.0
     return mean, float(np.sqrt(max(sd, 1e-3) ** 2 + share * far))
+
+
+def fixed_rows(search: Search, rows: Rows, offset: Array) -> Array | None:
+    """Log evidence at every `offset`, over the rows that all of them cover; None where these are too few."""
+    designs = [rows.largest * search.track.mean(rows.time - each, rows.width) for each in offset]
+    use = np.all([np.isfinite(design).all(axis=(1, 2)) for design in designs], axis=0)
+    if use.sum() < 10:
+        return None
+    covariance = search.noise.covariance(rows.time[use])
+    return np.array([log_evidence(covariance, design[use], rows.force[use]) for design in designs])
 
 
 def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) -> tuple[Remark, ...]:

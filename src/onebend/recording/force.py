@@ -152,7 +152,7 @@ def clean_force(
     (from the clock search); without it the scatter at rest stands for it, and drift is not in `noise_sd`.
     """
     bad = outliers(log.force, threshold=settings.outlier_sd)
-    force = log.force @ np.array([[math.cos(rotation), math.sin(rotation)], [-math.sin(rotation), math.cos(rotation)]])
+    force = log.force @ to_beam(rotation)
     if acts_on == "robot":
         force = -force
     force[bad] = np.stack([np.interp(log.time[bad], log.time[~bad], column[~bad]) for column in force.T], axis=1)
@@ -173,6 +173,12 @@ def clean_force(
         outliers=int(bad.sum()),
         remarks=remarks,
     )
+
+
+def to_beam(rotation: float) -> Array:
+    """(2, 2) matrix that turns rows of force in the log's axes into the beam's: F_beam = R(rotation) F_log."""
+    cos, sin = math.cos(rotation), math.sin(rotation)
+    return np.array([[cos, sin], [-sin, cos]])
 
 
 def within(time: Array, span: tuple[float, float]) -> BoolArray:

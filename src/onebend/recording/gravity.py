@@ -30,7 +30,8 @@ def read_base_log(path: Path) -> BaseLog:
     RecordingError
         A missing column, text or NaN, times that do not rise, fewer than two rows; with the line.
     """
-    time, angle = [], []
+    time: list[float] = []
+    angle: list[float] = []
     with path.open(encoding="utf-8-sig", newline="") as stream:
         rows = csv.DictReader(stream, skipinitialspace=True)
         missing = {"time_s", "base_deg"} - set(rows.fieldnames or ())

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from onebend.records import Array
@@ -40,19 +40,20 @@ class ForceNoise:
 
 
 def log_evidence(covariance: Array, design: Array, values: Array) -> float:
-    """Log probability of `values` (N, a) = `design` (N, p) @ standard normal coefficients + noise, less a constant.
+    """Log probability of `values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise, less a constant.
 
-    The coefficients are integrated out (Bayesian linear model; the p x p form of the matrix inversion lemma), for each
-    of the a axes on its own.
+    The coefficients are shared by the a axes and integrated out (Bayesian linear model; the p x p form of the matrix
+    inversion lemma); the noise of the axes is independent, each of `covariance` (N, N).
     """
-    factor = cho_factor(covariance, lower=True, check_finite=False)[0]
-    white = solve_triangular(factor, np.hstack([design, values]), lower=True, check_finite=False)
-    x, y = white[:, : design.shape[1]], white[:, design.shape[1] :]
-    inner = cho_factor(np.eye(x.shape[1]) + x.T @ x, lower=True, check_finite=False)[0]
+    n, axes, p = design.shape
+    factor = np.linalg.cholesky(covariance)
+    white = solve_triangular(factor, np.hstack([design.reshape(n, -1), values]), lower=True, check_finite=False)
+    x = white[:, : axes * p].reshape(n * axes, p)
+    y = white[:, axes * p :].reshape(n * axes)
+    inner = np.linalg.cholesky(np.eye(p) + x.T @ x)
     told = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
-    axes = values.shape[1]
-    spread = np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.diag(inner)))
-    return float(-0.5 * (np.sum(y**2) - np.sum(told**2)) - axes * spread)
+    spread = axes * np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.diag(inner)))
+    return float(-0.5 * (y @ y - told @ told) - spread)
 
 
 def first_guess(values: Array, spacing: float) -> ForceNoise:
@@ -64,7 +65,7 @@ def first_guess(values: Array, spacing: float) -> ForceNoise:
 
 
 def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> ForceNoise:
-    """The likeliest noise of `values` (N, a) around anything `design` (N, p) can follow.
+    """The likeliest noise of `values` (N, a) around anything `design` (N, a, p) can follow.
 
     Sizes are kept from running off by a weak prior: each within a factor of about five (one sd) of `start`, the
     correlation time within a factor of about two and a half.

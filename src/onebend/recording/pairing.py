@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,7 +12,15 @@ from onebend.errors import ObservationError
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
 from onebend.recording.entries import Recording
-from onebend.recording.force import ForceSettings, choose_cutoff, clean_force, force_at, gap_limit, read_force_log
+from onebend.recording.force import (
+    ForceSettings,
+    choose_cutoff,
+    clean_force,
+    force_at,
+    gap_limit,
+    read_force_log,
+    to_beam,
+)
 from onebend.recording.frame import RestShape
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.plausible import read_force
@@ -40,11 +49,14 @@ def match_clocks(
     if log is None and base is None:
         start = said if math.isfinite(said) else 0.0
         return ClockFit(ClockOffset(offset=start, sd=uncertainty, said=said, found=False), None)
-    fit = None if log is None else fit_clock(markers, log, said, uncertainty, settings=settings)
+    fit = None
+    if log is not None and rec.force is not None:
+        turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
+        fit = fit_clock(markers, turned, said, uncertainty, push_s=push_place(rec, log), settings=settings)
     if base is not None and (fit is None or not fit.clock.found):
-        turned = base_clock(markers, base, said, uncertainty, margin=settings.margin)
-        if turned.found or fit is None:
-            fit = ClockFit(turned, None)
+        seen = base_clock(markers, base, said, uncertainty, margin=settings.margin)
+        if seen.found or fit is None:
+            fit = ClockFit(seen, None)
     assert fit is not None
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
@@ -54,6 +66,15 @@ def match_clocks(
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
     return fit
+
+
+def push_place(rec: Recording, log: ForceLog) -> float | None:
+    """Where the force acts, if that stays the same to 2 % of the beam and no weight bends it too; else None."""
+    if rec.gravity is not None:
+        return None
+    if log.push_s is None:
+        return rec.push.at if rec.push else None
+    return float(np.median(log.push_s)) if float(np.ptp(log.push_s)) < 0.02 else None
 
 
 def cleaned(
@@ -116,15 +137,15 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
     ObservationError
         No frame is left.
     """
-    forced = np.isfinite(force).all(axis=1)
-    seen = np.isfinite(markers.xy).all(axis=-1).any(axis=1)
+    forced: BoolArray = np.isfinite(force).min(axis=1)
+    seen: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
     remarks = []
     if not forced.all():
         text = f"{int(np.sum(~forced))} of {len(forced)} frames lie outside the force log or in its gaps; left out."
         remarks.append(Remark("note", text))
     if not seen.all():
         remarks.append(Remark("note", f"{int(np.sum(~seen))} of {len(seen)} frames show no marker; left out."))
-    kept = forced & seen
+    kept: BoolArray = np.asarray(forced & seen)
     if not kept.any():
         raise ObservationError("No frame has both a marker and a force. Check the film, the log and start_s.")
     return kept, tuple(remarks)
