@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from onebend.beam.model import Beam
+from onebend.errors import ObservationError
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.selection import Settings
@@ -35,14 +35,6 @@ class Run:
     video_seconds: float  # length of all videos together, to compare the stages with
 
 
-class Detect(Protocol):
-    """How tags are found in a video: `detect_tags`, or one that keeps what it found."""
-
-    def __call__(
-        self, video: VideoEntry, tags: TagsEntry, *, threads: int | None, progress: Progress
-    ) -> Detections: ...
-
-
 def learn_recording(
     folder: Path | str,
     *,
@@ -54,45 +46,57 @@ def learn_recording(
 ) -> Run:
     """Learn k(s) from the recording in `folder`, then compare the learned beam with each of `validate_on`.
 
+    `detect` finds the tags; one that keeps what it found spares a second search of the same video.
+
     Raises:
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
+    recording, *others = [read_recording(one) for one in (folder, *validate_on)]  # mistakes in any, before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        observations = _observed(folder, observing, detect, watch)
+        observations = observe(recording, settings=observing, detect=detect, progress=watch)
     with watch.whole("learn"):
         learned = learn(observations, settings, progress=watch)
     with watch.whole("validate"):
-        pairs = compare(learned.beam, validate_on, observing=observing, detect=detect, progress=progress)
+        pairs = compare(
+            learned.beam, [one.folder for one in others], observing=observing, detect=detect, progress=watch
+        )
+    seen = (observations, *(where for _, where in pairs))
     return Run(
         learned=learned,
         observations=observations,
-        validations=tuple(comparison for _, comparison in pairs),
-        validation_observations=tuple(seen for seen, _ in pairs),
+        validations=tuple(one for one, _ in pairs),
+        validation_observations=seen[1:],
         stage_seconds=watch.seconds,
-        video_seconds=float(observations.time[-1] - observations.time[0]),
+        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in seen),
     )
 
 
 def compare(
     beam: Beam,
-    recordings: Sequence[Path | str],
+    folders: Sequence[Path | str],
     *,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
-) -> list[tuple[Observations, Comparison]]:
-    """The beam simulated under the forces of each recording, and its markers beside the measured ones."""
-    seen = [_observed(folder, observing, detect, progress) for folder in recordings]
-    return [(one, validate(beam, one)) for one in seen]
+) -> list[tuple[Comparison, Observations]]:
+    """The beam against each of the recordings (Tables IV to VI).
 
-
-def _observed(folder: Path | str, observing: ObserveSettings, detect: Detect, progress: Progress) -> Observations:
-    recording = read_recording(folder)
-    detections = None
-    if recording.video is not None:
-        detections = detect(recording.video, recording.tags, threads=observing.threads, progress=progress)
-    return observe(recording, settings=observing, detections=detections, progress=progress)
+    Raises:
+        ObservationError: a recording of a beam of another length; and all that `learn_recording` raises.
+    """
+    recordings = [read_recording(folder) for folder in folders]
+    for recording in recordings:
+        if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
+            raise ObservationError(
+                f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
+                f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
+            )
+    pairs = []
+    for recording in recordings:
+        seen = observe(recording, settings=observing, detect=detect, progress=progress)
+        pairs.append((validate(beam, seen), seen))
+    return pairs
 
 
 @dataclass
