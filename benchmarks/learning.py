@@ -16,8 +16,8 @@ from onebend.errors import LearningError
 from onebend.learning.learn import learn
 from onebend.learning.selection import Method, Settings
 from onebend.learning.validation import validate
-from onebend.records import Observations
 from onebend.recording.observe import observe
+from onebend.records import Observations
 
 BEAMS = ("linear", "quadratic", "cubic")
 OTHERS = ("fast", "s08", "s06")
@@ -48,8 +48,8 @@ def row(beam: str, method: Method, inputs: str, seen: dict[str, Observations], t
     checks = {
         other: tuple(float(1e3 * r) for r in validate(learned.beam, seen[f"{beam}_{other}"]).rms) for other in OTHERS
     }
-    error = stiffness_error(np.asarray(learned.beam.stiffness(truth.s)), truth)
-    return Row(beam, inputs, method, best.n, best.m, error, tuple(float(1e3 * r) for r in best.rms), checks)
+    k_error = stiffness_error(np.asarray(learned.beam.stiffness(truth.s)), truth)
+    return Row(beam, inputs, method, best.n, best.m, k_error, tuple(float(1e3 * r) for r in best.rms), checks)
 
 
 def rows(recordings: Path = RECORDINGS) -> list[Row]:
