@@ -19,7 +19,9 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("results",),
     ("pipeline",),
     ("batch", "terminal"),
-    ("cli", "studio", "__init__", "__main__"),
+    ("__init__",),
+    ("cli", "studio"),
+    ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(FLOORS) for name in names}
 # One floor in the plan, but listed apart above so that neither may import the other.

@@ -76,7 +76,7 @@ def learn(
     ] = "gaussians",
     width: Annotated[
         float | None,
-        typer.Option(min=0.0, metavar="SIGMA", help="Sigma of the Gaussians, in s; default: their distance."),
+        typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians, in s; default: their distance."),
     ] = None,
     bic: Annotated[
         Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")

@@ -13,6 +13,7 @@ from onebend.errors import ObservationError
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.selection import Settings
+from onebend.learning.selection import pairs as trials
 from onebend.learning.validation import validate
 from onebend.progress import Progress, Silent
 from onebend.recording.folder import read_recording
@@ -51,7 +52,8 @@ def learn_recording(
     Raises:
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
-    recording, *others = [read_recording(one) for one in (folder, *validate_on)]  # mistakes in any, before the work
+    recording, *others = [read_recording(one) for one in (folder, *validate_on)]
+    trials(settings, len(recording.tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
         observations = observe(recording, settings=observing, detect=detect, progress=watch)

@@ -19,6 +19,7 @@ from onebend.recording.lens import project
 from onebend.records import Array, Observations, View
 from onebend.report.simulated import centreline, largest_push, spread_of_pushes
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
+from onebend.report.wording import millimetres
 
 MM = 1000.0
 _HALO: dict[str, Any] = {"color": "white", "linewidth": 4.5, "alpha": 0.85}
@@ -88,12 +89,16 @@ def _draw_force(axes: Axes, view: View, tip: Array, force: Array, length_m: floa
 
 
 def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
-    """Show what holds all `points` [px], with room around."""
+    """Show what holds all `points` [px] with room around, at least as wide as the page's figures are."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
-    room = 0.12 * float(np.max(high - low)) + 20.0
-    axes.set_xlim(max(low[0] - room, -0.5), min(high[0] + room, size[1] - 0.5))
-    axes.set_ylim(min(high[1] + room, size[0] - 0.5), max(low[1] - room, -0.5))
+    extent = high - low + 0.24 * float(np.max(high - low)) + 40.0
+    extent[0] = max(extent[0], 1.6 * extent[1])
+    limits = np.array([size[1], size[0]], dtype=float)
+    extent = np.minimum(extent, limits)
+    corner = np.clip((low + high - extent) / 2, 0.0, limits - extent) - 0.5
+    axes.set_xlim(corner[0], corner[0] + extent[0])
+    axes.set_ylim(corner[1] + extent[1], corner[1])
 
 
 @styled
@@ -159,8 +164,8 @@ def residuals(one: Comparison) -> Figure:
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(one.tag_id))), fontsize=8)
     right.axhline(0, color=MUTED, linewidth=0.8)
     right.axvline(0, color=MUTED, linewidth=0.8)
-    right.set(xlabel="in x [mm]", ylabel="in y [mm]", aspect="equal", adjustable="datalim")
-    right.set_title("measured less simulated")
+    right.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    right.set_title("in the plane")
     return figure
 
 
@@ -237,7 +242,9 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
         for i, rms in enumerate(MM * one.rms):
             axes.barh(y, rms, height=0.8, color=colour(i), alpha=0.85)
             axes.plot(MM * one.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
-            axes.annotate(f"{rms:.2f}", (rms, y), (4, 0), textcoords="offset points", va="center", fontsize=8.5)
+            end = np.nanmax([rms, MM * one.sensor_rms[i], 0.0])
+            text = millimetres(one.rms[i])
+            axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
             ticks.append((y, f"{one.name}  M{i + 1}" if i == 0 else f"M{i + 1}"))
             y += 1.0
         y += 0.7

@@ -1,0 +1,252 @@
+"""The command line: what is said, where, and with which exit code. The pipeline has its own test, end to end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from onebend import __version__, cli
+from onebend.errors import LearningError, ObservationError
+from onebend.results.model import load_model, save_model
+from tests import made_up
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "train"
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, [str(one) for one in arguments])
+
+
+def refused(result: Result, *words: str) -> None:
+    """One message on standard error, nothing on standard output, exit code 2, no traceback."""
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stderr.replace("\n", " "), result.stderr
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """A pipeline that finds made-up things at once; what it was asked is listed."""
+    asked: list[dict[str, Any]] = []
+
+    def learn_recording(folder: Path, **options: Any) -> made_up.MadeUp:
+        asked.append({"folder": folder, **options})
+        return made_up.findings(len(options["validate_on"]))
+
+    def compare(_: Any, folders: list[Path], **options: Any) -> list[Any]:
+        asked.append({"folders": folders, **options})
+        return [(made_up.comparison(one.name), made_up.observations(one.name)) for one in folders]
+
+    monkeypatch.setattr(cli, "learn_recording", learn_recording)
+    monkeypatch.setattr(cli, "compare", compare)
+    return asked
+
+
+def fails(error: BaseException) -> Callable[..., Any]:
+    def instead(*_: Any, **__: Any) -> Any:
+        raise error
+
+    return instead
+
+
+def test_version_and_help() -> None:
+    assert run("--version").stdout.strip() == f"onebend {__version__}"
+    for command in ("learn", "validate", "new", "check", "show"):
+        result = run(command, "--help")
+        assert result.exit_code == 0
+        assert command in result.stdout
+
+
+def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    out = tmp_path / "out"
+    result = run("learn", "REC", "-o", out, "--validate", "A", "--validate", "B")
+    assert result.exit_code == 0, result.output
+    for words in ("chosen", "k(s) is not positive", "k(s) = EI / L", "other-2", "tag 3 was hidden", "together"):
+        assert words in result.stdout, words
+    assert "report.html" in result.stdout.replace("\n", "")
+    written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    expected = {"model.json", "stiffness.csv", "selection.csv", "markers.csv", "validation.csv", "observations.parquet"}
+    assert expected | {"summary.json", "report.html", "figures/stiffness.png"} <= written
+    assert load_model(out) == made_up.BEAM
+    assert set(json.loads((out / "summary.json").read_text(encoding="utf-8"))["files"]) == written
+    assert pipeline[0]["validate_on"] == [Path("A"), Path("B")]
+
+
+def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    options = [
+        "--method",
+        "paper",
+        "--family",
+        "powers",
+        "--width",
+        "0.2",
+        "--bic",
+        "paper",
+        "--n",
+        "5",
+        "--m",
+        "3",
+        "--threads",
+        "2",
+        "--quiet",
+    ]
+    assert run("learn", "REC", "-o", tmp_path / "out", *options).exit_code == 0
+    settings, observing = pipeline[0]["settings"], pipeline[0]["observing"]
+    chosen = (settings.method, settings.family, settings.width, settings.bic, settings.n, settings.m)
+    assert chosen == ("paper", "powers", 0.2, "paper", 5, 3)
+    assert observing.threads == 2
+
+
+def test_results_go_beside_where_one_stands_by_default(
+    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("learn", "somewhere/push1/").exit_code == 0
+    assert (tmp_path / "push1-results" / "model.json").is_file()
+    assert len(pipeline) == 1
+
+
+def test_json_is_one_object_and_nothing_else(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    result = run("learn", "REC", "-o", tmp_path / "out", "--validate", "A", "--json")
+    data = json.loads(result.stdout, parse_constant=pytest.fail)
+    assert (data["chosen"]["n"], data["chosen"]["m"]) == (4, 3)
+    assert data["output"] == str(tmp_path / "out")
+    assert "report" in data["stage_seconds"]
+    result = run("validate", tmp_path / "out", "A", "--json")
+    assert json.loads(result.stdout)["validation"][0]["recording"] == "A"
+    result = run("show", tmp_path / "out", "--json")
+    assert json.loads(result.stdout)["origin"]["recording"] == "made-up"
+    assert len(pipeline) == 2
+
+
+def test_earlier_results_are_refused_before_the_work(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    out = tmp_path / "out"
+    assert run("learn", "REC", "-o", out).exit_code == 0
+    (out / "notes.txt").write_text("mine")
+    refused(run("learn", "REC", "-o", out), "already holds results", "--force")
+    refused(run("learn", "REC", "-o", out, "--json"), "already holds results")
+    assert len(pipeline) == 1
+    assert run("learn", "REC", "-o", out, "--force").exit_code == 0
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_validate_shows_and_writes_tables(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test")
+    result = run("validate", tmp_path, "A", "B")
+    assert result.exit_code == 0, result.output
+    assert [line.split()[0] for line in result.stdout.splitlines() if line.startswith((" A ", " B "))] == ["A", "B"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json"]
+    result = run("validate", tmp_path, "A", "-o", tmp_path / "checked")
+    assert result.exit_code == 0, result.output
+    written = {path.relative_to(tmp_path / "checked").as_posix() for path in (tmp_path / "checked").rglob("*.*")}
+    figures = {f"figures/validation{end}.png" for end in ("", "-1-shapes", "-1-residuals")}
+    assert written == {"validation.csv", "markers.csv", "summary.json"} | figures
+    assert len(pipeline) == 2
+
+
+def test_a_validation_does_not_replace_what_was_learned(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    assert run("learn", "REC", "-o", tmp_path / "out").exit_code == 0
+    refused(run("validate", tmp_path / "out", "A", "-o", tmp_path / "out", "--force"), "--force does not")
+    assert load_model(tmp_path / "out") == made_up.BEAM
+    assert len(pipeline) == 1
+
+
+def test_a_mistake_ends_in_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "learn_recording", fails(LearningError("too few frames; film a longer push")))
+    refused(run("learn", "REC", "-o", tmp_path / "out"), "onebend: too few frames; film a longer push")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "learn_recording", fails(PermissionError(13, "Permission denied", "video.mp4")))
+    refused(run("learn", "REC", "-o", tmp_path / "out"), "video.mp4: Permission denied")
+
+
+def test_a_bug_is_not_dressed_up_as_a_mistake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "learn_recording", fails(ZeroDivisionError()))
+    result = run("learn", "REC", "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert isinstance(result.exception, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), ObservationError("no contact")])
+def test_what_was_found_before_the_end_is_kept_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def found_then(*_: Any, detect: Any, **__: Any) -> Any:
+        (detect.__self__.folder / "detections-1.npz").write_bytes(b"tags")
+        raise error
+
+    monkeypatch.setattr(cli, "learn_recording", found_then)
+    result = run("learn", "REC", "-o", tmp_path / "out")
+    assert result.exit_code == (130 if isinstance(error, KeyboardInterrupt) else 2)
+    assert "is kept in" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["out.partial"]
+    assert result.stdout == ""
+
+
+def test_interrupted_before_anything_was_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "learn_recording", fails(KeyboardInterrupt()))
+    result = run("learn", "REC", "-o", tmp_path / "out")
+    assert (result.exit_code, result.stderr) == (130, "onebend: Interrupted. Nothing was written.\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("learn", "nowhere", "-o", "out"),
+        ("check", "nowhere"),
+        ("validate", "nowhere", "nowhere"),
+        ("show", "nowhere"),
+        ("learn", EXAMPLE, "-o", EXAMPLE),
+        ("learn", EXAMPLE, "-o", "out", "--validate", "nowhere"),
+        ("learn", EXAMPLE, "-o", "out", "--n", "99"),
+        ("learn",),
+        ("learn", "REC", "--method", "magic"),
+        ("nonsense",),
+    ],
+)
+def test_requests_that_cannot_be_met(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[object, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run(*arguments))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_model_is_named(tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text("{", encoding="utf-8")
+    refused(run("show", tmp_path), "model.json, line 1: not valid JSON")
+    refused(run("validate", tmp_path / "model.json", EXAMPLE), "not valid JSON")
+
+
+def test_new_then_check_leads_to_the_next_step(tmp_path: Path) -> None:
+    result = run("new", tmp_path / "mine")
+    assert result.exit_code == 0, result.output
+    assert "onebend check" in result.stdout
+    refused(run("new", tmp_path / "mine"), "exists already")
+    refused(run("check", tmp_path / "mine"), "video.mp4")
+
+
+def test_check_says_what_was_understood() -> None:
+    result = run("check", EXAMPLE)
+    assert result.exit_code == 0, result.output
+    for words in ("150 mm long", "1280 x 720", "536 frames", "1000 Hz", "tag 3 at s = 1"):
+        assert words in " ".join(result.stdout.split()), words
+    assert json.loads(run("check", EXAMPLE, "--json").stdout)["recording"] == "linear_train"
+
+
+def test_show_draws_the_model(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test")
+    result = run("show", tmp_path)
+    assert result.exit_code == 0
+    assert "█" in result.stdout
+    assert "length 150 mm" in result.stdout
