@@ -14,7 +14,8 @@ from typing import Annotated, Literal, NoReturn
 import typer
 from rich.console import Console
 
-from onebend import __version__, terminal
+import onebend
+from onebend import terminal
 from onebend.errors import OnebendError
 from onebend.learning.selection import Settings
 from onebend.pipeline import compare, learn_recording
@@ -36,7 +37,7 @@ from onebend.results.summary import (
 )
 from onebend.results.writing import learned_writer, validation_writer
 
-BY = f"onebend {__version__}"
+BY = f"onebend {onebend.__version__}"
 
 app = typer.Typer(
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
@@ -97,12 +98,12 @@ def learn(
             settings=settings,
             observing=ObserveSettings(threads=threads),
             validate_on=validate_on or (),
-            detect=KeptDetections(place.partial, __version__).detect,
+            detect=KeptDetections(place.partial, onebend.__version__).detect,
             progress=progress,
         )
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
-        publish(place, learned_writer(run, draw_all(run, progress=progress), summary, version=__version__))
+        publish(place, learned_writer(run, draw_all(run, progress=progress), summary, version=onebend.__version__))
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
         _print_json({**summary, "stage_seconds": seconds, "output": str(out)})
@@ -132,7 +133,7 @@ def validate(
                 pairs = compare(beam, recordings, observing=observing, progress=progress)
         else:
             with _workplace(output, VALIDATE_FORMAT, overwrite) as place, _progress(quiet) as progress:
-                detect = KeptDetections(place.partial, __version__).detect
+                detect = KeptDetections(place.partial, onebend.__version__).detect
                 pairs = compare(beam, recordings, observing=observing, detect=detect, progress=progress)
                 figures = draw(validation_figures(beam, pairs), progress)
                 publish(place, validation_writer(pairs, figures, validation_summary(str(model), pairs, written_by=BY)))
