@@ -70,7 +70,7 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
     assert result.exit_code == 0, result.output
     for words in ("chosen", "k(s) is not positive", "k(s) = EI / L", "other-2", "tag 3 was hidden", "together"):
         assert words in result.stdout, words
-    assert "report.html" in result.stdout.replace("\n", "")
+    assert result.stdout.splitlines()[-1] == f"report {out / 'report.html'}"
     written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
     expected = {"model.json", "stiffness.csv", "selection.csv", "markers.csv", "validation.csv", "observations.parquet"}
     assert expected | {"summary.json", "report.html", "figures/stiffness.png"} <= written

@@ -178,15 +178,14 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     return table
 
 
-def headline(learned: Learned, where: str) -> Panel:
-    """The result in three lines."""
+def headline(learned: Learned) -> Panel:
+    """The result in two lines."""
     trial = learned.trials[learned.chosen]
     k = learned.beam.stiffness(np.linspace(0.0, 1.0, 201))
     text = Text.assemble(
         ("k(s) ", "bold"), f"from {significant(k.min())} to {significant(k.max())} N m", "\n",
         ("model ", "bold"), f"n = {trial.n} curvature modes, m = {trial.m} {learned.family}, {learned.method}; ",
-        f"worst marker {worst_marker(learned.training)} RMS", "\n",
-        ("report ", "bold"), where,
+        f"worst marker {worst_marker(learned.training)} RMS",
     )  # fmt: skip
     return Panel(text, expand=False, border_style="green")
 
@@ -197,10 +196,16 @@ def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out:
     if run.validations:
         parts.append(validation_table(run.validations))
     parts += [remarks_list(all_remarks(run)), stages_table(seconds, run.video_seconds)]
-    parts.append(headline(run.learned, str(out / "report.html")))
+    parts.append(headline(run.learned))
     for part in parts:
         console.print(part)
         console.print()
+    say_path(console, "report", out / "report.html")
+
+
+def say_path(console: Console, what: str, path: Path) -> None:
+    """Where something is, on one line whatever the width, so that it can be copied."""
+    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True, highlight=False)
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
@@ -209,7 +214,7 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
     console.print()
     console.print(remarks_list([(one.name, r) for one, seen in pairs for r in (*seen.remarks, *one.remarks)]))
     if out is not None:
-        console.print(f"\nTables and figures are in {out}", markup=False, highlight=False)
+        say_path(console, "\ntables and figures", out)
 
 
 def show_overview(console: Console, found: Overview) -> None:

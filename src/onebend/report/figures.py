@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from onebend.beam.model import Beam
@@ -22,7 +23,8 @@ from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, 
 from onebend.report.wording import millimetres
 
 MM = 1000.0
-_HALO: dict[str, Any] = {"color": "white", "linewidth": 4.5, "alpha": 0.85}
+# What is drawn over a photo keeps a white edge, to be seen on any background.
+_EDGED: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
 
 
 @styled
@@ -63,13 +65,12 @@ def fit_over_frame(image: NDArray[np.uint8], view: View, beam: Beam, one: Compar
     points = [project(view, one.measured[t])]
     if line is not None:
         on_image = project(view, line)
-        axes.plot(*on_image.T, **_HALO)
-        axes.plot(*on_image.T, color=BLUE, linewidth=2.2, label="simulated beam")
+        axes.plot(*on_image.T, color=BLUE, linewidth=2.2, label="simulated beam", **_EDGED)
         predicted = project(view, one.predicted[t])
-        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=1.8, label="simulated markers")
+        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label="simulated markers", **_EDGED)
         points += [on_image]
-    axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=1.8,
-              label="measured markers")  # fmt: skip
+    axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=2,
+              label="measured markers", **_EDGED)  # fmt: skip
     where = line[round(float(one.push_s[t]) * (len(line) - 1))] if line is not None else one.measured[t, -1]
     points += [_draw_force(axes, view, where, one.force[t], 0.22 * beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
@@ -84,7 +85,8 @@ def _draw_force(axes: Axes, view: View, tip: Array, force: Array, length_m: floa
     if size == 0.0:
         return np.asarray(project(view, tip[None]))
     ends = np.asarray(project(view, np.stack([tip - force / size * length_m, tip])))
-    axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", "color": ORANGE, "linewidth": 2.2})
+    arrow = {"arrowstyle": "-|>", "color": ORANGE, "linewidth": 2.2, **_EDGED}
+    axes.annotate("F", ends[1], ends[0], arrowprops=arrow, color=ORANGE, weight="bold", size=12, **_EDGED)
     return ends
 
 

@@ -1,0 +1,18 @@
+"""Learn a beam from one filmed push, check it on another push, and ask it where a force would take its tip."""
+
+from pathlib import Path
+
+import onebend
+
+HERE = Path(__file__).parent / "linear-beam"
+
+observations = onebend.observe(HERE / "train")  # files --> markers [m] and forces [N] on one clock
+learned = onebend.learn(observations)  # --> k(s), with the whole (n, m) table
+beam = learned.beam
+print("k at base, middle and tip [N m]:", beam.stiffness([0.0, 0.5, 1.0]).round(4))
+
+check = onebend.validate(beam, onebend.observe(HERE / "fast"))
+print("RMS of the three markers on the fast push [mm]:", (1000 * check.rms).round(2))
+
+shape = beam.equilibrium(force=(0.0, 0.2), at_s=1.0)  # a push of 0.2 N across the tip
+print("the tip would go to [mm]:", (1000 * shape.xy(1.0)).round(1))

@@ -1,0 +1,35 @@
+"""Draws docs/images/learned.jpg: the fit over the video frame, and k(s). `make picture` runs it."""
+
+from io import BytesIO
+from pathlib import Path
+
+from PIL import Image
+
+import onebend
+from onebend.report.drawing import fit
+from onebend.report.figures import stiffness
+from onebend.report.style import png_of
+
+HERE = Path(__file__).parent
+TARGET = HERE.parent / "docs" / "images" / "learned.jpg"
+WIDTH = 1000  # px
+
+observations = onebend.observe(HERE / "linear-beam" / "train")
+learned = onebend.learn(observations)
+
+figures = [
+    fit(learned.beam, learned.training, observations),
+    stiffness(learned.beam, marker_s=learned.training.marker_s),
+]
+pictures = [Image.open(BytesIO(png_of(figure))).convert("RGB") for figure in figures if figure is not None]
+rows = [one.resize((WIDTH, round(one.height * WIDTH / one.width)), Image.Resampling.LANCZOS) for one in pictures]
+
+sheet = Image.new("RGB", (WIDTH, sum(row.height for row in rows)), "white")
+top = 0
+for row in rows:
+    sheet.paste(row, (0, top))
+    top += row.height
+
+TARGET.parent.mkdir(parents=True, exist_ok=True)
+sheet.save(TARGET, quality=88, optimize=True)
+print(f"{TARGET}: {TARGET.stat().st_size / 1000:.0f} kB")

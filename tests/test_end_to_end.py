@@ -1,0 +1,118 @@
+"""The bundled recording, from its video to the results on disk: interrupted once, then gone on with."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from onebend import cli, load_model, load_observations
+from onebend.results import kept
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "linear-beam"
+
+
+class Runs(NamedTuple):
+    """The run that was interrupted while it drew the figures, and the one that went on."""
+
+    interrupted: Result
+    left_behind: list[str]
+    finished: Result
+    out: Path
+
+
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    """Tags are found once: the second run must take them from what the first one kept."""
+    out = tmp_path_factory.mktemp("runs") / "linear"
+    command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "draw_all", interrupted)
+        first = CliRunner().invoke(cli.app, command)
+        left = sorted(path.name.split("-")[0] for path in out.parent.rglob("*"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kept, "detect_tags", interrupted)
+        second = CliRunner().invoke(cli.app, command)
+    return Runs(first, left, second, out)
+
+
+def test_an_interrupted_run_says_what_it_kept(runs: Runs) -> None:
+    assert runs.interrupted.exit_code == 130, runs.interrupted.output
+    assert f"kept in {runs.out}.partial" in runs.interrupted.stderr
+    assert runs.left_behind == ["detections", "detections", "linear.partial"]
+
+
+def test_the_next_run_goes_on_and_leaves_whole_results(runs: Runs) -> None:
+    assert runs.finished.exit_code == 0, runs.finished.output
+    assert [path.name for path in runs.out.parent.iterdir()] == ["linear"]
+    summary = json.loads((runs.out / "summary.json").read_text(encoding="utf-8"))
+    assert set(summary["files"]) == {p.relative_to(runs.out).as_posix() for p in runs.out.rglob("*") if p.is_file()}
+    assert "figures/fit.png" in summary["files"]
+
+
+def test_json_on_standard_output_agrees_with_the_files(runs: Runs) -> None:
+    printed = json.loads(runs.finished.stdout)
+    summary = json.loads((runs.out / "summary.json").read_text(encoding="utf-8"))
+    for key in ("chosen", "stiffness", "training", "validation", "clock", "force"):
+        assert printed[key] == summary[key]
+    table = np.genfromtxt(runs.out / "stiffness.csv", delimiter=",", names=True)
+    beam = load_model(runs.out)
+    np.testing.assert_allclose(table["k_N_m"], beam.stiffness(table["s"]), rtol=1e-8)
+    assert table["k_N_m"].min() > 0.0
+
+
+def test_the_learned_beam_follows_both_pushes(runs: Runs) -> None:
+    """A sixth of the 0.12 m that the tip moves would be no fit; the log's drift alone moves it by some millimetres."""
+    summary = json.loads((runs.out / "summary.json").read_text(encoding="utf-8"))
+    for one in (summary["training"], *summary["validation"]):
+        assert max(one["rms_m"]) < 0.02
+        assert one["all_stable"]
+    seen = load_observations(runs.out)
+    assert np.isfinite(seen.xy).all(axis=-1).mean() > 0.99
+    assert summary["clock"]["found"]
+
+
+def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path) -> None:
+    result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(EXAMPLE / "fast"), "--json", "--quiet"])
+    assert result.exit_code == 0, result.output
+    again, before = json.loads(result.stdout)["validation"], json.loads(runs.finished.stdout)["validation"]
+    np.testing.assert_allclose(again[0]["rms_m"], before[0]["rms_m"], rtol=1e-6)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_validating_on_a_beam_of_another_length_is_refused(runs: Runs, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    text = (EXAMPLE / "fast" / "recording.toml").read_text(encoding="utf-8")
+    (other / "recording.toml").write_text(text.replace("length_m = 0.15", "length_m = 0.3"), encoding="utf-8")
+    for name in ("video.mp4", "force.csv"):
+        (other / name).symlink_to(EXAMPLE / "fast" / name)
+    result = CliRunner().invoke(cli.app, ["validate", str(runs.out), str(other)])
+    assert result.exit_code == 2
+    assert "300 mm long, the learned one 150 mm" in result.stderr.replace("\n", " ")
+
+
+def test_the_example_runs_and_stands_in_the_readme() -> None:
+    example = ROOT / "examples" / "learn_linear_beam.py"
+    assert example.read_text(encoding="utf-8").split("\n", 2)[2].strip() in (ROOT / "README.md").read_text(
+        encoding="utf-8"
+    )
+    done = subprocess.run([sys.executable, "-W", "error", str(example)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
+        "k at base, middle and tip [N m]",
+        "RMS of the three markers on the fast push [mm]",
+        "the tip would go to [mm]",
+    ]
