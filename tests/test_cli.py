@@ -80,28 +80,12 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
 
 
 def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
-    options = [
-        "--method",
-        "paper",
-        "--family",
-        "powers",
-        "--width",
-        "0.2",
-        "--bic",
-        "paper",
-        "--n",
-        "5",
-        "--m",
-        "3",
-        "--threads",
-        "2",
-        "--quiet",
-    ]
-    assert run("learn", "REC", "-o", tmp_path / "out", *options).exit_code == 0
+    text = "--method paper --family powers --width 0.2 --bic paper --n 5 --m 3 --threads 2 --epsilon-s 0.01 --quiet"
+    assert run("learn", "REC", "-o", tmp_path / "out", *text.split()).exit_code == 0
     settings, observing = pipeline[0]["settings"], pipeline[0]["observing"]
     chosen = (settings.method, settings.family, settings.width, settings.bic, settings.n, settings.m)
     assert chosen == ("paper", "powers", 0.2, "paper", 5, 3)
-    assert observing.threads == 2
+    assert (observing.threads, observing.pairing, observing.epsilon) == (2, "nearest", 0.01)
 
 
 def test_results_go_beside_where_one_stands_by_default(

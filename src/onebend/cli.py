@@ -47,56 +47,70 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+# What the commands take. Their names and helps are the user's manual; docs/cli.md says more.
 Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
-Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings of the same beam.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
+ValidateOn = Annotated[
+    list[Path] | None,
+    typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
+]
+Method = Annotated[
+    Literal["regression", "paper"], typer.Option(help="paper: its rows (17) to the letter, tags' positions only.")
+]
+Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
+Width = Annotated[
+    float | None,
+    typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
+]
+Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
+Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
+Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
+Epsilon = Annotated[
+    float | None,
+    typer.Option(
+        "--epsilon-s",
+        min=0.0,
+        metavar="SECONDS",
+        help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
+    ),
+]
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
 ]
+Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 
 
 @app.command()
 def learn(
     recording: Recording,
     *,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="OUT", help="Results folder; default: REC's name + -results."),
-    ] = None,
-    validate_on: Annotated[
-        list[Path] | None,
-        typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
-    ] = None,
-    method: Annotated[
-        Literal["regression", "paper"], typer.Option(help="paper: its literal rows (17), tags' positions only.")
-    ] = "regression",
-    family: Annotated[
-        Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")
-    ] = "gaussians",
-    width: Annotated[
-        float | None,
-        typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians, in s; default: their distance."),
-    ] = None,
-    bic: Annotated[
-        Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")
-    ] = "textbook",
-    n: Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")] = None,
-    m: Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")] = None,
+    output: Output = None,
+    validate_on: ValidateOn = None,
+    method: Method = "regression",
+    family: Family = "gaussians",
+    width: Width = None,
+    bic: Bic = "textbook",
+    n: Modes = None,
+    m: Functions = None,
+    epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn k(s) from the recording REC, and write results and a report to OUT."""
+    """Learn k(s) from the recording REC; results and a report go to OUT (default: the name of REC and -results)."""
     out = output or Path(f"{recording.resolve().name}-results")
     settings = Settings(method=method, family=family, width=width, bic=bic, n=n, m=m)
     with _clean_errors(), _workplace(out, LEARN_FORMAT, overwrite) as place, _progress(quiet) as progress:
         run = learn_recording(
             recording,
             settings=settings,
-            observing=ObserveSettings(threads=threads),
+            observing=_observing(threads, epsilon),
             validate_on=validate_on or (),
             detect=KeptDetections(place.partial, onebend.__version__).detect,
             progress=progress,
@@ -114,18 +128,17 @@ def learn(
 @app.command()
 def validate(
     model: Model,
-    recordings: Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings of the same beam.")],
+    recordings: Recordings,
     *,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and figures; default: none.")
-    ] = None,
+    output: Output = None,
+    epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
-    observing = ObserveSettings(threads=threads)
+    observing = _observing(threads, epsilon)
     with _clean_errors():
         beam = read_model(model).beam
         if output is None:
@@ -144,7 +157,7 @@ def validate(
 
 
 @app.command()
-def new(folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]) -> None:
+def new(folder: Folder) -> None:
     """Write a recording.toml to fill in."""
     with _clean_errors():
         path = write_template(folder)
@@ -171,6 +184,12 @@ def show(model: Model, *, as_json: Json = False) -> None:
         _print_json(model_summary(stored))
     else:
         terminal.show_model(Console(), stored)
+
+
+def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:
+    if epsilon is None:
+        return ObserveSettings(threads=threads)
+    return ObserveSettings(threads=threads, pairing="nearest", epsilon=epsilon)
 
 
 def _say_version(asked: bool) -> None:
