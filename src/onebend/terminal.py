@@ -33,6 +33,7 @@ from onebend.report.wording import millimetres, percent, significant, worst_mark
 from onebend.results.model import StoredModel
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
+NOT_WORTH_A_ROW = 0.005  # s
 QUIET_SECONDS = 1.0  # a stage that took less leaves no line behind where there is no screen to draw a bar on
 
 
@@ -172,6 +173,8 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     table.add_column("s", justify="right")
     table.add_column("of the video", justify="right")
     for name, value in seconds.items():
+        if value < NOT_WORTH_A_ROW:
+            continue
         table.add_row(escape(name), f"{value:.2f}", percent(value, video_seconds))
     total = sum(seconds.values())
     table.add_row("together", f"{total:.2f}", percent(total, video_seconds), style="bold")
