@@ -1,0 +1,48 @@
+"""The documentation agrees with the code: links lead somewhere, options and columns are the real ones."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from onebend.cli import app
+from onebend.results.observed import save_observations
+from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
+from tests import made_up
+
+OPTION = re.compile(r"--[a-z][a-z-]*")
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_every_option_is_documented_and_no_other() -> None:
+    text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    there = set()
+    for command in ("learn", "validate", "new", "check", "show"):
+        assert f"`onebend {command}" in text
+        there |= set(OPTION.findall(CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).stdout))
+    assert {option for quoted in re.findall(r"`([^`]*)`", text) for option in OPTION.findall(quoted)} == there
+
+
+def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    one, learned = made_up.comparison(), made_up.learned()
+    write_stiffness(tmp_path / "a.csv", made_up.BEAM)
+    write_selection(tmp_path / "b.csv", learned)
+    write_markers(tmp_path / "c.csv", [one])
+    write_validation(tmp_path / "d.csv", [one])
+    for file in tmp_path.glob("*.csv"):
+        header = file.read_text(encoding="utf-8").splitlines()[0]
+        for column in header.split(","):
+            assert f"`{re.sub(r'^rms_[0-9]+_m$', 'rms_TAG_m', column)}`" in text, column
+    save_observations(tmp_path / "o.parquet", made_up.observations())
+    assert all(name in text for name in ("`time_s`", "`loaded`", "`tag_ID_covariance`"))
