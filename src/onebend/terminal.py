@@ -29,11 +29,10 @@ from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.records import Observations, Remark
 from onebend.report.findings import Findings, all_remarks
 from onebend.report.overview import Overview
-from onebend.report.wording import millimetres, percent, significant, worst_marker
+from onebend.report.wording import millimetres, percent, significant, stage_rows, worst_marker
 from onebend.results.model import StoredModel
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
-NOT_WORTH_A_ROW = 0.005  # s
 QUIET_SECONDS = 1.0  # a stage that took less leaves no line behind where there is no screen to draw a bar on
 
 
@@ -172,12 +171,10 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     table.add_column("stage")
     table.add_column("s", justify="right")
     table.add_column("of the video", justify="right")
-    for name, value in seconds.items():
-        if value < NOT_WORTH_A_ROW:
-            continue
+    *stages, total = stage_rows(seconds)
+    for name, value in stages:
         table.add_row(escape(name), f"{value:.2f}", percent(value, video_seconds))
-    total = sum(seconds.values())
-    table.add_row("together", f"{total:.2f}", percent(total, video_seconds), style="bold")
+    table.add_row(total[0], f"{total[1]:.2f}", percent(total[1], video_seconds), style="bold")
     return table
 
 

@@ -13,7 +13,16 @@ from jinja2 import Environment, StrictUndefined
 from onebend.learning.outcome import Comparison, Trial
 from onebend.records import Observations
 from onebend.report.findings import Findings, all_remarks
-from onebend.report.wording import assumptions, cards, files_described, inputs, millimetres, percent, significant
+from onebend.report.wording import (
+    assumptions,
+    cards,
+    files_described,
+    inputs,
+    millimetres,
+    percent,
+    significant,
+    stage_rows,
+)
 
 FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
@@ -25,10 +34,10 @@ def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> s
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     template = environment.from_string(files("onebend.report").joinpath("page.html").read_text(encoding="utf-8"))
     encoded = {name: base64.b64encode(png).decode("ascii") for name, png in figures.items()}
-    return template.render(figures=encoded, version=version, **_content(findings, figures))
+    return template.render(figures=encoded, version=version, **_content(findings))
 
 
-def _content(findings: Findings, figures: Mapping[str, bytes]) -> dict[str, Any]:
+def _content(findings: Findings) -> dict[str, Any]:
     learned, seen = findings.learned, findings.observations
     remarks = [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)]
     return {
@@ -48,7 +57,7 @@ def _content(findings: Findings, figures: Mapping[str, bytes]) -> dict[str, Any]
         "validation_figures": _validation_captions(findings),
         "inputs": inputs(seen),
         "assumptions": assumptions(findings),
-        "files": files_described(figures),
+        "files": files_described(findings),
         "stages": _stage_rows(findings),
         "video": f"{significant(findings.video_seconds)} s",
     }
@@ -95,8 +104,7 @@ def _validation_captions(findings: Findings) -> list[tuple[str, str]]:
 
 
 def _stage_rows(findings: Findings) -> list[dict[str, str]]:
-    rows = [*findings.stage_seconds.items(), ("together", sum(findings.stage_seconds.values()))]
     return [
         {"name": name, "seconds": f"{seconds:.2f}", "share": percent(seconds, findings.video_seconds)}
-        for name, seconds in rows
+        for name, seconds in stage_rows(findings.stage_seconds)
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -12,12 +12,14 @@ from onebend.records import CleanForce, ClockOffset, Observations
 from onebend.report.findings import Findings
 
 UNKNOWN = "–"
+NOT_WORTH_A_ROW = 0.005  # s
 
 FILES = {
-    "model.json": "the learned beam; `load_model` reads it",
+    "model.json": "the learned beam; load_model reads it",
     "stiffness.csv": "k(s) at 201 places",
     "selection.csv": "the (n, m) table",
     "markers.csv": "measured and simulated markers, every frame and recording",
+    "validation.csv": "Tables IV to VI",
     "observations.parquet": "what the recording said, so that its video is not needed again",
     "summary.json": "the figures of this page for scripts, in SI",
     "report.html": "this page",
@@ -43,6 +45,12 @@ def millimetres(metres: float) -> str:
 def percent(part: float, whole: float) -> str:
     """The share of the whole; a dash where there is no whole."""
     return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN
+
+
+def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
+    """The stages that took any time worth a row, and their sum."""
+    rows = [(name, value) for name, value in seconds.items() if value >= NOT_WORTH_A_ROW]
+    return [*rows, ("together", sum(seconds.values()))]
 
 
 def cards(findings: Findings) -> list[dict[str, str]]:
@@ -137,7 +145,6 @@ def assumptions(findings: Findings) -> list[str]:
     ]
 
 
-def files_described(figures: Iterable[str]) -> list[tuple[str, str]]:
+def files_described(findings: Findings) -> list[tuple[str, str]]:
     """Every file of a results folder with what it is."""
-    count = len(list(figures))
-    return [(name, what if name != "figures/" else f"the {count} figures as PNGs") for name, what in FILES.items()]
+    return [(name, what) for name, what in FILES.items() if name != "validation.csv" or findings.validations]
