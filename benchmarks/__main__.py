@@ -1,13 +1,15 @@
-"""`python -m benchmarks [NAME ...]`: run every benchmark (or those named), each in its own process.
+"""`python -m benchmarks [NAME ...] [--write]`: run every benchmark (or those named), each in its own process.
 
-A benchmark is a module of this folder with a `main()` that prints a Markdown table. What it prints goes to the screen
-and to out/benchmarks/NAME.md, under the module's own first line and the command that makes it again.
+A benchmark is a module of this folder with a `main()` that prints Markdown. What it prints goes to the screen and to
+out/benchmarks/NAME.md, under the module's own first line and the command that makes it again. With --write, all that
+stands in out/benchmarks is put together as docs/accuracy.md.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import platform
 import subprocess
 import sys
 import time
@@ -15,6 +17,13 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 OUT = FOLDER.parent / "out" / "benchmarks"
+PAGE = FOLDER.parent / "docs" / "accuracy.md"
+PREFACE = """\
+# Accuracy and speed
+
+Measured by the scripts in `benchmarks/` against known truth; `make bench` makes every table again, and
+`python -m benchmarks --write` this page.
+"""
 
 
 def benchmarks() -> dict[str, str]:
@@ -34,24 +43,35 @@ def run(name: str, title: str) -> bool:
     done = subprocess.run(command, cwd=FOLDER.parent, stdout=subprocess.PIPE, text=True, check=False)
     seconds = time.monotonic() - began
     ended = "" if done.returncode == 0 else f"\n\nEnded early, with exit code {done.returncode}."
-    text = f"# {title}\n\n`python -m benchmarks.{name}` ({seconds:.0f} s)\n\n{done.stdout.strip()}{ended}\n"
+    where = f"{platform.system()}, {platform.machine()}, Python {platform.python_version()}"
+    text = f"## {title}\n\n`python -m benchmarks.{name}` ({seconds:.0f} s; {where})\n\n{done.stdout.strip()}{ended}\n"
     print(text, flush=True)
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / f"{name}.md").write_text(text, encoding="utf-8")
     return done.returncode == 0
 
 
+def write_page(known: dict[str, str]) -> None:
+    """docs/accuracy.md from the last table of every benchmark that was run."""
+    tables = [OUT / f"{name}.md" for name in known]
+    parts = [table.read_text(encoding="utf-8") for table in tables if table.is_file()]
+    PAGE.write_text("\n".join([PREFACE, *parts]), encoding="utf-8")
+
+
 def main() -> None:
     known = benchmarks()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(known)}; default: all")
-    wanted = parser.parse_args().names or list(known)
-    unknown = [name for name in wanted if name not in known]
+    parser.add_argument("--write", action="store_true", help="put all tables together as docs/accuracy.md")
+    asked = parser.parse_args()
+    unknown = [name for name in asked.names if name not in known]
     if unknown:
         parser.error(f"no benchmark {unknown[0]}; there are {', '.join(known)}")
-    failed = [name for name in wanted if not run(name, known[name])]
+    failed = [name for name in asked.names or known if not run(name, known[name])]
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
+    if asked.write:
+        write_page(known)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,17 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.cli import app
+from onebend.recording.entries import (
+    BeamEntry,
+    CameraEntry,
+    ForceEntry,
+    GravityEntry,
+    PushEntry,
+    TagEntry,
+    TagsEntry,
+    VideoEntry,
+)
+from onebend.recording.schema import keys_of
 from onebend.results.observed import save_observations
 from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
 from tests import made_up
@@ -46,3 +57,12 @@ def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
             assert f"`{re.sub(r'^rms_[0-9]+_m$', 'rms_TAG_m', column)}`" in text, column
     save_observations(tmp_path / "o.parquet", made_up.observations())
     assert all(name in text for name in ("`time_s`", "`loaded`", "`tag_ID_covariance`"))
+
+
+@pytest.mark.parametrize(
+    "record", [BeamEntry, TagsEntry, TagEntry, CameraEntry, VideoEntry, ForceEntry, PushEntry, GravityEntry]
+)
+def test_every_key_of_a_recording_is_documented_as_the_schema_says(record: type) -> None:
+    text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    for key, _ in keys_of(record).values():
+        assert f"| `{key.name}` | {key.says} |" in text, key.name
