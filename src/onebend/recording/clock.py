@@ -34,7 +34,7 @@ class ClockSettings:
     """How the offset is searched."""
 
     margin: float = 2.0  # s, searched beyond what was said plus its uncertainty
-    corrections: tuple[float, ...] = (0.01, 0.1)  # prior of the polynomials that mend the levers, tried in turn
+    corrections: tuple[float, ...] = (0.001, 0.01)  # prior of the polynomials that mend the levers, tried in turn
     most_rows: int = 250  # of the log, after averaging
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
@@ -206,6 +206,7 @@ def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Sear
     chance = np.full(len(offset), -np.inf)
     plain: dict[bytes, float] = {}
     for _ in range(2):
+        roots: dict[bytes, Array] = {}
         for i, each in enumerate(offset):
             design = rows.largest * track.mean(rows.time - each, rows.width)
             use = np.isfinite(design).all(axis=(1, 2))
@@ -214,8 +215,10 @@ def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Sear
             time, force, key = rows.time[use], rows.force[use], use.tobytes()
             if key not in plain:
                 nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
-                plain[key] = log_evidence(wander.covariance(time), nothing, force)
-            chance[i] = log_evidence(noise.covariance(time), design[use], force) - plain[key]
+                plain[key] = log_evidence(wander.root(time), nothing, force)
+            if key not in roots:
+                roots[key] = noise.root(time)
+            chance[i] = log_evidence(roots[key], design[use], force) - plain[key]
         if not np.isfinite(chance).any():
             break
         design = rows.largest * track.mean(rows.time - offset[int(np.argmax(chance + prior(offset)))], rows.width)
@@ -251,8 +254,8 @@ def fixed_rows(search: Search, rows: Rows, offset: Array) -> Array | None:
     use = np.all([np.isfinite(design).all(axis=(1, 2)) for design in designs], axis=0)
     if use.sum() < 10:
         return None
-    covariance = search.noise.covariance(rows.time[use])
-    return np.array([log_evidence(covariance, design[use], rows.force[use]) for design in designs])
+    root = search.noise.root(rows.time[use])
+    return np.array([log_evidence(root, design[use], rows.force[use]) for design in designs])
 
 
 def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) -> tuple[Remark, ...]:

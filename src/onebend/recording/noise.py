@@ -33,26 +33,30 @@ class ForceNoise:
         out[np.diag_indices(len(time))] += self.white**2 + 1e-12 * out.max() + np.finfo(float).tiny
         return np.asarray(out)
 
+    def root(self, time: Array) -> Array:
+        """(N, N) N, Cholesky factor of the covariance."""
+        return np.asarray(np.linalg.cholesky(self.covariance(time)))
+
     def passed(self, cutoff: float) -> float:
         """N, sd of the coloured part that an ideal low-pass at `cutoff` [Hz] lets through (its Lorentz spectrum)."""
         share = 1.0 if not np.isfinite(cutoff) else 2 / np.pi * np.arctan(2 * np.pi * cutoff * self.tau)
         return float(self.coloured * np.sqrt(share))
 
 
-def log_evidence(covariance: Array, design: Array, values: Array) -> float:
+def log_evidence(root: Array, design: Array, values: Array) -> float:
     """Log probability of `values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise, less a constant.
 
     The coefficients are shared by the a axes and integrated out (Bayesian linear model; the p x p form of the matrix
-    inversion lemma); the noise of the axes is independent, each of `covariance` (N, N).
+    inversion lemma); the noise of the axes is independent; `root` (N, N) is the Cholesky factor of each
+    one's covariance.
     """
     n, axes, p = design.shape
-    factor = np.linalg.cholesky(covariance)
-    white = solve_triangular(factor, np.hstack([design.reshape(n, -1), values]), lower=True, check_finite=False)
+    white = solve_triangular(root, np.hstack([design.reshape(n, -1), values]), lower=True, check_finite=False)
     x = white[:, : axes * p].reshape(n * axes, p)
     y = white[:, axes * p :].reshape(n * axes)
     inner = np.linalg.cholesky(np.eye(p) + x.T @ x)
     told = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
-    spread = axes * np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.diag(inner)))
+    spread = axes * np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner)))
     return float(-0.5 * (y @ y - told @ told) - spread)
 
 
@@ -75,7 +79,7 @@ def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> F
 
     def unlikely(z: Array) -> float:
         noise = ForceNoise(*np.exp(centre + spread * z))
-        return 0.5 * float(z @ z) - log_evidence(noise.covariance(time), design, values)
+        return 0.5 * float(z @ z) - log_evidence(noise.root(time), design, values)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}

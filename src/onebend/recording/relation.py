@@ -22,7 +22,9 @@ from onebend.recording.signals import bridged, runs
 from onebend.records import Array, BoolArray, Markers
 
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
-RIDGE = 0.01
+RIDGE = 0.01  # of the longest lever squared
+PLACE = 1.0  # prior sd of the change with a span's lever, per largest force
+SHORTEST_SPAN = 0.05  # of the beam: what is left between a tag and the push must be longer to count
 TERMS = (2.0, 0.5, 0.25)  # prior sd of a polynomial's coefficient by degree, per largest force
 COMPONENTS = 3  # principal components
 
@@ -112,24 +114,45 @@ def monomials(xy: Array, angle: Array) -> Array:
 
 
 def levers(xy: Array, angle: Array, s: Array, push_s: float) -> Array:
-    """(T, 2, k) force that turns each of the k spans up to the push as seen, were its stiffness one; scaled to 1."""
+    """(T, 2, p) force that turns each span up to the push as seen, were its stiffness one; the largest scaled to 1.
+
+    Where in a span the bending sits depends on its stiffness. So for every span more features follow: how the forces
+    change when its lever is taken a quarter of the span before or behind the middle.
+    """
     count = len(xy)
     s = np.concatenate([[0.0], s])
     xy = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)
     angle = np.concatenate([np.zeros((count, 1)), angle], axis=1)
     order = np.argsort(s, kind="stable")
     s, xy, angle = s[order], xy[:, order], angle[:, order]
+    spans = np.flatnonzero(s[:-1] < push_s - SHORTEST_SPAN)
     bend = angle - np.median(angle[:10], axis=0)
-    push = along(xy, angle, s, push_s)
-    spans = np.flatnonzero(s[:-1] < push_s - 0.05)
-    arms = push[:, None] - np.stack([along(xy, angle, s, 0.5 * (s[i] + min(s[i + 1], push_s))) for i in spans], axis=1)
     turns = bend[:, spans + 1] - bend[:, spans]
+    push = along(xy, angle, s, push_s)
+
+    def forces(part: Array) -> Array:
+        ends = np.minimum(s[spans + 1], push_s)
+        places = s[spans] + part * (ends - s[spans])
+        arms = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
+        return unit_forces(arms, turns)
+
+    middle = np.full(len(spans), 0.5)
+    moved = np.abs(turns).max(axis=0, initial=0.0) > 0.02 * np.abs(turns).max(initial=0.0)
+    if not moved.any():
+        return np.empty((count, 2, 0))
+    base = forces(middle)[..., moved]
+    size = np.abs(base).max(axis=(0, 1))
+    shifts = [forces(middle + 0.25 * unit) - forces(middle - 0.25 * unit) for unit in np.eye(len(spans))]
+    changes = [PLACE / FREE * shift[..., moved] / size for shift in shifts]
+    return np.concatenate([base / size, *changes], axis=2)
+
+
+def unit_forces(arms: Array, turns: Array) -> Array:
+    """(T, 2, k) the force of least ridge-weighted misfit whose moment over the `arms` (T, k, 2) is each of `turns`."""
     rows = np.stack([-arms[..., 1], arms[..., 0]], axis=-1)
-    inner = np.einsum("tia,tib->tab", rows, rows) + RIDGE * float((arms**2).sum(axis=-1).max()) * np.eye(2)
-    out = np.linalg.solve(inner, rows.transpose(0, 2, 1)) * turns[:, None, :]
-    size = np.abs(out).max(axis=(0, 1))
-    moved = np.abs(turns).max(axis=0) > 0.02 * np.abs(turns).max()
-    return np.asarray(out[..., moved] / size[moved])
+    ridge = RIDGE * float((arms**2).sum(axis=-1).max())
+    inner = np.einsum("tia,tib->tab", rows, rows) + ridge * np.eye(2)
+    return np.asarray(np.linalg.solve(inner, rows.transpose(0, 2, 1)) * turns[:, None, :])
 
 
 def along(xy: Array, angle: Array, s: Array, at: float) -> Array:
