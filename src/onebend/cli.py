@@ -220,7 +220,8 @@ def _clean_errors() -> Iterator[None]:
 
 def _fail(message: str, error: BaseException, code: int) -> NoReturn:
     """Say what is wrong, and what was added to the error on its way here."""
-    text = " ".join([message, *getattr(error, "__notes__", ())])
+    sentences = [message, *getattr(error, "__notes__", ())]
+    text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
     typer.echo(f"onebend: {text}", err=True)
     raise typer.Exit(code) from None
 

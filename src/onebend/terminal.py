@@ -27,7 +27,7 @@ from rich.text import Text
 from onebend.beam.model import Beam
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.records import Observations, Remark
-from onebend.report.findings import Findings, all_remarks
+from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
 from onebend.report.wording import millimetres, percent, significant, stage_rows, worst_marker
 from onebend.results.model import StoredModel
@@ -212,7 +212,7 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
     """All that `onebend validate` says."""
     console.print(validation_table([one for one, _ in pairs]))
     console.print()
-    console.print(remarks_list([(one.name, r) for one, seen in pairs for r in (*seen.remarks, *one.remarks)]))
+    console.print(remarks_list([(one.name, remark) for one, seen in pairs for remark in pair_remarks(one, seen)]))
     if out is not None:
         say_path(console, "\ntables and figures", out)
 

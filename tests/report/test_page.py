@@ -12,7 +12,7 @@ import pytest
 
 from onebend.records import ClockOffset, Remark
 from onebend.report.drawing import draw_all, fit
-from onebend.report.findings import all_remarks
+from onebend.report.findings import all_remarks, poor_fit
 from onebend.report.page import page
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
 from tests import made_up
@@ -112,7 +112,19 @@ def test_remarks_come_once_and_warnings_first() -> None:
     again = replace(found.learned, remarks=found.observations.remarks)
     remarks = all_remarks(replace(found, learned=again))
     assert [remark.level for _, remark in remarks] == sorted((r.level for _, r in remarks), key="warning note".index)
-    assert len(remarks) == len({(whose, remark.text) for whose, remark in remarks}) == 4
+    assert (
+        len(remarks) == len({(whose, remark.text) for whose, remark in remarks}) == 5
+    )  # one is on the poor fit of other-1
+
+
+def test_a_poor_fit_is_a_warning() -> None:
+    good = made_up.comparison()
+    assert poor_fit(good) == []
+    far = made_up.comparison(error_m=0.02)
+    assert [remark.level for remark in poor_fit(far)] == ["warning"]
+    assert "M1" in poor_fit(far)[0].text  # which moves least
+    unseen = replace(good, measured=np.full_like(good.measured, np.nan), rms=np.full(3, np.nan))
+    assert poor_fit(unseen) == []
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
+import numpy as np
+
 from onebend.learning.outcome import Comparison, Learned
 from onebend.records import Observations, Remark
 
@@ -31,15 +33,38 @@ class Findings(Protocol):
     def video_seconds(self) -> float: ...
 
 
+POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
+
+
+def poor_fit(one: Comparison) -> list[Remark]:
+    """A warning where the simulated beam misses a marker by a large part of what the marker moves."""
+    motion = np.linalg.norm(np.fmax.reduce(one.measured) - np.fmin.reduce(one.measured), axis=-1)
+    worst = int(np.argmax(np.nan_to_num(one.rms / motion)))
+    if not one.rms[worst] > POOR * motion[worst]:
+        return []
+    text = (
+        f"the simulated beam misses M{worst + 1} by {1000 * one.rms[worst]:.1f} mm RMS where it moves by "
+        f"{1000 * motion[worst]:.0f} mm: this is no good fit. Check the force, its clock, the tags' "
+        "size and places, and that the push was slow"
+    )
+    return [Remark("warning", text)]
+
+
 def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
     """Every remark once, with the name of the recording it belongs to; warnings first."""
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     name = findings.observations.name
-    own = (*findings.observations.remarks, *findings.learned.remarks, *findings.learned.training.remarks)
+    learned = findings.learned
+    own = [*learned.remarks, *pair_remarks(learned.training, findings.observations)]
     others = zip(findings.validation_observations, findings.validations, strict=True)
     groups = [(name, own)]
-    groups += [(comparison.name, (*seen.remarks, *comparison.remarks)) for seen, comparison in others]
+    groups += [(comparison.name, pair_remarks(comparison, seen)) for seen, comparison in others]
     for whose, remarks in groups:
         for remark in remarks:
             found.setdefault((whose, remark.text), (whose, remark))
     return sorted(found.values(), key=lambda pair: pair[1].level != "warning")
+
+
+def pair_remarks(one: Comparison, seen: Observations) -> list[Remark]:
+    """What is to be known of one validation."""
+    return [*seen.remarks, *one.remarks, *poor_fit(one)]

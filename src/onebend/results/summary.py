@@ -12,7 +12,7 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.learning.outcome import Comparison, Learned
 from onebend.records import Observations
-from onebend.report.findings import Findings, all_remarks
+from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.results.model import StoredModel
 
 LEARN_FORMAT = "onebend-learn-1"
@@ -49,7 +49,7 @@ def validation_summary(
     """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
     rows = []
     for one, seen in pairs:
-        remarks = [{"level": remark.level, "text": remark.text} for remark in (*seen.remarks, *one.remarks)]
+        remarks = [{"level": remark.level, "text": remark.text} for remark in pair_remarks(one, seen)]
         rows.append(comparison_summary(one) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
 
