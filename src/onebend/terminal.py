@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -71,7 +71,7 @@ class Bars:
 
     def start(self, stage: str, total: int | None) -> None:
         task = self._bars.add_task(escape(stage), total=total)
-        self._open.append((task, stage, time.monotonic()))
+        self._open.append((task, stage, monotonic()))
 
     def advance(self, count: int = 1) -> None:
         self._bars.advance(self._open[-1][0], count)
@@ -80,7 +80,7 @@ class Bars:
         task, stage, began = self._open.pop()
         count = self._count(task)
         self._bars.update(task, total=count, completed=count)
-        seconds = time.monotonic() - began
+        seconds = monotonic() - began
         if not self._console.is_terminal and seconds > QUIET_SECONDS:
             self._console.print(f"{stage}: {seconds:.1f} s", markup=False, highlight=False)
 

@@ -1,0 +1,137 @@
+"""What the terminal shows: bars on a screen, lines on a pipe, k(s) in blocks."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from onebend import terminal
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Powers, Uniform
+from onebend.errors import RecordingError
+from onebend.progress import track
+from onebend.report.overview import overview
+from tests import made_up
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "fast"
+
+
+def console(*, screen: bool = False, width: int = 100) -> Console:
+    return Console(file=io.StringIO(), force_terminal=screen, width=width, color_system=None)
+
+
+def shown(where: Console) -> str:
+    assert isinstance(where.file, io.StringIO)
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", where.file.getvalue())
+
+
+def test_bars_show_count_rate_and_nested_stages() -> None:
+    where = console(screen=True)
+    with terminal.Bars(where) as bars:
+        for _ in track(bars, "outer [m]", range(3), 3):
+            for _ in track(bars, "inner", range(2), None):
+                pass
+    text = shown(where)
+    assert "outer [m]" in text
+    assert "3/3" in text
+    assert "2/2" in text
+    assert re.search(r"[\d.e+]+/s", text)
+
+
+def test_bars_close_a_stage_that_is_left_early() -> None:
+    where = console(screen=True)
+    with terminal.Bars(where) as bars:
+        for i in track(bars, "stage", range(10), 10):
+            if i == 4:
+                break
+    assert "4/4" in shown(where)
+
+
+def test_a_pipe_gets_one_line_for_a_long_stage_and_none_for_a_short_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    where = console()
+    ticks = iter([0.0, 0.1, 10.0, 13.4])
+    monkeypatch.setattr(terminal, "monotonic", lambda: next(ticks))
+    with terminal.Bars(where) as bars:
+        for stage in ("short", "long"):
+            bars.start(stage, 1)
+            bars.advance()
+            bars.done()
+    assert shown(where) == "long: 3.4 s\n"
+
+
+def test_plot_is_as_high_as_k(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    where = console()
+    where.print(terminal.stiffness_plot(Beam(0.1, Powers((0.0, 0.08))), columns=32, rows=4))
+    rows = [line[10:42] for line in shown(where).splitlines()[1:5]]
+    eighths = np.array([[" ▁▂▃▄▅▆▇█".index(cell) for cell in row] for row in rows]).sum(axis=0)
+    np.testing.assert_allclose(eighths, 32 * np.linspace(0, 1, 32), atol=0.51)
+    assert "0.0400" in shown(where)
+
+
+@pytest.mark.parametrize("k", [0.0, -0.1])
+def test_plot_of_no_beam_is_empty_not_an_error(k: float) -> None:
+    where = console()
+    where.print(terminal.stiffness_plot(Beam(0.1, Uniform(k))))
+    assert "█" not in shown(where)
+
+
+def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
+    where = console()
+    where.print(terminal.selection_table(made_up.learned()))
+    lines = shown(where).splitlines()
+    assert [line.split()[:3] for line in lines if "➤" in line] == [["➤", "4", "3"]]
+    assert any("k(s) is not positive" in line and " – " in line for line in lines)
+    where = console()
+    where.print(terminal.validation_table(made_up.findings(2).validations))
+    assert "1.67 (0.10)" in shown(where)
+    assert "(–)" in shown(where)
+
+
+def test_nothing_odd_is_said_too() -> None:
+    where = console()
+    where.print(terminal.remarks_list([]))
+    assert "Nothing looked odd." in shown(where)
+
+
+def copy(folder: Path, *changes: tuple[str, str]) -> Path:
+    text = (EXAMPLE / "recording.toml").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "recording.toml").write_text(text, encoding="utf-8")
+    for name in ("video.mp4", "force.csv"):
+        (folder / name).symlink_to(EXAMPLE / name)
+    return folder
+
+
+def test_overview_warns_of_clocks_and_cameras_that_cannot_fit(tmp_path: Path) -> None:
+    found = overview(copy(tmp_path, ("start_s = 310.9", "start_s = 1000.0"), ("width = 1280", "width = 1920")))
+    texts = [remark.text for remark in found.remarks if remark.level == "warning"]
+    assert any("do not overlap" in text for text in texts)
+    assert any("another crop" in text for text in texts)
+    assert not [remark for remark in overview(EXAMPLE).remarks if remark.level == "warning"]
+
+
+def test_overview_of_a_broken_video_is_an_error(tmp_path: Path) -> None:
+    copy(tmp_path)
+    (tmp_path / "video.mp4").unlink()
+    (tmp_path / "video.mp4").write_text("not a video")
+    with pytest.raises(RecordingError, match=r"video\.mp4"):
+        overview(tmp_path)
+
+
+def test_overview_without_force_or_calibration(tmp_path: Path) -> None:
+    copy(tmp_path)
+    file = tmp_path / "recording.toml"
+    text = file.read_text(encoding="utf-8")
+    begin, middle, end = text.index("[camera]"), text.index("[video]"), text.index("[force]")
+    file.write_text(text[:begin] + text[middle:end], encoding="utf-8")
+    rows = dict(overview(tmp_path).rows)
+    assert rows["force"] == "none"
+    assert "not calibrated" in rows["camera"]
