@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile
@@ -18,12 +17,12 @@ from onebend.learning.outcome import Learned
 FORMAT = "onebend-model"
 VERSION = 1
 FILE_NAME = "model.json"
+KEYS = {"format", "version", "written_by", "beam", "origin"}
 
 
-class Origin(BaseModel):
-    """How a model came about. Informative: nothing is computed from it but the marks on a picture."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+@dataclass(frozen=True)
+class Origin:
+    """How a model came about. Informative: nothing is computed from it."""
 
     recording: str
     method: str
@@ -31,20 +30,8 @@ class Origin(BaseModel):
     n: int  # curvature modes
     m: int  # stiffness functions
     marker_s: tuple[float, ...]  # places of the tags
-    push_s: float | None = None  # furthest place pushed; what lies beyond was not loaded
+    push_s: float | None  # furthest place pushed; what lies beyond was not loaded
     training_rms_m: tuple[float | None, ...]  # per tag
-
-
-class ModelFile(BaseModel):
-    """The schema of `model.json`. Lengths in m, stiffness k = E I / L in N m, angles in rad, as the keys say."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    format: Literal["onebend-model"]
-    version: Literal[1]
-    written_by: str
-    beam: dict[str, Any]
-    origin: Origin | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +62,7 @@ def save_model(path: Path, beam: Beam, *, written_by: str, origin: Origin | None
     """Write `beam` to `path`, so that `load_model` gives back an equal one."""
     data = {"format": FORMAT, "version": VERSION, "written_by": written_by, "beam": beam.as_dict()}
     if origin is not None:
-        data["origin"] = origin.model_dump()
+        data["origin"] = asdict(origin)
     try:
         path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except ValueError as error:
@@ -97,13 +84,10 @@ def read_model(path: Path | str) -> StoredModel:
         file = file / FILE_NAME
     data = _json_object(file)
     _check_kind(file, data)
-    try:
-        stored = ModelFile.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ResultsError(f"{file}: key '{where}': {first['msg']}. {_ADVICE}") from error
-    return StoredModel(_beam(file, stored.beam), stored.origin)
+    unknown = sorted(set(data) - KEYS)
+    if unknown:
+        raise ResultsError(f"{file}: key '{unknown[0]}' is not known. {_ADVICE}")
+    return StoredModel(_beam(file, data.get("beam")), _origin(file, data.get("origin")))
 
 
 _ADVICE = "The file is damaged or was edited; restore it, or learn the beam again with `onebend learn`"
@@ -141,7 +125,18 @@ def _check_kind(file: Path, data: dict[str, Any]) -> None:
         )
 
 
-def _beam(file: Path, data: dict[str, Any]) -> Beam:
+def _origin(file: Path, data: Any) -> Origin | None:
+    if data is None:
+        return None
+    if not isinstance(data, dict) or set(data) != {field.name for field in fields(Origin)}:
+        raise ResultsError(f"{file}: key 'origin' is not as onebend writes it. {_ADVICE}")
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+    return Origin(**values)
+
+
+def _beam(file: Path, data: Any) -> Beam:
+    if not isinstance(data, dict):
+        raise ResultsError(f"{file}: key 'beam' must be an object. {_ADVICE}")
     try:
         beam = Beam.from_dict(data)
         for name in ("stiffness", "rest_curvature", "mass_per_length"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ def validation_summary(
 
 def model_summary(stored: StoredModel) -> dict[str, Any]:
     """What `onebend show --json` prints."""
-    origin = None if stored.origin is None else stored.origin.model_dump()
+    origin = None if stored.origin is None else asdict(stored.origin)
     return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": _stiffness(stored.beam)}
 
 
