@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from onebend.records import Array, BoolArray, IntArray
@@ -30,8 +30,9 @@ def bridged(time: Array, values: Array) -> Array:
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     """Frequency below which `fraction` of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
 
-    The noise of the samples is taken as white: it rises as sin^2(pi f dt) in the velocity's spectrum, and its size is
-    read above 0.6 of the highest frequency and taken off. (T, c) columns share a unit and are summed.
+    The noise of the samples is taken as white: it rises as sin^2(pi f dt) in the velocity's spectrum. Its size is the
+    median above 0.4 of the highest frequency, where motion is rare. Only frequencies count around which the power is
+    at least five times the noise, and the noise is taken off. (T, c) columns share a unit and are summed.
     """
     dt = step(time)
     grid = np.arange(time[0], time[-1] + 0.5 * dt, dt)
@@ -43,13 +44,15 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     power = np.sum(np.abs(np.fft.rfft(velocity * np.hanning(len(velocity))[:, None], axis=0)) ** 2, axis=1)
     frequency = np.fft.rfftfreq(len(velocity), dt)
     noise = np.sin(np.pi * frequency * dt) ** 2
-    high = frequency > 0.6 * frequency[-1]
-    noise *= float(np.mean(power[high] / noise[high]))
-    total = np.maximum.accumulate(np.cumsum(power - noise))
-    # Without motion the sum only wanders; its own scatter tells how far.
-    if total[-1] <= 4.0 * float(np.sqrt(np.sum(noise**2))):
+    high = frequency > 0.4 * frequency[-1]
+    # The power of noise is exponentially distributed for one column: its median is ln 2 of the mean.
+    noise *= float(np.median(power[high] / noise[high])) / np.log(2)
+    near = min(11, len(power) // 2)
+    counts = uniform_filter1d(power, near, mode="nearest") > 5 * uniform_filter1d(noise, near, mode="nearest")
+    total = np.cumsum(np.where(counts, np.maximum(power - noise, 0.0), 0.0))
+    if not total[-1] > 0:
         return float("nan")
-    return float(frequency[min(int(np.searchsorted(total, fraction * total[-1])), len(frequency) - 1)])
+    return float(frequency[int(np.searchsorted(total, fraction * total[-1]))])
 
 
 def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
