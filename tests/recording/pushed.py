@@ -24,7 +24,7 @@ def table() -> tuple[Array, Array, Array]:
 
 def force_at(part: Array) -> Array:
     """(N, 2) N; its direction changes with its size, as the tool goes round."""
-    return part[:, None] * FORCE * np.stack([part, np.ones(len(part))], axis=1)
+    return np.asarray(part[:, None] * FORCE * np.stack([part, np.ones(len(part))], axis=1))
 
 
 def push(time: Array, begin: float = 1.5, rise: float = 2.0, hold: float = 1.0) -> Array:

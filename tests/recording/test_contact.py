@@ -69,7 +69,12 @@ def test_moving_from_the_first_frame() -> None:
     markers = pushed.markers()
     late = markers.time > 2.0
     cut = replace(
-        markers, **{name: getattr(markers, name)[late] for name in ("time", "xy", "angle", "covariance", "base_angle")}
+        markers,
+        time=markers.time[late],
+        xy=markers.xy[late],
+        angle=markers.angle[late],
+        covariance=markers.covariance[late],
+        base_angle=markers.base_angle[late],
     )
     contact = find_contact(cut, pushed.log(), offset=pushed.offset)
     assert contact.rests == ()
@@ -90,10 +95,10 @@ def test_two_pushes_have_three_rests() -> None:
     both = replace(
         first,
         time=np.concatenate([first.time, 8.0 + second.time]),
-        **{
-            name: np.concatenate([getattr(first, name), getattr(second, name)])
-            for name in ("xy", "angle", "covariance", "base_angle")
-        },
+        xy=np.concatenate([first.xy, second.xy]),
+        angle=np.concatenate([first.angle, second.angle]),
+        covariance=np.concatenate([first.covariance, second.covariance]),
+        base_angle=np.concatenate([first.base_angle, second.base_angle]),
     )
     contact = find_contact(both)
     assert len(contact.rests) == 3
