@@ -10,10 +10,11 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Steps, Uniform
 from onebend.errors import LearningError
+from onebend.learning.frames import usable_frames
 from onebend.learning.learn import learn
 from onebend.learning.selection import Settings, information_criterion, pairs
-from onebend.learning.validation import usable_frames, validate
-from tests.learning.bench import SOFT, forces, observed
+from onebend.learning.validation import validate
+from tests.learning.bench import MARKERS, SOFT, forces, observed
 
 S = np.linspace(0.05, 0.9, 50)
 # Table II of the paper: M1, M2, M3 [m] and BIC as printed.
@@ -142,3 +143,15 @@ def test_weight_without_mass_is_refused() -> None:
     made = replace(observed(SOFT, forces()), gravity=np.tile([0.0, -9.81], (80, 1)))
     with pytest.raises(LearningError, match="mass_kg"):
         validate(SOFT, made)
+
+
+def test_weight_alone_teaches_the_stiffness() -> None:
+    """A base that is turned under gravity, no force at all: the weight is the load."""
+    heavy = Beam(0.15, SOFT.stiffness, mass_per_length=Uniform(0.1 / 0.15))
+    turns = np.linspace(-np.pi, np.pi, 60)
+    gravity = 9.81 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    shape = heavy.equilibrium(np.zeros((60, 2)), gravity=gravity)
+    made = observed(SOFT, np.zeros((60, 2)), xy=shape.xy(MARKERS), angle=shape.angle(MARKERS))
+    hanging = replace(made, gravity=gravity, mass=0.1, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool))
+    found = learn(hanging, Settings(n=6, m=3, width=0.5)).beam
+    np.testing.assert_allclose(found.stiffness(S), SOFT.stiffness(S), rtol=0.02)

@@ -21,6 +21,7 @@ from onebend.beam.grid import make_grid
 from onebend.beam.modes import Modes
 from onebend.beam.stiffness import Gaussians, Powers, Profile, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError
+from onebend.learning.frames import push_places
 from onebend.learning.states import States
 from onebend.records import Array, BoolArray, Observations
 
@@ -48,7 +49,7 @@ def assemble(observations: Observations, states: States) -> Rows:
     alpha = states.theta @ a.T
     u = np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)  # (T, Q, 2)
     across = np.stack([-u[..., 1], u[..., 0]], axis=-1)
-    to_push = grid.integral_to(observations.push_s[:, None])[:, 0]  # (T, Q)
+    to_push = grid.integral_to(push_places(observations)[:, None])[:, 0]  # (T, Q)
     load_per_force = length * np.einsum("tq,tqc,qi->tic", to_push, across, a, optimize=True)
     beyond = _weight_beyond(observations)  # (T, Q, 2)
     load = np.einsum("tic,tc->ti", load_per_force, observations.force)

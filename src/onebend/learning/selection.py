@@ -12,11 +12,12 @@ from onebend.beam.modes import Modes
 from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning import regression
+from onebend.learning.frames import usable_frames
 from onebend.learning.outcome import Comparison, Trial
 from onebend.learning.regression import Family
 from onebend.learning.rest import AtRest
 from onebend.learning.states import States, solve_states
-from onebend.learning.validation import usable_frames, validate
+from onebend.learning.validation import validate
 from onebend.progress import Progress, track
 from onebend.records import Array, BoolArray, Observations
 

@@ -5,35 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.continuation import follow
-from onebend.beam.loads import Loads, push, weight
+from onebend.beam.loads import Loads
 from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium, Resolution, force_response, pose
 from onebend.errors import LearningError
+from onebend.learning.frames import loads_of, push_places, usable_frames
 from onebend.learning.outcome import Comparison
 from onebend.learning.rest import AtRest, at_rest
 from onebend.records import Array, BoolArray, Observations, Remark
 
 RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
-
-
-def usable_frames(observations: Observations) -> BoolArray:
-    """(T,) frames under load whose force is known and that show at least one tag."""
-    seen = np.any(np.all(np.isfinite(observations.xy), axis=-1), axis=1)
-    forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(observations.push_s)
-    weighed = np.any(observations.gravity != 0.0, axis=1)
-    return np.asarray(seen & forced & (observations.loaded | weighed))
-
-
-def loads_of(observations: Observations, frames: BoolArray) -> Loads:
-    """The measured loads in those frames. Raises `LearningError` where the weight counts and no mass is given."""
-    gravity = observations.gravity[frames]
-    loads = push(observations.force[frames], observations.push_s[frames])
-    if np.any(gravity != 0.0):
-        if not np.isfinite(observations.mass):
-            raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
-        loads = loads + weight(gravity)
-    return loads
 
 
 def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
@@ -68,7 +50,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         measured=measured,
         predicted=predicted,
         force=observations.force[frames],
-        push_s=observations.push_s[frames],
+        push_s=push_places(observations)[frames],
         stable=stable,
         rms=_rms(measured - predicted),
         sensor_rms=_sensor_rms(solved, observations, frames),
@@ -99,7 +81,7 @@ def _sensor_rms(solved: list[Equilibrium], observations: Observations, frames: B
     """(m,) RMS that errors of `force_sd` in the force alone would give, to first order."""
     if not np.all(np.isfinite(observations.force_sd)):
         return np.full(len(observations.marker_s), np.nan)
-    places = observations.push_s[frames]
+    places = push_places(observations)[frames]
     squared = np.zeros((0, len(observations.marker_s)))
     for i, one in enumerate(solved):
         at = places[i * _CHUNK : (i + 1) * _CHUNK]
