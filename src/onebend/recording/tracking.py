@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyapriltags import Detector
 
+from onebend.recording.pattern import CELLS, correct_still
 from onebend.recording.video import Frame, Picture
 from onebend.records import Array
 
@@ -45,8 +46,9 @@ class BlockTracks:
 class Finder:
     """An AprilTag detector. It owns memory outside Python: one for each thread."""
 
-    def __init__(self, *families: str) -> None:
-        self._detector = Detector(families=" ".join(families), quad_decimate=DECIMATE, quad_sigma=BLUR)
+    def __init__(self, family: str) -> None:
+        self.cells = CELLS.get(family)
+        self._detector = Detector(families=family, quad_decimate=DECIMATE, quad_sigma=BLUR)
 
     def look(self, picture: Picture) -> list[Sighting]:
         """Every tag in `picture`, the surest first."""
@@ -76,6 +78,7 @@ def track_block(frames: Sequence[Frame], tag_id: Sequence[int], finder: Finder) 
             take(tracks[t], seen, tag_id)
     for t in reversed(range(len(frames))):
         follow(tracks, t, 1, frames[t].luma, tag_id, finder)
+    tracks = correct_still(frames, tracks, finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
     return BlockTracks(times, tracks, (height, width), looks, tuple(strangers), tuple(doubles))
