@@ -79,6 +79,15 @@ def test_dropouts_and_hidden_tags_are_survived() -> None:
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.06)
 
 
+@pytest.mark.parametrize("thinned", [8, 40])
+def test_a_slow_log_has_no_bias(thinned: int) -> None:
+    pushed = Pushed(white=0.002, coloured=0.001, seed=26)
+    log = pushed.log()
+    thin = replace(log, time=log.time[::thinned], force=log.force[::thinned])
+    found = find_offset(pushed.markers(), thin, 250.0, 2.0)
+    assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.015)
+
+
 def test_no_motion_and_no_force_find_nothing() -> None:
     pushed = Pushed(seed=22)
     markers, log = pushed.markers(), pushed.log()

@@ -54,7 +54,7 @@ class ClockFit:
 class Rows:
     """The log averaged over even bins (boxcar), outliers left out."""
 
-    time: Array  # (N,) s, centres of the bins, log's clock
+    time: Array  # (N,) s, mean time of each bin's rows, log's clock
     force: Array  # (N, 2) N
     width: float  # s
     largest: float  # N, largest deviation from the median
@@ -184,14 +184,15 @@ def binned(log: ForceLog, rate: float, span: tuple[float, float], settings: Cloc
         return Rows(np.empty(0), np.empty((0, 2)), 1.0, 0.0)
     per_second = min(max(8 * rate, settings.slowest), settings.most_rows / (time[-1] - time[0]), 1 / step(time))
     width = 1 / per_second
-    index = np.floor((time - time[0]) / width).astype(np.int64)
+    index = np.floor((time - time[0]) / width + 1e-6).astype(np.int64)
     count = np.bincount(index)
     total = np.stack([np.bincount(index, column) for column in force.T], axis=1)
     # A bin that lost most of its rows to a dropout does not stand for its whole span.
     good = count > 0.5 * np.median(count[count > 0])
     mean = total[good] / count[good, None]
     largest = float(np.abs(mean - np.median(mean, axis=0)).max())
-    return Rows(time[0] + width * (np.flatnonzero(good) + 0.5), mean, width, largest)
+    # A sample stands for its own time, not for the middle of the bin that it happens to fall in.
+    return Rows(np.bincount(index, time)[good] / count[good], mean, width, largest)
 
 
 def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Search:
@@ -229,8 +230,7 @@ def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Sear
 
 def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[float, float]:
     """Mean and sd of the posterior around its highest peak; other peaks widen the sd by their share."""
-    chance = search.chance
-    centre, reach = float(coarse[int(np.argmax(chance))]), max(3 * (coarse[1] - coarse[0]), 0.1)
+    centre, reach = float(coarse[int(np.argmax(search.chance))]), max(3 * (coarse[1] - coarse[0]), 0.1)
     mean, sd = centre, float("inf")
     for _ in range(6):
         offset = np.linspace(centre - reach, centre + reach, 33)
@@ -241,11 +241,21 @@ def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[fl
         if 0.08 * reach < sd < 0.3 * reach and abs(mean - centre) < 0.5 * reach:
             break
         centre, reach = mean, min(max(4.5 * sd, 1e-3), 2 * reach)
+    return mean, with_other_peaks(search, rows, coarse, mean, max(sd, 1e-3), reach)
+
+
+def with_other_peaks(search: Search, rows: Rows, coarse: Array, mean: float, sd: float, reach: float) -> float:
+    """`sd` of the peak at `mean` widened by the share of all that lies farther away than `reach`."""
+    best = float(coarse[int(np.argmax(search.chance))])
+    ends = fixed_rows(search, rows, np.array([best, mean]))
     away = np.abs(coarse - mean) > max(reach, 4 * sd)
-    peak = np.exp(chance - np.max(chance))
-    share = float(peak[away].sum() / peak.sum())
-    far = float(peak[away] @ (coarse[away] - mean) ** 2 / peak[away].sum()) if share > 0 else 0.0
-    return mean, float(np.sqrt(max(sd, 1e-3) ** 2 + share * far))
+    if ends is None or not away.any():
+        return sd
+    # The coarse offsets may straddle a sharp peak: its own height, then its mass as a normal distribution.
+    peak = float(search.chance.max() + max(ends[1] - ends[0], 0.0))
+    mass = np.exp(search.chance[away] - peak) * (coarse[1] - coarse[0])
+    whole = float(mass.sum()) + sd * np.sqrt(2 * np.pi)
+    return float(np.sqrt(sd**2 + mass @ (coarse[away] - mean) ** 2 / whole))
 
 
 def fixed_rows(search: Search, rows: Rows, offset: Array) -> Array | None:

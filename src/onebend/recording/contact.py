@@ -22,6 +22,7 @@ class ContactSettings:
     """How contact is told from rest."""
 
     window: int = 5  # frames averaged
+    first: int = 10  # frames that must show the beam at rest
     chance: float = 1e-6  # of a false contact in one frame, were the noise as estimated
     returned: float = 0.005  # of the largest displacement: nearer to the first rest than this is back at rest
     shortest_rest: float = 0.25  # s
@@ -89,14 +90,18 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
     filled = bridged(markers.time, flat[:, seen])
     if not filled.size:
         return np.full(count, np.inf), 0.0
-    quick = np.median(np.abs(np.diff(filled, n=2, axis=0)), axis=0) * MAD_TO_SD / np.sqrt(6)
+    bends = np.abs(np.diff(filled, n=2, axis=0)) / np.sqrt(6)
+    # Tracks rounded to a few digits jump seldom but far: the mean square sees that, the median does not.
+    early = np.sqrt(np.mean(bends[: settings.first] ** 2, axis=0))
+    floor = 1e-5 * float(np.abs(filled).max()) + np.finfo(float).tiny
+    quick = floor + np.maximum(np.median(bends, axis=0) * MAD_TO_SD, early)
     smooth = uniform_filter1d(filled, settings.window, axis=0, mode="nearest")
-    upto = min(count, max(2 * settings.window, 10))
+    upto = min(count, settings.first)
     threshold = 2.0 * float(np.sqrt(chi2.isf(settings.chance, filled.shape[1]) / settings.window))
     away = np.zeros(count)
     for _ in range(3):
         rest = filled[:upto]
-        noise = np.maximum(quick, np.minimum(np.std(rest, axis=0), 3 * quick)) + np.finfo(float).tiny
+        noise = np.maximum(quick, np.minimum(np.std(rest, axis=0), 3 * quick))
         away = np.linalg.norm((smooth - np.median(rest, axis=0)) / noise, axis=1)
         if np.ptp(smooth[:upto] / noise, axis=0).max() > 2 * threshold:
             away[0] = np.inf

@@ -22,6 +22,8 @@ from onebend.recording.pairing import check_direction, cleaned, match_clocks, pa
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections, ForceLog, Markers, Observations
 
+FEWEST_FRAMES = 10
+
 
 @dataclass(frozen=True)
 class ObserveSettings:
@@ -79,6 +81,11 @@ def assemble(
     rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ObserveSettings
 ) -> Observations:
     """Markers and logs on one clock and in one frame."""
+    if len(markers.time) < FEWEST_FRAMES:
+        raise ObservationError(
+            f"{rec.name}: the film has {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film the whole "
+            "push, with the beam at rest before it."
+        )
     fit = match_clocks(rec, markers, log, base, settings.clock)
     at = markers.time + fit.clock.offset
     contact = find_contact(markers, log, offset=fit.clock.offset, settings=settings.contact)

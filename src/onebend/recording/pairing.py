@@ -164,11 +164,14 @@ def check_direction(
     reading = read_force(markers, rest, force, push_s, loaded)
     if reading is None or not (reading.impossible or reading.better):
         return ()
-    text = "The force contradicts the way the beam bends"
     if reading.better == "opposite":
-        text = 'The force looks as if it had the opposite sign: try the other value of acts_on ("beam" or "robot")'
+        text = "The force looks as if it had the opposite sign. Give acts_on in [force] the other value, beam or robot."
     elif reading.better:
-        text = f"The force looks wrong; it fits the bending with: {reading.better}. Check columns and rotation_deg"
+        text = f"The force fits the bending far better with {reading.better}. Check columns, rotation_deg in [force]."
+    elif reading.hopeless:
+        text = "The force does not follow the bending, however its axes are read. Check that the log is of this push."
+    else:
+        text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
-        raise ObservationError(f"{name}: {text} in [force] of recording.toml.")
-    return (Remark("warning", f"{text} in [force]."),)
+        raise ObservationError(f"{name}: {text}")
+    return (Remark("warning", text),)

@@ -24,6 +24,7 @@ TURNS: dict[str, Array] = {
     "turned by +90 deg": np.array([[0.0, -1.0], [1.0, 0.0]]),
     "turned by -90 deg": np.array([[0.0, 1.0], [-1.0, 0.0]]),
 }
+TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
 BETTER = 0.1  # share of that which another reading may leave to be named
 
@@ -38,6 +39,11 @@ class Reading:
     def impossible(self) -> bool:
         """The log as it is contradicts the film."""
         return self.unexplained["as it is"] > CERTAIN
+
+    @property
+    def hopeless(self) -> bool:
+        """No reading explains the bending."""
+        return min(self.unexplained.values()) > CERTAIN
 
     @property
     def better(self) -> str:
@@ -67,7 +73,7 @@ def read_force(markers: Markers, rest: RestShape, force: Array, push_s: Array, l
         f = force[good] @ turn.T
         moment = levers[..., 0] * f[:, None, 1] - levers[..., 1] * f[:, None, 0]
         stiffness = np.maximum(np.sum(moment * turns, axis=0) / np.maximum(np.sum(turns**2, axis=0), 1e-12), 0.0)
-        left[name] = float(np.sum((moment - stiffness * turns) ** 2) / max(float(np.sum(moment**2)), 1e-300))
+        left[name] = float(np.sum((moment - stiffness * turns) ** 2) / max(float(np.sum(moment**2)), TINY))
     return Reading(left)
 
 
