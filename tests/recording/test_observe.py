@@ -94,6 +94,15 @@ def test_opposite_and_swapped_forces_are_named() -> None:
     assert not any("force looks" in r.text for r in plain().remarks)
 
 
+def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
+    log = PUSHED.log()
+    entry = ForceEntry(Path("force.csv"), rotation=math.radians(30))
+    cos, sin = math.cos(entry.rotation), math.sin(entry.rotation)
+    sensed = (log.force @ np.array([[cos, -sin], [sin, cos]]))[:, ::-1].copy()
+    with pytest.raises(ObservationError, match="x and y swapped"):
+        observed(replace(log, force=sensed), recording(force=entry))
+
+
 def test_robot_and_rotation_are_undone() -> None:
     log = PUSHED.log()
     entry = ForceEntry(Path("force.csv"), rotation=math.radians(30), acts_on="robot")

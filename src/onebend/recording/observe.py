@@ -94,7 +94,7 @@ def assemble(
     clean = None if log is None else cleaned(rec, markers, log, contact, fit, settings.force)
     force, push_s = pair(rec, clean, at, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
     loaded = contact.loaded if clean is not None else np.zeros(len(at), dtype=bool)
-    odd = check_direction(rec.name, seen, rest, force, push_s, loaded, refuse=settings.check_force)
+    odd = check_direction(rec, seen, rest, force, push_s, loaded, refuse=settings.check_force)
     kept, drop_remarks = usable(markers, force)
     return Observations(
         name=rec.name,

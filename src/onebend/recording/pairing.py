@@ -152,7 +152,7 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
 
 
 def check_direction(
-    name: str, markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, refuse: bool
+    rec: Recording, markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, refuse: bool
 ) -> tuple[Remark, ...]:
     """A remark where another reading of the force's axes explains the bending far better.
 
@@ -161,7 +161,8 @@ def check_direction(
     ObservationError
         Where `refuse`, if the force as it is contradicts the bending.
     """
-    reading = read_force(markers, rest, force, push_s, loaded)
+    rotation = rec.force.rotation if rec.force else 0.0
+    reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
     if reading is None or not (reading.impossible or reading.better):
         return ()
     if reading.better == "opposite":
@@ -173,5 +174,5 @@ def check_direction(
     else:
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
-        raise ObservationError(f"{name}: {text}")
+        raise ObservationError(f"{rec.name}: {text}")
     return (Remark("warning", text),)

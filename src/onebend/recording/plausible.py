@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.recording.force import to_beam
 from onebend.recording.frame import RestShape
 from onebend.records import Array, BoolArray, Markers
 
@@ -53,11 +54,14 @@ class Reading:
         return best if self.unexplained[best] < BETTER * left and left > 0.2 else ""
 
 
-def read_force(markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray) -> Reading | None:
+def read_force(
+    markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, rotation: float = 0.0
+) -> Reading | None:
     """Compare the readings over the `loaded` of T frames; None where the film cannot tell.
 
     For each span between neighbouring tags up to the push, the moment of the force about the span's middle is
-    explained by the span's turn since rest times one stiffness that is not negative.
+    explained by the span's turn since rest times one stiffness that is not negative. The readings are of the log's own
+    axes, whose x stands at `rotation` [rad] in the beam's frame.
     """
     if not np.isfinite(push_s[loaded]).any():
         return None
@@ -68,9 +72,10 @@ def read_force(markers: Markers, rest: RestShape, force: Array, push_s: Array, l
     if good.sum() < 10 or not turns.shape[1] or float(np.ptp(turns[good], axis=0).max()) < 0.05:
         return None
     turns, levers = turns[good], levers[good]
+    axes = to_beam(rotation)
     left = {}
     for name, turn in TURNS.items():
-        f = force[good] @ turn.T
+        f = force[good] @ axes.T @ turn.T @ axes
         moment = levers[..., 0] * f[:, None, 1] - levers[..., 1] * f[:, None, 0]
         stiffness = np.maximum(np.sum(moment * turns, axis=0) / np.maximum(np.sum(turns**2, axis=0), 1e-12), 0.0)
         left[name] = float(np.sum((moment - stiffness * turns) ** 2) / max(float(np.sum(moment**2)), TINY))
