@@ -24,6 +24,7 @@ FACING: Array = np.diag(
     [1.0, -1.0, -1.0]
 )  # the plane's axes when it faces the camera: x right, y up, z towards the camera
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
+ENOUGH_TO_START = 60  # sightings, spread over all, from which the first guesses are improved
 SURE = 3.0  # sd: residuals beyond are trusted less and less
 # What is assumed of a camera that nobody calibrated, as one standard deviation around the plainest camera.
 PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
@@ -78,13 +79,15 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     """
     side = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
+    few = corners[:: max(1, len(corners) // ENOUGH_TO_START)]
     tries = [
-        solve(start, corners, size, camera, picture, sd=1.0)
+        solve(start, few, size, camera, picture, sd=1.0)
         for start in starts(math.log(focal * size / side), camera is None)
     ]
     best = min(tries, key=lambda fit: float(fit.cost))
-    rough = float(np.median(np.abs(best.fun[: corners.size]))) / NORMAL_MEDIAN * math.sqrt(8 / FREEDOMS)
-    final = solve(best.x, corners, size, camera, picture, sd=max(rough, LEAST_NOISE))
+    rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / FREEDOMS)
+    sd = max(rough, LEAST_NOISE)
+    final = solve(solve(best.x, few, size, camera, picture, sd=sd).x, corners, size, camera, picture, sd=sd)
     fit = PlaneFit(final.x, np.linalg.inv(final.jac.T @ final.jac), camera, picture)
     if not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side:
         raise ObservationError(
