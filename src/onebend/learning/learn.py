@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.learning.outcome import Learned
 from onebend.learning.rest import AtRest, at_rest
 from onebend.learning.selection import Settings, choose, table
@@ -11,6 +12,7 @@ from onebend.progress import Progress, Silent
 from onebend.records import Observations, Remark
 
 
+@one_blas_thread
 def learn(observations: Observations, settings: Settings = Settings(), *, progress: Progress = Silent()) -> Learned:
     """The stiffness distribution of the observed beam.
 

@@ -8,6 +8,7 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads
 from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium, Resolution, force_response, pose
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import loads_of, push_places, usable_frames
 from onebend.learning.outcome import Comparison
@@ -24,6 +25,7 @@ def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
     return [follow(pose(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION)) for i in range(0, count, _CHUNK)]
 
 
+@one_blas_thread
 def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = None) -> Comparison:
     """Measured markers against the beam's own under the measured forces, in every usable frame.
 

@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent
 from onebend.recording.camera import measure_markers
@@ -77,6 +78,7 @@ def observe(
     return assemble(rec, markers, log, base, settings)
 
 
+@one_blas_thread
 def assemble(
     rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ObserveSettings
 ) -> Observations:
