@@ -62,22 +62,26 @@ class Actions:
     gripper: Gripper | None = None
 
     def __post_init__(self) -> None:
-        for action in (*self.forces, *self.moments):
+        for action in self._loads:
             if not 0.0 <= action.at_s <= 1.0:
                 raise MechanicsError(f"actions are at s in [0, 1], got s = {action.at_s}")
         if np.shape(self.gravity) != (2,) or not np.all(np.isfinite(np.asarray(self.gravity, dtype=float))):
             raise MechanicsError(f"gravity has two finite components [m/s^2], got {self.gravity}")
 
     @property
+    def _loads(self) -> tuple[Force | Moment, ...]:
+        return (*self.forces, *self.moments)
+
+    @property
     def breaks(self) -> tuple[float, ...]:
         """Times where something jumps, rising, each once."""
-        every = [*self.forces, *self.moments, *([self.gripper] if self.gripper else [])]
-        return tuple(sorted({time for action in every for time in action.breaks}))
+        gripper = self.gripper.breaks if self.gripper is not None else ()
+        return tuple(sorted({*gripper, *(time for action in self._loads for time in action.breaks)}))
 
     @property
     def steady(self) -> bool:
         """Whether nothing depends on time."""
-        return self.gripper is None and not any(callable(a.value) for a in (*self.forces, *self.moments))
+        return self.gripper is None and not any(callable(action.value) for action in self._loads)
 
 
 @dataclass(frozen=True)

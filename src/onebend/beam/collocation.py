@@ -64,7 +64,7 @@ def tableau(method: Method) -> Tableau:
     a = np.linalg.solve(values.T, (c[:, None] ** powers / powers).T).T
     b = np.linalg.solve(values.T, 1.0 / powers)
     ahead = np.linalg.solve(values.T, ((c[:, None] + 1.0) ** (powers - 1)).T).T
-    return Tableau(c, a, b, np.linalg.solve(a.T, b), ahead)
+    return Tableau(*(np.asarray(x, dtype=float) for x in (c, a, b, np.linalg.solve(a.T, b), ahead)))
 
 
 def _places(method: Method) -> Array:

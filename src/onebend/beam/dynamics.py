@@ -29,7 +29,7 @@ from onebend.beam.modes import Modes
 from onebend.beam.statics import Resolution, Rod
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.errors import MechanicsError
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 
 _NONE = Uniform(0.0)
 
@@ -68,7 +68,7 @@ class Body:
         return np.asarray(self.clamp_angle + turned + (self.rest_curvature + theta @ self.curvature.T) @ rows.T)
 
     def xy(self, s: Array, theta: Array, base: Array | None = None) -> Array:
-        """(T, S, 2) m, positions for states (T, n) and base poses (T, 3) of (x, y, turn), at 0 if None. Equation (4)."""
+        """(T, S, 2) m, positions for states (T, n); base poses (T, 3) of (x, y, turn), 0 if None. Equation (4)."""
         pose = np.zeros(3) if base is None else np.asarray(base, dtype=float)
         alpha = self.rest_angle + pose[..., 2:] + theta @ self.to_angle.T
         rows = self.length * self.grid.integral_to(np.asarray(s, dtype=float))
@@ -159,7 +159,9 @@ def force_jacobian(of: Body, theta: Array, at_s: float) -> Array:
     return np.stack([(-row * s) @ of.to_angle, (row * c) @ of.to_angle], axis=-2)
 
 
-def kinetic_energy(of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None) -> Array:
+def kinetic_energy(
+    of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None
+) -> Array:
     """(...,) J for states and rates (..., n), the gripper at poses `base` (..., 3) moving at `base_rate` (..., 3)."""
     pose, moving = _pose(base), _pose(base_rate)
     turning = rate @ of.to_angle.T + moving[..., 2:]
@@ -202,7 +204,7 @@ def _pose(given: Array | None) -> Array:
     return np.zeros(3) if given is None else np.asarray(given, dtype=float)
 
 
-def _refuse(good: Array, name: str, values: Array, nodes: Array, rule: str) -> None:
+def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) -> None:
     """`MechanicsError` at the first node where a profile has no meaning (NaN included)."""
     if not np.all(good):
         bad = int(np.flatnonzero(~good)[0])

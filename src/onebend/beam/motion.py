@@ -6,7 +6,7 @@ jumps. `converged` halves the step until the markers no longer move by more than
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -35,11 +35,11 @@ class State:
 class Options:
     """How a motion is stepped."""
 
-    method: Method = Method()
-    tolerance: float = 1e-11  # rad: stage equations are solved to this
+    method: Method = field(default_factory=Method)
+    tolerance: float = 1e-10  # stage velocities are solved to this share of the largest
     every: int = 1  # keep every so many steps (the last one always)
     most: int = 1_000_000  # steps
-    progress: Progress = Silent()
+    progress: Progress = field(default_factory=Silent)
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,7 @@ def converged(
     )
 
 
-def _stretches(
-    body: Body, start: State, duration: float, step: float, actions: Actions, most: int
-) -> list[_Stretch]:
+def _stretches(body: Body, start: State, duration: float, step: float, actions: Actions, most: int) -> list[_Stretch]:
     """Stretches between jumps of the actions, each in equal steps."""
     if np.shape(start.theta) != (body.n,) or np.shape(start.rate) != (body.n,):
         raise MechanicsError(
@@ -164,9 +162,7 @@ def _stretches(
     return stretches
 
 
-def _attempt(
-    body: Body, start: State, stretches: list[_Stretch], actions: Actions, options: Options
-) -> Motion | None:
+def _attempt(body: Body, start: State, stretches: list[_Stretch], actions: Actions, options: Options) -> Motion | None:
     """The motion, or None where these steps are too long for it."""
     count = sum(stretch.count for stretch in stretches)
     if count > options.most:
@@ -240,7 +236,7 @@ class _Ledger:
     def rate_after(self, time: float, h: float) -> Array:
         """(n,) rate just after `time`, where the gripper's velocity may have jumped."""
         now = acting(self.body, self.actions, np.array([time + 1e-9 * h]))
-        return _rates(self.body, self.theta[None], self.momentum[None], now.base, now.base_rate)[0]
+        return np.asarray(_rates(self.body, self.theta[None], self.momentum[None], now.base, now.base_rate)[0])
 
     def add(self, found: Step, now: Acting, weights: Array) -> None:
         """One more step; work and loss by the method's own quadrature at its stages."""
@@ -259,9 +255,8 @@ class _Ledger:
         """The record of what was kept."""
         time, theta, momenta, work, loss = (np.array(column, dtype=float) for column in zip(*self._rows, strict=True))
         now = acting(self.body, self.actions, time)
-        rate = np.concatenate(
-            [_rates(self.body, theta[i : i + 500], momenta[i : i + 500], now.base[i : i + 500], now.base_rate[i : i + 500]) for i in range(0, len(time), 500)]
-        )
+        parts = [slice(i, i + 500) for i in range(0, len(time), 500)]  # 500 matrices at a time fit the cache
+        rate = np.concatenate([_rates(self.body, theta[p], momenta[p], now.base[p], now.base_rate[p]) for p in parts])
         return Motion(
             body=self.body,
             time=time,

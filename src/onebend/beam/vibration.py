@@ -83,7 +83,8 @@ def vibration_of(on: Body, at: State, actions: Actions = Actions(), *, most: int
     now = acting(on, actions, np.array([at.time]))
     alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ at.theta
     pull = now.pull[:, :, 0]
-    terms = (on.stiffness @ at.theta, (np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]) @ on.to_angle, now.couple[:, 0])
+    across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]
+    terms = (on.stiffness @ at.theta, across @ on.to_angle, now.couple[:, 0])
     left = np.max(np.abs(terms[0] - terms[1] - terms[2]))
     if left > 1e-6 * max(np.max(np.abs(term)) for term in terms):
         raise MechanicsError(f"vibrations are about an equilibrium, but {left:.3g} N m are left unbalanced here")
