@@ -59,7 +59,7 @@ class Motion:
     step: float  # s, the longest taken
     steps: int
     iterations: int  # of Newton's method, in all steps
-    error: float  # m, how far markers are from those of a run with twice the step; NaN where not asked for
+    error: float  # m, estimate of `converged` for its markers; NaN after `simulate`, which makes none
 
     @property
     def energy(self) -> Array:
@@ -117,25 +117,27 @@ def converged(
     options: Options = Options(),
     halvings: int = 10,
 ) -> Motion:
-    """Motion whose markers at `at_s` changed by less than `tolerance` m when the step was last halved.
+    """Motion whose markers at `at_s` are known to `tolerance` m, judged by halving the step.
 
-    The first run takes `step`. `Motion.error` is the largest change, without dividing by 2^order - 1: what the step
-    does not resolve converges at no known order, so the change itself is the estimate.
+    The first run takes `step`; runs are compared at all of its times. `Motion.error` is twice the largest change, and
+    below `tolerance`: what no step resolved yet is wrong in both runs by as much, so the change is not divided by
+    2^order - 1 as if all errors fell with the order.
 
     Raises:
         MechanicsError: as `simulate`, or the tolerance was not met after `halvings`.
     """
     stretches = _stretches(body, start, duration, step, actions, options.most)
     places, change = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf
-    coarse = _attempt(body, start, stretches, actions, options)
+    running = replace(options, every=1)
+    coarse = _attempt(body, start, stretches, actions, running)
     for _ in range(halvings):
         stretches = [replace(stretch, count=2 * stretch.count) for stretch in stretches]
-        options = replace(options, every=2 * options.every)
-        fine = _attempt(body, start, stretches, actions, options)
+        running = replace(running, every=2 * running.every)
+        fine = _attempt(body, start, stretches, actions, running)
         if coarse is not None and fine is not None:
             change = float(np.max(np.linalg.norm(fine.xy(places) - coarse.xy(places), axis=-1)))
-            if change < tolerance:
-                return replace(fine, error=change)
+            if 2.0 * change < tolerance:
+                return _thinned(replace(fine, error=2.0 * change), options.every)
         coarse = fine
     raise MechanicsError(
         f"markers still change by {change:.3g} m when the step is halved to {step / 2**halvings:.3g} s; "
@@ -171,6 +173,14 @@ def _attempt(body: Body, start: State, stretches: list[_Stretch], actions: Actio
         return _follow(body, start, stretches, actions, options)
     except StepError:
         return None
+
+
+def _thinned(motion: Motion, every: int) -> Motion:
+    """Every so many of the times kept, and the last."""
+    count = len(motion.time)
+    kept = np.unique(np.append(np.arange(0, count, every), count - 1))
+    names = ("time", "theta", "rate", "base", "kinetic", "elastic", "weight", "work", "loss")
+    return replace(motion, **{name: getattr(motion, name)[kept] for name in names})
 
 
 def _follow(body: Body, start: State, stretches: list[_Stretch], actions: Actions, options: Options) -> Motion:

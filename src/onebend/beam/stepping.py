@@ -86,6 +86,8 @@ class Stepper:
                 self._renew(theta, velocity)
             solved, iterations, slow = self._iterate(theta, velocity)
             count += iterations
+            if solved and self.h * float(np.abs(velocity).max()) > np.pi:
+                break  # a step that turns the beam this far has solved equations that no longer mean its motion
             if solved:
                 if slow:
                     self._factor = None
