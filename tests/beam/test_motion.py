@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.actions import Actions, Force, Gripper, Moment, spline_gripper
+from onebend.beam.actions import Actions, Force, Moment
 from onebend.beam.collocation import Method, Tableau
 from onebend.beam.continuation import equilibrium
-from onebend.beam.dynamics import body, mass_matrix, momentum
+from onebend.beam.dynamics import Body, body
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
@@ -19,6 +19,7 @@ from onebend.beam.statics import Resolution
 from onebend.beam.stiffness import Scaled, Steps, Uniform
 from onebend.beam.vibration import settle, vibration_of
 from onebend.errors import MechanicsError
+from onebend.records import Array
 from tests.beam.moving import ODD, SOFT, by_the_matrices, odd_body, soft_body
 
 S = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
@@ -27,7 +28,7 @@ FINE = Options(Method(4), tolerance=1e-12)
 WEIGHT = Actions(gravity=(2.0, -9.0))
 
 
-def released(n: int = 4) -> tuple[object, State, float]:
+def released(n: int = 4) -> tuple[Body, State, float]:
     of = soft_body(n)
     period = 1.0 / float(vibration_of(of, settle(of)).frequency[0])
     return of, settle(of, PULL), period
@@ -87,7 +88,7 @@ def test_motion_agrees_with_the_printed_equation(family: str) -> None:
 
 def test_energy_is_kept_within_a_bounded_oscillation() -> None:
     of, start, period = released()
-    motion = simulate(of, start, 25.0 * period, period / 200.0, options=Options(Method(4)))  # type: ignore[arg-type]
+    motion = simulate(of, start, 25.0 * period, period / 200.0, options=Options(Method(4)))
     span, trend = drift(motion, period)
     assert span < 1e-6
     assert abs(trend) < 2e-6  # 25 periods tell the trend no better than the oscillation allows
@@ -96,7 +97,7 @@ def test_energy_is_kept_within_a_bounded_oscillation() -> None:
 @pytest.mark.slow
 def test_energy_over_a_thousand_periods() -> None:
     of, start, period = released(6)
-    motion = simulate(of, start, 1000.0 * period, period / 200.0, options=Options(Method(4)))  # type: ignore[arg-type]
+    motion = simulate(of, start, 1000.0 * period, period / 200.0, options=Options(Method(4)))
     span, trend = drift(motion, period)
     assert span < 1e-6
     assert abs(trend) < 1e-8
@@ -157,8 +158,8 @@ def test_slow_loading_ends_in_the_exact_equilibrium() -> None:
     of = body(ODD, Modes(10), damping=Scaled(0.02, ODD.stiffness))
     force, rise = np.array([-0.1, 0.15]), 2.0
 
-    def ramp(time: float) -> np.ndarray:
-        return force * (0.5 - 0.5 * np.cos(np.pi * min(time / rise, 1.0)))
+    def ramp(time: float) -> Array:
+        return np.asarray(force * (0.5 - 0.5 * np.cos(np.pi * min(time / rise, 1.0))))
 
     actions = Actions(forces=(Force(ramp, breaks=(rise,)),))
     motion = simulate(of, settle(of), rise + 1.0, 0.02, actions)
@@ -174,7 +175,7 @@ def test_settle_is_the_exact_equilibrium_with_nodes_as_coordinates() -> None:
 
 
 def test_motion_converges_with_the_number_of_modes() -> None:
-    def path(n: int) -> np.ndarray:
+    def path(n: int) -> Array:
         of = soft_body(n)
         return simulate(of, settle(of, PULL), 0.12, 1e-3).xy(1.0)[:, 0]
 
@@ -182,82 +183,6 @@ def test_motion_converges_with_the_number_of_modes() -> None:
     errors = [np.max(np.linalg.norm(path(n) - finest, axis=-1)) for n in (3, 5, 7, 9)]
     assert np.all(np.diff(np.log(errors)) < -0.5)
     assert errors[-1] < 2e-3 * SOFT.length
-
-
-def test_accelerated_gripper_is_gravity_the_other_way() -> None:
-    of = soft_body()
-    a = np.array([4.0, -7.0])
-    driven = Gripper(lambda t: (*(0.5 * a * t**2), 0.0), lambda t: (*(a * t), 0.0))
-    start = settle(of, PULL)
-    moving = simulate(of, start, 0.1, 2.5e-4, Actions(gripper=driven), options=FINE)
-    still = simulate(of, start, 0.1, 2.5e-4, Actions(gravity=-a), options=FINE)
-    np.testing.assert_allclose(moving.theta, still.theta, atol=1e-6)
-    away = moving.xy(S) - moving.base[:, None, :2]
-    np.testing.assert_allclose(away, still.xy(S), atol=1e-7)
-
-
-def test_gripper_at_constant_speed_changes_nothing() -> None:
-    of = soft_body()
-    start = settle(of, PULL)
-    steady = Gripper(lambda t: (3.0 * t, -t, 0.0), lambda _: (3.0, -1.0, 0.0))
-    moving = simulate(of, start, 0.1, 2.5e-4, Actions(gripper=steady), options=FINE)
-    np.testing.assert_allclose(moving.theta, simulate(of, start, 0.1, 2.5e-4, options=FINE).theta, atol=1e-7)
-
-
-def test_gripper_that_starts_at_once_is_a_beam_thrown_the_other_way() -> None:
-    of, speed, at = soft_body(), 0.4, 0.05
-    jolt = Gripper(
-        lambda t: (0.0, speed * max(t - at, 0.0), 0.0), lambda t: (0.0, speed if t >= at else 0.0, 0.0), (at,)
-    )
-    moving = simulate(of, State(np.zeros(4), np.zeros(4)), 0.15, 1e-3, Actions(gripper=jolt))
-    extra = momentum(of, np.zeros(4), np.zeros(4), np.zeros(3), np.array([0.0, speed, 0.0]))
-    thrown = State(np.zeros(4), -np.linalg.solve(mass_matrix(of, np.zeros(4)), extra))
-    still = simulate(of, thrown, 0.1, 1e-3)
-    np.testing.assert_allclose(moving.theta[-1], still.theta[-1], atol=1e-6)
-
-
-def test_turned_gripper_turns_the_motion() -> None:
-    of, turn = soft_body(), 0.7
-    start = settle(of, PULL)
-    turned = simulate(of, start, 0.1, 1e-3, Actions(gripper=Gripper(lambda _: (0, 0, turn), lambda _: (0, 0, 0))))
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    plain = simulate(of, start, 0.1, 1e-3)
-    np.testing.assert_allclose(turned.xy(S), plain.xy(S) @ rotation.T, atol=1e-9)
-    np.testing.assert_allclose(turned.angle(S), plain.angle(S) + turn, atol=1e-8)
-
-
-@pytest.mark.parametrize(("speed", "flap"), [(0.0, 3.5160), (3.0, 4.7973), (6.0, 7.3604), (12.0, 13.1702)])
-def test_spinning_gripper_stiffens_the_beam(speed: float, flap: float) -> None:
-    """Published: out-of-plane frequencies of a uniform cantilever turning at `speed` (Wright et al., J. Appl. Mech. 49,
-    1982; in sqrt(EI / (mu L^4))); in the plane of turning omega^2 = flap^2 - speed^2."""
-    of = body(Beam(1.0, Uniform(1.0), mass_per_length=Uniform(1.0)), Modes(6))
-    actions = Actions(gripper=Gripper(lambda t: (0.0, 0.0, speed * t), lambda _: (0.0, 0.0, speed)))
-    duration, small = 2e-3, 1e-6  # shorter than half a period of the fastest mode: no frequency is mistaken
-
-    def end(start: np.ndarray) -> np.ndarray:
-        motion = simulate(of, State(start[:6], start[6:]), duration, 2.5e-4, actions, options=Options(tolerance=1e-13))
-        return np.concatenate([motion.theta[-1], motion.rate[-1]])
-
-    scale = small * np.append(np.ones(6), np.full(6, 1e3))
-    monodromy = np.stack([end(e) - end(-e) for e in np.diag(scale)], axis=1) / (2.0 * scale)
-    multipliers = np.linalg.eigvals(monodromy)
-    np.testing.assert_allclose(np.abs(multipliers), 1.0, atol=1e-6)
-    slowest = np.min(np.abs(np.angle(multipliers))) / duration
-    assert slowest == pytest.approx(np.sqrt(flap**2 - speed**2), rel=2e-4)
-
-
-def test_measured_gripper_poses_move_the_beam_as_the_function_does() -> None:
-    of = soft_body()
-    time = np.linspace(0.0, 0.3, 301)
-    shake = np.stack([np.zeros(301), 0.01 * np.sin(20.0 * time), 0.1 * (1.0 - np.cos(20.0 * time))], axis=1)
-    exact = Gripper(
-        lambda t: (0.0, 0.01 * np.sin(20.0 * t), 0.1 * (1.0 - np.cos(20.0 * t))),
-        lambda t: (0.0, 0.2 * np.cos(20.0 * t), 2.0 * np.sin(20.0 * t)),
-    )
-    start = State(np.zeros(4), np.zeros(4))
-    measured = simulate(of, start, 0.3, 1e-3, Actions(gripper=spline_gripper(time, shake)))
-    np.testing.assert_allclose(measured.xy(S), simulate(of, start, 0.3, 1e-3, Actions(gripper=exact)).xy(S), atol=1e-6)
-    assert np.ptp(measured.xy(S)[:, -1, 1]) > 0.02
 
 
 def test_a_force_that_ends_at_a_break_is_followed_to_full_order() -> None:
@@ -360,8 +285,6 @@ REST = State(np.zeros(4), np.zeros(4))
         (lambda: simulate(soft_body(), REST, 1.0, 0.1, Actions((Force((0.0, 1.0, 2.0)),))), "2 number"),
         (lambda: Actions((Force((0.0, 1.0), 1.5),)), r"s in \[0, 1\]"),
         (lambda: Actions(gravity=(0.0, 0.0, -9.81)), "gravity"),
-        (lambda: spline_gripper([0.0, 0.0], np.zeros((2, 3))), "rise"),
-        (lambda: spline_gripper([0.0, 1.0], np.zeros((2, 2))), "poses"),
         (lambda: Method(0), "1 to 6 stages"),
         (
             lambda: converged(soft_body(), settle(soft_body(), PULL), 0.1, tolerance=1e-12, step=0.01, halvings=1),

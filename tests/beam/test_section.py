@@ -162,7 +162,8 @@ def test_knots_of_a_table_are_resolved_but_are_no_jumps() -> None:
 def in_json(profile: Pieces) -> Pieces:
     data = json.loads(json.dumps(profile.as_dict()))
     assert data.pop("kind") == "pieces"
-    return Pieces(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+    edges, coefficients, jumps = (tuple(data[key]) for key in ("edges", "coefficients", "jumps"))
+    return Pieces(edges, data["degree"], coefficients, jumps)
 
 
 def test_pieces_hold_a_function_to_rounding_and_its_jumps() -> None:

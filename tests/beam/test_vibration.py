@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from onebend.beam.actions import Actions, Force
 from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.dynamics import body, mass_matrix
-from onebend.beam.loads import push
+from onebend.beam.loads import follow_push, push
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.motion import State
@@ -19,7 +19,7 @@ from onebend.beam.pieces import taper
 from onebend.beam.section import Material, Part, Rectangle, along
 from onebend.beam.statics import Resolution, pose
 from onebend.beam.stiffness import Profile, Uniform
-from onebend.beam.vibration import settle, vibration, vibration_of
+from onebend.beam.vibration import exponents, settle, vibration, vibration_of
 from onebend.errors import MechanicsError
 from tests.beam.moving import ODD, odd_body
 
@@ -111,6 +111,23 @@ def test_shapes_carry_unit_mass_and_move_the_places_as_they_say() -> None:
         np.testing.assert_allclose(moved / (2.0 * h), expected, atol=1e-9)
 
 
+def test_follower_force_makes_the_column_flutter_at_becks_load() -> None:
+    """Beck 1952: a column under a tangential force keeps stable until P L^2 / EI = 20.05, where two modes meet."""
+
+    def found(load: float) -> np.ndarray:
+        loads = follow_push((-load, 0.0))
+        return exponents(UNIT, follow(pose(UNIT, loads, Resolution(20))), most=4)
+
+    free = found(0.0)
+    np.testing.assert_allclose(free.real, 0.0, atol=1e-6)
+    np.testing.assert_allclose(free.imag, 2.0 * np.pi * vibration(UNIT, equilibrium(UNIT, UNLOADED), most=4).frequency)
+    assert np.max(found(20.04).real) < 1e-3
+    assert np.max(found(20.06).real) > 0.1
+    assert abs(found(20.06)[0].imag) > 10.0
+    with pytest.raises(MechanicsError, match="exponents"):
+        vibration(UNIT, equilibrium(UNIT, follow_push((-1.0, 0.0))))
+
+
 def test_one_frame_of_a_batch() -> None:
     loads = push(np.array([[0.0, 0.05], [0.02, 0.1]]), np.array([1.0, 0.7]))
     beam = replace(ODD)
@@ -123,5 +140,7 @@ def test_a_state_that_is_no_equilibrium_is_refused() -> None:
     of = odd_body()
     with pytest.raises(MechanicsError, match="left unbalanced"):
         vibration_of(of, State(np.array([0.1, 0.0, 0.0, 0.0]), np.zeros(4)))
+    with pytest.raises(MechanicsError, match="not one of this beam"):
+        vibration(ODD, equilibrium(UNIT, UNLOADED))
     with pytest.raises(MechanicsError, match="mass per metre = 0"):
         vibration(Beam(1.0, Uniform(1.0)), equilibrium(UNIT, UNLOADED))

@@ -146,6 +146,26 @@ def spline_gripper(time: ArrayLike, pose: ArrayLike) -> Gripper:
     return Gripper(spline, spline.derivative())
 
 
+def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> None:
+    """Compare the gripper's rate with differences of its pose at a few times between two breaks.
+
+    Raises:
+        MechanicsError: they differ by more than what steps of `step` s could follow.
+    """
+    times = first + (last - first) * np.array([0.07, 0.23, 0.41, 0.59, 0.77, 0.93])
+    near = 0.01 * min(step, last - first)
+    before, after = (_values(gripper.pose, times + d, 3, "the gripper's pose") for d in (-near, near))
+    moves, said = (after - before) / (2.0 * near), _values(gripper.rate, times, 3, "the gripper's rate")
+    allowed = 1e-3 * np.max(np.abs(moves)) + 1e-12 * (1.0 + np.max(np.abs(after))) / near
+    wrong = np.max(np.abs(moves - said), axis=1) > allowed
+    if np.any(wrong):
+        i = int(np.flatnonzero(wrong)[0])
+        raise MechanicsError(
+            f"the gripper's rate is not the derivative of its pose: at t = {times[i]:.6g} s it moves by "
+            f"{np.array2string(moves[i], precision=4)} a second, and rate says {np.array2string(said[i], precision=4)}"
+        )
+
+
 def _row(on: Body, at_s: float) -> Array:
     """(Q,) m: lever of every node for a force at `at_s`."""
     return np.asarray(on.length * on.grid.integral_to(np.array([at_s]))[0])

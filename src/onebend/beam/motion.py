@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
-from onebend.beam.actions import Acting, Actions, acting, power
+from onebend.beam.actions import Acting, Actions, acting, check_gripper, power
 from onebend.beam.collocation import Method, Tableau, tableau
 from onebend.beam.dynamics import Body, elastic_energy, kinetic_energy, mass_matrix, momentum, weight_energy
 from onebend.beam.stepping import Step, StepError, Stepper
@@ -184,6 +184,9 @@ def _thinned(motion: Motion, every: int) -> Motion:
 
 
 def _follow(body: Body, start: State, stretches: list[_Stretch], actions: Actions, options: Options) -> Motion:
+    for stretch in stretches:
+        if actions.gripper is not None:
+            check_gripper(actions.gripper, stretch.first, stretch.last, stretch.step)
     ledger = _Ledger(body, start, actions)
     numbers = tableau(options.method)
     options.progress.start("motion", sum(stretch.count for stretch in stretches))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.linalg import eigh
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh, eigvals
 
 from onebend.beam.actions import Actions, acting
 from onebend.beam.dynamics import Body, body, mass_matrix
@@ -95,21 +95,46 @@ def vibration_of(on: Body, at: State, actions: Actions = Actions(), *, most: int
 def vibration(
     beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), most: int = 6
 ) -> Vibration:
-    """The `most` slowest small vibrations about an exact equilibrium of the statics.
+    """The `most` slowest small vibrations about an exact equilibrium of the statics, its far end free.
 
     `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; without it the beam is Euler-Bernoulli's.
 
     Raises:
-        MechanicsError: no equilibrium was found for this frame, or the beam has no mass.
+        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass, or
+            follower forces act (their vibrations are `exponents`).
     """
+    if solved.problem.follower.shape[1]:
+        raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
+    on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
+    squared, shapes = _modes(stiff, mass_matrix(on, theta), most)
+    return Vibration(on, theta, np.zeros(3), squared, shapes)
+
+
+def exponents(
+    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), most: int = 6
+) -> NDArray[np.complex128]:
+    """(m,) 1/s, z of small motions exp(z t) about any equilibrium, follower forces included; slowest first.
+
+    Of each pair +-z the one that does not decay. A real part above rounding means loss of stability: by divergence
+    where the imaginary part is 0, else by flutter. Arguments and errors as for `vibration`.
+    """
+    on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
+    inverse = eigvals(mass_matrix(on, theta), stiff)  # 1 / omega^2, the slow ones large
+    inverse = inverse[np.argsort(-np.abs(inverse))][:most]
+    z = 1j / np.sqrt(inverse.astype(complex))
+    return np.asarray(np.where(z.real < 0.0, -z, z))
+
+
+def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) -> tuple[Body, Array, Array]:
+    """Body on the grid of one equilibrium, its state there, and its tangent."""
     if not solved.converged[frame]:
         raise MechanicsError(f"load {frame} has no equilibrium to vibrate about")
     problem = solved.problem.take(np.array([frame]))
     grid = problem.grid if problem.grid.edges.ndim == 1 else replace(problem.grid, edges=problem.grid.edges[0])
     on = body(beam, rotary_inertia=rotary_inertia, grid=grid)
-    theta = solved.q[frame] - on.rest_curvature
-    squared, shapes = _modes(tangent(problem, solved.q[frame : frame + 1])[0], mass_matrix(on, theta), most)
-    return Vibration(on, theta, np.zeros(3), squared, shapes)
+    if not (np.allclose(problem.k, beam.stiffness(grid.nodes)) and np.allclose(problem.length, beam.length)):
+        raise MechanicsError(f"the equilibrium of load {frame} is not one of this beam")
+    return on, solved.q[frame] - on.rest_curvature, tangent(problem, solved.q[frame : frame + 1])[0]
 
 
 def _tangent(on: Body, alpha: Array, pull: Array) -> Array:
