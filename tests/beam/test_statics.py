@@ -12,7 +12,8 @@ from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.statics import Resolution, force_response, gradient, node_angles, pose, tangent
+from onebend.beam.sensitivity import of_force, respond
+from onebend.beam.statics import Resolution, gradient, node_angles, pose, tangent
 from onebend.beam.stiffness import Gaussians, Profile, Steps, Table, Uniform
 from onebend.errors import MechanicsError
 from tests.beam.exact import elastica_tip
@@ -158,7 +159,7 @@ def test_elastic_energy_is_the_work_of_slow_loading() -> None:
     weights = 0.5 * np.polynomial.legendre.leggauss(24)[1]
     force = np.array([-0.1, 0.3])
     solved = equilibrium(SOFT, push(force[None] * factors[:, None]), resolution=Resolution(24))
-    tip = force_response(solved, np.array([1.0]), np.ones(24))[:, 0]  # dr/dF along the path
+    tip = respond(solved, of_force(solved.problem, np.array(1.0))).xy(np.array([1.0]))[:, 0]  # dr/dF along the path
     work = np.sum(weights * factors * np.einsum("c,tcd,d->t", force, tip, force))
     end = equilibrium(SOFT, push(force))
     energy = 0.5 * np.sum(end.problem.weights * end.problem.k * end.q[0] ** 2)
@@ -177,7 +178,8 @@ def test_tangent_is_the_derivative_of_the_gradient() -> None:
 
 def test_force_response_matches_differences() -> None:
     force, h = np.array([0.05, 0.2]), 1e-5
-    exact = force_response(equilibrium(SOFT, push(force, 0.8)), S, np.array([0.8]))[0]
+    solved = equilibrium(SOFT, push(force, 0.8))
+    exact = respond(solved, of_force(solved.problem, np.array(0.8))).xy(S)[0]
     for c in range(2):
         step = h * np.eye(2)[c]
         difference = (SOFT.equilibrium(force + step, 0.8).xy(S) - SOFT.equilibrium(force - step, 0.8).xy(S)) / (2 * h)
@@ -266,7 +268,7 @@ def test_what_is_no_beam_or_load_is_refused(make: object, words: str) -> None:
 
 
 def test_no_load_leaves_the_rest_shape() -> None:
-    nothing = Loads(np.zeros((1, 0, 2)), np.zeros((1, 0)))
+    nothing = Loads()
     solved = equilibrium(Beam(1.0, Uniform(1.0), rest_curvature=Uniform(1.0)), nothing)
     np.testing.assert_allclose(solved.angle(S)[0], S, atol=1e-14)
 

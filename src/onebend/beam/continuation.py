@@ -26,7 +26,7 @@ class Search:
     trust: float = 0.25  # the largest turn that the corrector may add to the prediction
     corrections: int = 8  # Newton iterations a step
     tolerance: float = 1e-11  # of the last Newton update, as an angle
-    shortest: float = 1e-4  # share of the load: a step below this has met the end of the branch
+    shortest: float = 1e-9  # share of the load: a step below this has met the end of the branch
     most: int = 400  # steps
 
 
@@ -107,7 +107,7 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
     part = problem if frames.size == problem.size else problem.take(frames)
     q, factor = state.q[frames], state.factor[frames]
-    slope = _solve(tangent(part, q, factor), -_load_gradient(part, q))
+    slope = solve_batch(tangent(part, q, factor), -_load_gradient(part, q))
     turn = np.max(np.abs(node_angles(part, slope) - part.alpha0), axis=-1)
     step = np.minimum(state.step[frames], search.stride / np.maximum(turn, 1e-300))
     step = np.minimum(step, 1.0 - factor)
@@ -137,7 +137,7 @@ def _correct(problem: Problem, start: Array, factor: Array, trust: float, search
         if todo.size == 0:
             break
         part = problem if todo.size == problem.size else problem.take(todo)
-        update = _solve(tangent(part, q[todo], factor[todo]), -gradient(part, q[todo], factor[todo]))
+        update = solve_batch(tangent(part, q[todo], factor[todo]), -gradient(part, q[todo], factor[todo]))
         q[todo] += update
         moved[todo] += node_angles(part, update) - part.alpha0
         small = np.max(np.abs(node_angles(part, update) - part.alpha0), axis=-1) < search.tolerance
@@ -151,7 +151,7 @@ def _load_gradient(problem: Problem, q: Array) -> Array:
     return gradient(problem, q, 1.0) - gradient(problem, q, 0.0)
 
 
-def _solve(matrices: Array, right: Array) -> Array:
+def solve_batch(matrices: Array, right: Array) -> Array:
     """Batched solve; frames whose tangent is singular come back as NaN, and are then seen as strayed."""
     try:
         return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])

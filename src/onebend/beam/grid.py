@@ -59,7 +59,7 @@ class Grid:
         h = np.diff(self.edges)  # (..., P)
         local = (s[..., :, None] - self.edges[..., None, :-1]) / h[..., None, :]  # (..., S, P), 0..1 inside
         rows = 0.5 * h[..., None, :, None] * _integral_rows(np.clip(local, 0.0, 1.0), self.order)
-        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
+        return np.asarray(rows.reshape(*rows.shape[:-2], rows.shape[-2] * rows.shape[-1]))
 
     @property
     def integral_to_nodes(self) -> Array:

@@ -14,6 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from scipy.interpolate import BSpline, PchipInterpolator
 
+from onebend.beam.pieces import Pieces
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
@@ -213,6 +214,7 @@ _KINDS: dict[str, Callable[..., Profile]] = {
     "table": Table,
     "steps": Steps,
     "log-spline": LogSpline,
+    "pieces": Pieces,
 }
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads
 from onebend.beam.model import Beam
-from onebend.beam.statics import Equilibrium, Resolution, force_response, pose
+from onebend.beam.sensitivity import of_force, respond
+from onebend.beam.statics import Equilibrium, Resolution, pose
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import loads_of, push_places, usable_frames
@@ -87,7 +88,7 @@ def _sensor_rms(solved: list[Equilibrium], observations: Observations, frames: B
     squared = np.zeros((0, len(observations.marker_s)))
     for i, one in enumerate(solved):
         at = places[i * _CHUNK : (i + 1) * _CHUNK]
-        response = force_response(one, observations.marker_s, at)  # (T, m, 2, 2)
+        response = respond(one, of_force(one.problem, at)).xy(observations.marker_s)  # (T, m, 2, 2)
         squared = np.concatenate([squared, np.einsum("tmcd,d->tm", response**2, observations.force_sd**2)])
     return np.asarray(np.sqrt(np.mean(squared, axis=0)))
 

@@ -1,0 +1,47 @@
+"""Beams that the tests of motion share, and an independent route to their motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from onebend.beam.actions import Actions, acting
+from onebend.beam.dynamics import Body, body, coriolis_matrix, force_jacobian, gravity_vector, mass_matrix
+from onebend.beam.model import Beam
+from onebend.beam.modes import Modes
+from onebend.beam.motion import State
+from onebend.beam.statics import Resolution
+from onebend.beam.stiffness import Powers, Scaled, Steps, Uniform
+from onebend.records import Array
+
+SOFT = Beam(0.15, Uniform(0.02), mass_per_length=Uniform(0.1))  # 150 mm, fundamental 4.3 Hz
+# Nothing uniform, nothing straight: stiffness, mass with a jump, natural curvature, clamp angle.
+ODD = Beam(0.15, Powers((0.03, -0.02)), Powers((0.5, 1.0)), 0.3, Steps((0.0, 0.6, 1.0), (0.12, 0.06)))
+THICK = Powers((2e-6, -1e-6))  # rotary inertia, kg m: some thousand times that of a thin strip, so that it shows
+LOSSY = Scaled(2e-3, Powers((0.03, -0.02)))  # damping, N m s
+
+
+def soft_body(n: int = 4) -> Body:
+    return body(SOFT, Modes(n), resolution=Resolution(20))
+
+
+def odd_body(n: int = 4) -> Body:
+    return body(ODD, Modes(n), rotary_inertia=THICK, damping=LOSSY)
+
+
+def by_the_matrices(of: Body, start: State, duration: float, actions: Actions) -> Array:
+    """(2 n,) state and rate after `duration` from (7) as printed, by an explicit method of order 8. Base at rest."""
+    gravity = np.asarray(actions.gravity, dtype=float)
+
+    def slope(time: float, y: Array) -> Array:
+        theta, rate = y[: of.n], y[of.n :]
+        right = -coriolis_matrix(of, theta, rate) @ rate - gravity_vector(of, theta, gravity)
+        right += acting(of, actions, np.array([time])).couple[:, 0] - of.stiffness @ theta - of.damping @ rate
+        for force in actions.forces:
+            value = force.value(time) if callable(force.value) else force.value
+            right += force_jacobian(of, theta, force.at_s).T @ np.asarray(value, dtype=float)
+        return np.concatenate([rate, np.linalg.solve(mass_matrix(of, theta), right)])
+
+    y0 = np.concatenate([start.theta, start.rate])
+    solved = solve_ivp(slope, (start.time, start.time + duration), y0, method="DOP853", rtol=1e-11, atol=1e-11)
+    return np.asarray(solved.y[:, -1])
