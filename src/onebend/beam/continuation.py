@@ -25,9 +25,14 @@ class Search:
     stride: float = 0.7  # the largest predicted turn of a step
     trust: float = 0.25  # the largest turn that the corrector may add to the prediction
     corrections: int = 8  # Newton iterations a step
-    tolerance: float = 1e-11  # of the last Newton update, as an angle
+    tolerance: float = 3e-7  # of the last Newton update, as an angle: convergence is quadratic, the error its square
+    on_the_way: float = 1e-3  # the same for the steps before the full load, which only have to stay near the branch
     shortest: float = 1e-9  # share of the load: a step below this has met the end of the branch
     most: int = 400  # steps
+
+
+_PROBES = 4  # frames that decide the resolution of a batch
+_FINEST = 5  # halvings of the panels
 
 
 @dataclass
@@ -46,21 +51,32 @@ def equilibrium(
 ) -> Equilibrium:
     """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
 
-    Without a `resolution` the grid is refined until the curvature is resolved to about 1e-10 of its size.
+    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (see
+    `Equilibrium.resolved`) or a finer one moves their tips by less than 1e-11 L; measured tables of k(s), which are not
+    smooth, stop at the finest of `_FINEST` halvings, where the tip is good to about 1e-8 L.
 
     Raises:
         MechanicsError: k(s) is not positive somewhere.
     """
-    if resolution is not None:
-        return follow(pose(beam, loads, resolution), search=search)
-    resolution = Resolution()
-    result = follow(pose(beam, loads, resolution), search=search)
-    for _ in range(6):
-        if np.all(result.problem.grid.legendre_tail(result.q) < 1e-10):
+    if resolution is None:
+        resolution = _resolve(beam, loads, search)
+    return follow(pose(beam, loads, resolution), search=search)
+
+
+def _resolve(beam: Rod, loads: Loads, search: Search) -> Resolution:
+    """The coarsest resolution that is fine enough for the few frames that bend the beam most."""
+    resolution, tip = Resolution(), None
+    coarse = pose(beam, loads, resolution)
+    size = np.max(np.linalg.norm(coarse.dead_force, axis=-1), axis=1) * beam.length
+    size += np.max(np.abs(coarse.moment), axis=1) + np.sum(np.abs(coarse.follower), axis=(1, 2)) * beam.length
+    hardest = loads.spread(loads.size).take(np.sort(np.argsort(size)[-_PROBES:]))
+    for _ in range(_FINEST):
+        result = follow(pose(beam, hardest, resolution), search=search)
+        there = result.xy(np.array([1.0]))
+        if np.all(result.resolved) or (tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length):
             break
-        resolution = resolution.finer()
-        result = follow(pose(beam, loads, resolution), search=search)
-    return result
+        resolution, tip = resolution.finer(), there
+    return resolution
 
 
 def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
@@ -88,7 +104,8 @@ def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
 
 def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equilibrium:
     """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
-    q, near = _correct(problem, start, np.ones(problem.size), search.stride, search)
+    tolerance = np.full(problem.size, search.tolerance)
+    q, near = _correct(problem, start, np.ones(problem.size), search.stride, tolerance, search.corrections)
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
     lost = np.flatnonzero(~near)
     buckled_at = np.full(problem.size, np.nan)
@@ -113,7 +130,8 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     step = np.minimum(step, 1.0 - factor)
     last = factor + step >= 1.0 - 1e-12
     target = np.where(last, 1.0, factor + step)
-    found, near = _correct(part, q + step[:, None] * slope, target, search.trust, search)
+    tolerance = np.where(last, search.tolerance, search.on_the_way)
+    found, near = _correct(part, q + step[:, None] * slope, target, search.trust, tolerance, search.corrections)
     unbuckled = np.isnan(state.buckled_at[frames])
     buckles = near & unbuckled
     buckles[buckles] = ~is_stable(part.take(buckles), found[buckles], target[buckles])
@@ -126,22 +144,24 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
 
 
-def _correct(problem: Problem, start: Array, factor: Array, trust: float, search: Search) -> tuple[Array, BoolArray]:
+def _correct(
+    problem: Problem, start: Array, factor: Array, trust: float, tolerance: Array, most: int
+) -> tuple[Array, BoolArray]:
     """Newton from `start` at fixed load; True where it settled without turning by more than `trust` on the way."""
     q = start.copy()
     settled = np.zeros(problem.size, dtype=bool)
     strayed = np.zeros(problem.size, dtype=bool)
     moved = np.zeros_like(q)
-    for _ in range(search.corrections):
+    for _ in range(most):
         todo = np.flatnonzero(~(settled | strayed))
         if todo.size == 0:
             break
         part = problem if todo.size == problem.size else problem.take(todo)
         update = solve_batch(tangent(part, q[todo], factor[todo]), -gradient(part, q[todo], factor[todo]))
         q[todo] += update
-        moved[todo] += node_angles(part, update) - part.alpha0
-        small = np.max(np.abs(node_angles(part, update) - part.alpha0), axis=-1) < search.tolerance
-        settled[todo] = small
+        turn = node_angles(part, update) - part.alpha0
+        moved[todo] += turn
+        settled[todo] = np.max(np.abs(turn), axis=-1) < tolerance[todo]
         strayed[todo] = ~(np.max(np.abs(moved[todo]), axis=-1) < trust)
     return q, settled & ~strayed
 

@@ -66,8 +66,8 @@ def hold(
     if np.any(reach >= beam.length):
         frame = int(np.argmax(reach))
         raise MechanicsError(
-            f"pose {frame}: the end is held {reach[frame]:.4g} m from the clamp, but the beam is {beam.length:.4g} m long "
-            "and does not stretch; bring the ends closer"
+            f"pose {frame}: the end is held {reach[frame]:.4g} m from the clamp, but the beam is "
+            f"{beam.length:.4g} m long and does not stretch; bring the ends closer"
         )
     problem = pose(beam, loads.spread(size), resolution)
     begin = _least_curved(problem, goal) if start is None else np.array(np.broadcast_to(start, (size, start.shape[-1])))

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +27,9 @@ from onebend.beam.loads import Loads
 from onebend.beam.stiffness import Profile
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
+
+_TABULATED = 48  # nodes up to which B^T diag(d) B is done by a table
+RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
 
 
 class Rod(Protocol):
@@ -110,6 +114,11 @@ class Equilibrium:
     load_factor: Array  # (T,) share of the load reached: below 1 the branch ends there (snap-through)
     buckled_at: Array  # (T,) share of the load at which the branch lost stability; NaN where it never did
     iterations: int  # Newton iterations, the most that a frame took
+
+    @property
+    def resolved(self) -> BoolArray:
+        """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
+        return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
 
     @property
     def alpha(self) -> Array:
@@ -207,7 +216,7 @@ def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Arr
     cos, sin = np.cos(alpha), np.sin(alpha)
     n = internal_force(problem, q, load_factor)
     b, lw = problem.to_nodes, problem.length * problem.weights
-    out = transposed(b) @ ((lw * (n[..., 0] * cos + n[..., 1] * sin))[..., None] * b)
+    out = _congruence(b, lw * (n[..., 0] * cos + n[..., 1] * sin))
     diagonal = np.arange(out.shape[-1])
     out[..., diagonal, diagonal] += problem.weights * problem.k
     if problem.follower.shape[1]:
@@ -233,6 +242,21 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
         real = np.abs(values.imag) < 1e-9 * np.abs(values)
         return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
     return positive_definite(scaled)
+
+
+def _congruence(b: Array, diagonal: Array) -> Array:
+    """(T, Q, Q) `B^T diag(d) B`: for a small shared B one product with a table of its rows' squares."""
+    nodes = b.shape[-1]
+    if b.ndim == 2 and nodes <= _TABULATED:
+        return np.asarray((diagonal @ _squares(b.tobytes(), nodes)).reshape(*diagonal.shape[:-1], nodes, nodes))
+    return np.asarray(transposed(b) @ (diagonal[..., None] * b))
+
+
+@lru_cache(maxsize=16)
+def _squares(matrix: bytes, nodes: int) -> Array:
+    """(Q, Q * Q): row q holds `B[q, i] B[q, j]`."""
+    b = np.frombuffer(matrix).reshape(nodes, nodes)
+    return np.asarray((b[:, :, None] * b[:, None, :]).reshape(nodes, -1))
 
 
 def positive_definite(matrices: Array) -> BoolArray:
