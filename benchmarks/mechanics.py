@@ -1,0 +1,180 @@
+"""The beam's statics: accuracy against exact solutions, speed against a general solver, cost of all derivatives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_bvp
+
+from onebend.beam.continuation import equilibrium, follow
+from onebend.beam.loads import push, twist, weight
+from onebend.beam.model import Beam
+from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
+from onebend.beam.statics import Resolution, pose
+from onebend.beam.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
+from onebend.records import Array
+from tests.beam.exact import elastica_tip
+
+FRAMES = 500
+BEAM = Beam(0.15, Gaussians(equidistant(3), 0.5, (0.02, 0.03, 0.015)))
+TIP = np.array([1.0])
+DISTRIBUTED = {
+    1: (0.9912, 0.1235),
+    5: (0.8467, 0.4959),
+    9: (0.6890, 0.6731),
+    15: (0.5296, 0.7860),
+    25: (0.3862, 0.8559),
+}
+ABAQUS = [  # source: the tests of the VirtualBow project
+    ((10, 10), 0.0, (-200.0, 200.0), (0.840615, 0.488158)),
+    ((10, 5), 0.0, (-100.0, 100.0), (0.821444, 0.468253)),
+    ((10, 10), np.pi / 4, (-200.0, 200.0), (0.574706, 0.701739)),
+    ((10, 5), np.pi / 4, (-100.0, 100.0), (0.576773, 0.659438)),
+]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured figure beside what is asked of it."""
+
+    name: str
+    value: float
+    unit: str
+    target: str
+
+
+def best_of(work: Callable[[], object], times: int = 5) -> float:
+    """Least CPU seconds of several runs: other work on the machine can only add."""
+    work()
+    seconds = []
+    for _ in range(times):
+        begin = time.process_time()
+        work()
+        seconds.append(time.process_time() - begin)
+    return min(seconds)
+
+
+def accuracy() -> list[Row]:
+    """Worst errors against exact and published solutions."""
+    unit = Beam(1.0, Uniform(1.0))
+    worst = 0.0
+    for load in (0.2, 1.0, 2.0, 5.0, 10.0):
+        for degrees in (10, 45, 90, 135, 170, 179, -60, -150):
+            a = np.deg2rad(degrees)
+            tip = unit.equilibrium((load * np.cos(a), load * np.sin(a))).xy(1.0)
+            worst = max(worst, float(np.linalg.norm(tip - elastica_tip(load, a)[:2])))
+    heavy = Beam(1.0, Uniform(1.0), mass_per_length=Uniform(1.0))
+    sag = max(
+        float(np.max(np.abs(equilibrium(heavy, weight((0.0, float(q)))).xy(TIP)[0, 0] - tip)))
+        for q, tip in DISTRIBUTED.items()
+    )
+    s = np.linspace(0.0, 1.0, 201)
+    published = 0.0
+    for (first, last), rest, force, printed in ABAQUS:
+        stiffness = Table(tuple(s), tuple(210e9 * (1e-3 * (first + (last - first) * s)) ** 4 / 12.0))
+        found = Beam(1.0, stiffness, rest_curvature=Uniform(rest)).equilibrium(force).xy(1.0)
+        published = max(published, float(np.linalg.norm(found - printed)))
+    circle = float(np.max(np.abs(equilibrium(unit, twist(2.0 * np.pi)).xy(TIP))))
+    return [
+        Row("elastica, P L^2/EI 0.2 to 10, eight directions", worst, "L", "<= 1e-10"),
+        Row("uniform dead load, five printed tips (4 digits)", sag, "L", "<= 6e-5"),
+        Row("Abaqus, four cases", 1e3 * published, "mm", "<= 0.1"),
+        Row("roll-up into a circle: the tip meets the clamp", circle, "L", "<= 1e-10"),
+    ]
+
+
+def pushes(count: int) -> Array:
+    """Forces that bend the beam's tip by up to about 75 degrees."""
+    phase = np.linspace(0.0, np.pi, count + 2)[1:-1]
+    size, turn = 0.35 * np.sin(phase) ** 2, 1.2 + 0.5 * np.sin(2.0 * phase)
+    return np.stack([size * np.cos(turn), size * np.sin(turn)], axis=1)
+
+
+def by_collocation_library(force: Array, tolerance: float) -> Array:
+    """The same equilibrium by `scipy.integrate.solve_bvp`: alpha, moment and position as a first-order system."""
+    length = BEAM.length
+
+    def slopes(s: Array, y: Array) -> Array:
+        alpha, moment = y[0], y[1]
+        lever = -length * (np.cos(alpha) * force[1] - np.sin(alpha) * force[0])
+        return np.vstack([moment / BEAM.stiffness(s), lever, length * np.cos(alpha), length * np.sin(alpha)])
+
+    def ends(a: Array, b: Array) -> Array:
+        return np.array([a[0], b[1], a[2], a[3]])
+
+    s = np.linspace(0.0, 1.0, 11)
+    start = np.vstack([0.0 * s, 0.0 * s, length * s, 0.0 * s])
+    found = solve_bvp(slopes, ends, s, start, tol=tolerance, max_nodes=100000)
+    return np.asarray(found.y[2:, -1])
+
+
+def speed() -> list[Row]:
+    """One equilibrium in a batch against one by the general solver, both at 1e-6 L; and all derivatives."""
+    force = pushes(FRAMES)
+    exact = equilibrium(BEAM, push(force), resolution=Resolution(24)).xy(TIP)[:, 0]
+    limit = 1e-6 * BEAM.length
+    order = next(
+        n
+        for n in range(4, 24)
+        if np.max(np.abs(follow(pose(BEAM, push(force), Resolution(n))).xy(TIP)[:, 0] - exact)) <= limit
+    )
+    ours = best_of(lambda: follow(pose(BEAM, push(force), Resolution(order)))) / FRAMES
+    some = range(25, FRAMES, 50)
+    tolerance = next(
+        t
+        for t in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+        if max(float(np.max(np.abs(by_collocation_library(force[i], t) - exact[i]))) for i in some) <= limit
+    )
+    theirs = best_of(lambda: [by_collocation_library(force[i], tolerance) for i in some], 3) / len(some)
+    return [
+        Row(f"one equilibrium, batch of {FRAMES}, {order} nodes, cold, error <= 1e-6 L", 1e6 * ours, "us", ""),
+        Row(f"the same by solve_bvp (tol {tolerance:g})", 1e6 * theirs, "us", ""),
+        Row("times faster", theirs / ours, "", ">= 300"),
+        Row(
+            "floor of one Newton step: 2 Q^3 / 3 + 3 Q^2 flops at 4 Gflop/s",
+            (2 * order**3 / 3 + 3 * order**2) / 4e3,
+            "us",
+            "",
+        ),
+        *derivatives(force),
+    ]
+
+
+def derivatives(force: Array) -> list[Row]:
+    """Cost of 21 derivatives of three tags together, over the cost of the solve."""
+    loads = push(force) + weight((0.0, -1.0))
+    beam = Beam(BEAM.length, BEAM.stiffness, mass_per_length=Uniform(0.5))
+    solved = follow(pose(beam, loads, Resolution(12)))
+    nodes, s = solved.problem.grid.nodes, np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
+    functions = gaussian_basis(nodes, equidistant(12), 0.1)
+
+    def everything() -> Array:
+        change = (
+            of_stiffness(solved, functions)
+            + of_rest_curvature(solved.problem, power_basis(nodes, 3))
+            + of_clamp_angle(solved.problem)
+            + of_mass(solved.problem, power_basis(nodes, 3), np.array([[0.0, -1.0]]))
+            + of_force(solved.problem, np.array(1.0))
+        )
+        return respond(solved, change).xy(s)
+
+    solve = best_of(lambda: follow(pose(beam, loads, Resolution(12))))
+    return [Row("all 21 derivatives of three tags, over the cold solve", best_of(everything) / solve, "", "<= 2")]
+
+
+def rows() -> list[Row]:
+    """All figures."""
+    return accuracy() + speed()
+
+
+def main() -> None:
+    print("| what | measured | asked |\n| --- | --- | --- |")
+    for row in rows():
+        print(f"| {row.name} | {row.value:.3g} {row.unit} | {row.target} |")
+
+
+if __name__ == "__main__":
+    main()
