@@ -27,6 +27,8 @@ from onebend.beam.stiffness import Profile
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
+RESOLVED = 1e-9  # share of the last Legendre coefficients of a curvature that the grid carries
+
 
 class Rod(Protocol):
     """What mechanics needs to know of a beam; `model.Beam` is one."""
@@ -112,6 +114,11 @@ class Equilibrium:
     iterations: int  # Newton iterations, the most that a frame took
 
     @property
+    def resolved(self) -> BoolArray:
+        """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-9 of the largest."""
+        return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
+
+    @property
     def alpha(self) -> Array:
         """(T, Q) tangent's angle at the nodes."""
         return node_angles(self.problem, self.q)
@@ -189,6 +196,14 @@ def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0)
         return np.asarray(factor * problem.dead_force)
     turned, _ = _followers(problem, q)
     return np.asarray(factor * (problem.dead_force + np.einsum("tcd,tcq->tqd", turned, problem.follower_beyond)))
+
+
+def potential(problem: Problem, q: Array) -> Array:
+    """(T,) J: bending energy less the work of the dead loads, whose gradient `gradient` is. Followers have none."""
+    alpha = node_angles(problem, q)
+    elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
+    work = problem.length * (problem.dead_force[..., 0] * np.cos(alpha) + problem.dead_force[..., 1] * np.sin(alpha))
+    return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
 
 
 def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
