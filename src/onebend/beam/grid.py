@@ -66,6 +66,15 @@ class Grid:
         """(..., Q, Q): the matrix B of `alpha = alpha0 + B q` at the nodes."""
         return self.integral_to(self.nodes)
 
+    def value_at(self, s: Array) -> Array:
+        """Rows R (S, Q) with `R @ f` the values at places `s` (S,), for grids without batch axes."""
+        s = np.asarray(s, dtype=float)
+        panel = np.clip(np.searchsorted(self.edges, s) - 1, 0, len(self.edges) - 2)
+        x = 2.0 * (s - self.edges[panel]) / np.diff(self.edges)[panel] - 1.0
+        rows = np.zeros((len(s), len(self.edges) - 1, self.order))
+        rows[np.arange(len(s)), panel] = np.polynomial.legendre.legvander(x, self.order - 1) @ _to_legendre(self.order)
+        return rows.reshape(len(s), -1)
+
     def legendre_tail(self, f: Array) -> Array:
         """Share of the last two Legendre coefficients in f (..., Q), the largest over the panels: 0 is resolved."""
         per_panel = f.reshape(*f.shape[:-1], -1, self.order)

@@ -200,6 +200,14 @@ def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0)
     return np.asarray(factor * (problem.dead_force + np.einsum("tcd,tcq->tqd", turned, problem.follower_beyond)))
 
 
+def potential(problem: Problem, q: Array) -> Array:
+    """(T,) J: bending energy less the work of the dead loads, whose gradient `gradient` is. Followers have none."""
+    alpha = node_angles(problem, q)
+    elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
+    work = problem.length * (problem.dead_force[..., 0] * np.cos(alpha) + problem.dead_force[..., 1] * np.sin(alpha))
+    return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
+
+
 def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
     """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads."""
     factor = np.asarray(load_factor, dtype=float)[..., None]
