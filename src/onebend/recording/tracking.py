@@ -63,14 +63,14 @@ def track_block(frames: Sequence[Frame], tag_id: Sequence[int], finder: Finder) 
     """Follow the tags `tag_id` through consecutive frames.
 
     The first picture is searched as a whole. From then on each tag is sought around the place its last two sightings
-    predict; every `LOOK_EVERY` frames the whole picture is searched again if a tag is missing. A second pass, backward
-    in time, finds what became visible between two such searches. The result depends on nothing but the frames.
+    predict; every `LOOK_EVERY` frames, and in the last one, the whole picture is searched again if a tag is missing. A
+    second pass, backward in time, finds what became visible between two such searches. The result depends on nothing but the frames.
     """
     tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
     looks, strangers, doubles = 0, [], []
     for t, frame in enumerate(frames):
         follow(tracks, t, -1, frame.luma, tag_id, finder)
-        if t % LOOK_EVERY == 0 and np.isnan(tracks[t]).any():
+        if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
             seen = finder.look(frame.luma)
             looks += 1
             strangers += [tag.tag_id for tag in seen if tag.tag_id not in tag_id]

@@ -20,7 +20,7 @@ Picture = NDArray[np.uint8]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
 RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between what is said and what is found is remarked
-END_TOLERANCE = 0.5  # s, streams of one file may end this much apart; a video that ends earlier than said is truncated
+SOUND_TOLERANCE = 0.5  # s, how much longer than the film other streams of the file may last
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
     with opened(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
-        count, end = 0, None
+        count, last, lasts, interval = 0, math.nan, 0.0, 0.0
         frames = container.decode(stream)
         while True:
             try:
@@ -166,23 +166,31 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
                 raise damaged(path, count, wrong.strerror) from None
             if frame.is_corrupt:
                 raise damaged(path, count, "the frame is damaged")
-            end = frame.time if frame.time is not None else end
+            if frame.time is not None:
+                interval = frame.time - last if count else 0.0
+                lasts = float(frame.duration * frame.time_base) if frame.duration and frame.time_base else interval
+                last = frame.time
             count += 1
             yield frame
         if count == 0:
             raise RecordingError(f"{path} holds no frame. Copy it again from the camera.")
-        said = end_said(container, stream)
-        if end is not None and said is not None and end < said - END_TOLERANCE:
-            raise damaged(path, count, f"it says it lasts {said:.2f} s and ends at {end:.2f} s")
+        said = length_said(container, stream)
+        slack = 1.5 * max(lasts, interval) + (SOUND_TOLERANCE if len(container.streams) > 1 else 0.0)
+        if last + lasts < said - slack and not 0 < stream.frames <= count:
+            raise damaged(path, count, f"it ends at {last + lasts:.2f} s and says it lasts {said:.2f} s")
 
 
-def end_said(container: av.container.InputContainer, stream: av.VideoStream) -> float | None:
-    """Where the file says the stream ends, s on the stream's clock; None where it does not say."""
+def length_said(container: av.container.InputContainer, stream: av.VideoStream) -> float:
+    """How long the file says the film lasts, s; infinity below zero where it does not say.
+
+    The shorter of what stream and container say: a film cut without encoding anew still carries its first length.
+    """
+    said = []
     if stream.duration is not None and stream.time_base is not None:
-        return float((stream.start_time or 0) * stream.time_base + stream.duration * stream.time_base)
+        said.append(float(stream.duration * stream.time_base))
     if container.duration is not None and container.format.name != "mpegts":
-        return float(((container.start_time or 0) + container.duration) / av.time_base)
-    return None
+        said.append(container.duration / av.time_base)
+    return min(said, default=-math.inf)
 
 
 def damaged(path: Path, count: int, why: str | None) -> RecordingError:
