@@ -1,0 +1,191 @@
+"""From parameters to predicted tags, with exact derivatives: the model of the marker-space fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.continuation import follow, refine
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.model import Beam
+from onebend.beam.modes import Modes
+from onebend.beam.sensitivity import of_clamp_angle, of_force, of_rest_curvature, of_stiffness, respond
+from onebend.beam.statics import Equilibrium, Problem, Resolution, pose
+from onebend.beam.stiffness import Uniform
+from onebend.learning.force_error import ForceError, force_error
+from onebend.learning.frames import push_places
+from onebend.learning.parameters import Layout
+from onebend.learning.spline import Spline
+from onebend.records import Array, BoolArray, Observations
+
+RESOLUTION = Resolution(order=12, widest=0.5)
+REST_MODES = Modes(3)
+
+
+@dataclass(frozen=True)
+class Film:
+    """One recording as the fit sees it: F frames, the last being the beam at rest where it was seen."""
+
+    observations: Observations
+    number: int
+    frames: BoolArray  # (T,) which frames of the recording are used
+    measured: Array  # (F, m, 3) x, y, angle; NaN where missing
+    whiten: Array  # (F, m, 3, 3) inverse Cholesky factors of the covariances; zero where missing
+    force: Array  # (F, 2) N as logged
+    rate: Array  # (F, 2) N/s, derivative of the logged force
+    error: ForceError
+    error_weights: Array  # (F, K)
+    push_s: Array  # (F,)
+    problem: Problem  # grid and what does not change
+    beyond: Array  # (F, Q) 1 where the push lies beyond the node
+    weight: Array  # (F, Q, 2) N, weight beyond the node
+    on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
+    rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Tags where the parameters put them."""
+
+    solved: Equilibrium
+    pose: Array  # (F, m, 3)
+    force: Array  # (F, 2) N, the corrected force
+
+
+def film(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> Film:
+    """Prepare a recording: everything that does not depend on the parameters."""
+    o = observations
+    time = o.time[frames]
+    error = force_error(o, time)
+    measured = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
+    covariance, force = o.covariance[frames], o.force[frames]
+    rate = _rate(o)[frames]
+    push_s, gravity, weights = push_places(o)[frames], o.gravity[frames], error.weights
+    if np.any(np.isfinite(o.rest_xy)):  # the beam at rest is one more frame, of no force and no force error
+        rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
+        measured = np.concatenate([measured, rest[None]])
+        typical = np.nanmedian(o.covariance, axis=0)
+        covariance = np.concatenate([covariance, np.maximum(typical, 0.0)[None] * np.eye(3)])
+        force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
+        push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
+        weights = np.vstack([weights, np.zeros(weights.shape[1])])
+    mass = o.mass if np.isfinite(o.mass) else 0.0
+    carrier = Beam(o.length, Uniform(1.0), mass_per_length=Uniform(mass / o.length))
+    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity), RESOLUTION)
+    nodes = problem.grid.nodes
+    return Film(
+        observations=o,
+        number=number,
+        frames=frames,
+        measured=measured,
+        whiten=_whitening(measured, covariance),
+        force=force,
+        rate=rate,
+        error=error,
+        error_weights=weights,
+        push_s=push_s,
+        problem=problem,
+        beyond=np.asarray(nodes < push_s[:, None], dtype=float),
+        weight=problem.dead_force,
+        on_nodes=spline.basis(nodes),
+        rest_on_nodes=REST_MODES.curvature(nodes),
+    )
+
+
+def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction:
+    """Equilibria and tags for parameters x; warm-started from shapes `start` (F, Q) where given."""
+    r = seen.number
+    errors = at.get(x, "force", r).reshape(-1, 2)
+    force = seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)
+    problem = replace(
+        seen.problem,
+        k=np.exp(seen.on_nodes @ at.get(x, "stiffness")),
+        q0=seen.rest_on_nodes @ at.get(x, "curvature"),
+        alpha0=np.asarray(at.get(x, "clamp", r)[0]),
+        dead_force=seen.beyond[..., None] * force[:, None, :] + seen.weight,
+    )
+    solved = follow(problem) if start is None else refine(problem, start)
+    s = seen.observations.marker_s
+    angle = solved.angle(s)
+    along, across = at.get(x, "along"), at.get(x, "across")
+    cos, sin = np.cos(angle), np.sin(angle)
+    ride = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
+    xy = (1.0 + at.get(x, "scale", r)) * (solved.xy(s) + ride) + at.get(x, "origin", r)
+    return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force)
+
+
+def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, Array]:
+    """Derivatives of the tags' poses: (F, m, 3, C) with the parameters `at.known_to`, (F, m, 3, 2) with the force."""
+    r, solved, s = seen.number, now.solved, seen.observations.marker_s
+    k = solved.problem.k
+    change = (
+        of_stiffness(solved, k[..., None] * seen.on_nodes)
+        + of_rest_curvature(solved.problem, seen.rest_on_nodes)
+        + of_clamp_angle(solved.problem)
+        + of_force(solved.problem, seen.push_s)
+    )
+    response = respond(solved, change)
+    angle, along, across = solved.angle(s), at.get(x, "along"), at.get(x, "across")
+    cos, sin = np.cos(angle), np.sin(angle)
+    turned = np.stack([-sin * along - cos * across, cos * along - sin * across], axis=-1)
+    turn = response.angle(s)
+    scale = 1.0 + at.get(x, "scale", r)[0]
+    moved = scale * (response.xy(s) + turned[..., None] * turn[:, :, None, :])
+    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2)
+    out = np.zeros((*now.pose.shape, len(at.known_to(r))))
+    p = seen.on_nodes.shape[-1]
+    by_force = mechanics[..., p + 4 :]
+    _put(out, at.columns("stiffness"), mechanics[..., :p])
+    _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
+    _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
+    _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_force, seen.rate)[..., None])
+    knots = -np.einsum("tmad,tk->tmakd", by_force, seen.error_weights)
+    _put(out, at.columns("force", r), knots.reshape(*now.pose.shape, -1))
+    _put_tags(out, at, cos, sin, scale)
+    columns = at.columns("origin", r)
+    if columns is not None:
+        out[:, :, 0, columns.start], out[:, :, 1, columns.start + 1] = 1.0, 1.0
+    columns = at.columns("scale", r)
+    if columns is not None:
+        out[:, :, :2, columns.start] = (now.pose[..., :2] - at.get(x, "origin", r)) / scale
+    return out, by_force
+
+
+def _put_tags(out: Array, at: Layout, cos: Array, sin: Array, scale: float) -> None:
+    """Derivatives with each tag's own place and turn."""
+    along, across, turn = at.columns("along"), at.columns("across"), at.columns("turn")
+    for i in range(cos.shape[1]):
+        if along is not None:
+            out[:, i, 0, along.start + i], out[:, i, 1, along.start + i] = scale * cos[:, i], scale * sin[:, i]
+        if across is not None:
+            out[:, i, 0, across.start + i], out[:, i, 1, across.start + i] = -scale * sin[:, i], scale * cos[:, i]
+        if turn is not None:
+            out[:, i, 2, turn.start + i] = 1.0
+
+
+def _put(out: Array, columns: slice | None, values: Array) -> None:
+    if columns is not None:
+        out[..., columns] = values
+
+
+def _rate(o: Observations) -> Array:
+    """(T, 2) N/s: slope of the logged force at the frames."""
+    if o.clean_force is None:
+        return np.gradient(o.force, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(o.force)
+    clean = o.clean_force
+    known = np.all(np.isfinite(clean.force), axis=1)
+    slope = np.gradient(clean.force[known], clean.time[known], axis=0)
+    return np.stack([np.interp(o.time, clean.time[known], slope[:, c]) for c in range(2)], axis=1)
+
+
+def _loads(force: Array, push_s: Array, gravity: Array) -> Loads:
+    loads = push(force, push_s)
+    return loads + weight(gravity) if np.any(gravity != 0.0) else loads
+
+
+def _whitening(measured: Array, covariance: Array) -> Array:
+    seen = np.all(np.isfinite(measured), axis=-1) & np.all(np.isfinite(covariance), axis=(-1, -2))
+    safe = np.where(seen[..., None, None], covariance, np.eye(3))
+    whiten = np.linalg.inv(np.linalg.cholesky(safe))
+    return np.asarray(np.where(seen[..., None, None], whiten, 0.0))

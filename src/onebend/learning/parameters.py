@@ -1,0 +1,115 @@
+"""The parameters of a fit in one vector: k(s), what all recordings of the beam share, and what each has of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from onebend.learning.spline import Spline
+from onebend.records import Array, IntArray, Observations
+
+
+@dataclass(frozen=True)
+class Priors:
+    """One sd of each nuisance before the data; 0 freezes it."""
+
+    curvature: float = 0.15  # rad, Legendre states of q0; frozen where rest = "straight"
+    mounting: float = np.deg2rad(1.5)  # rad, a tag's turn on the beam
+    placement: float | None = None  # m, a tag's place along and across; None: as the recording says
+    clamp: float = 3e-3  # rad, the clamp's direction in the beam's frame
+    origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
+    scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
+    clock: float | None = None  # s; None: as the clock's own estimate says
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some parameters that belong together."""
+
+    name: str
+    recording: int  # -1: shared
+    unit: str
+    prior_sd: Array
+    labels: tuple[str, ...]
+    start: int
+
+    @property
+    def where(self) -> slice:
+        return slice(self.start, self.start + len(self.prior_sd))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each block stands. The spline's coefficients come first; their prior is not diagonal."""
+
+    spline: Spline
+    blocks: tuple[Block, ...]
+    size: int
+    index: dict[tuple[str, int], Block] = field(default_factory=dict)
+
+    def get(self, x: Array, name: str, recording: int = -1) -> Array:
+        """Values of a block; zeros (of the right length) where it is frozen."""
+        block = self.index[name, recording]
+        return x[block.where] if block.start >= 0 else np.zeros(len(block.labels))
+
+    def columns(self, name: str, recording: int = -1) -> slice | None:
+        """Where a block's derivatives go among those that its recording knows (`known_to`); None where frozen."""
+        block = self.index[name, recording]
+        if block.start < 0:
+            return None
+        shift = 0 if recording < 0 else self._own(recording)[0] - self.shared
+        return slice(block.where.start - shift, block.where.stop - shift)
+
+    @property
+    def shared(self) -> int:
+        """Count of the parameters that all recordings share; they come first."""
+        return sum(len(b.prior_sd) for b in self.blocks if b.recording < 0 and b.start >= 0)
+
+    def known_to(self, recording: int) -> IntArray:
+        """Indices of the parameters that one recording depends on: the shared ones and its own."""
+        begin, end = self._own(recording)
+        return np.concatenate([np.arange(self.shared), np.arange(begin, end)])
+
+    def _own(self, recording: int) -> tuple[int, int]:
+        own = [b for b in self.blocks if b.recording == recording and b.start >= 0]
+        return (own[0].start, own[-1].where.stop) if own else (self.shared, self.shared)
+
+
+def layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
+    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each."""
+    first = recordings[0]
+    tags = [f"tag {i}" for i in first.tag_id]
+    placement = first.placement_sd if priors.placement is None else priors.placement
+    curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
+    wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
+        ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
+        ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
+        ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
+        ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
+        ("turn", -1, "rad", priors.mounting, tuple(f"{t} turn" for t in tags)),
+    ]
+    for r, one in enumerate(recordings):
+        origin = one.placement_sd if priors.origin is None else priors.origin
+        scale = priors.scale if one.view is not None and not one.view.calibrated else 0.0
+        wanted += [
+            ("clamp", r, "rad", priors.clamp, (f"{one.name}: clamp angle",)),
+            ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
+            ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
+            ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
+            ("force", r, "N", 1.0, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+        ]
+    blocks, start = [], 0
+    for name, r, unit, sd, labels in wanted:
+        free = sd > 0.0 and len(labels) > 0
+        blocks.append(Block(name, r, unit, np.full(len(labels), sd), labels, start if free else -1))
+        start += len(labels) if free else 0
+    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
+
+
+def _clock_sd(one: Observations, priors: Priors) -> float:
+    if priors.clock is not None:
+        return priors.clock
+    if one.clock is None:
+        return 0.0
+    return float(one.clock.sd) if np.isfinite(one.clock.sd) else 1.0

@@ -1,0 +1,189 @@
+"""k(s) with a band: maximum a posteriori in marker space, through the exact equilibrium.
+
+Unknown are log k(s), the beam's rest shape, where and how each tag sits, the clamp's direction and place, the clock's
+rest error, and the slow error of the force log. Seen are the tags of every loaded frame, of the beam at rest, and the
+force log where nothing pushes. All of it is fitted together; the scales of priors and noise are chosen by evidence;
+the band comes from the curvature at the optimum (Laplace's approximation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import ndtri
+
+from onebend.beam.model import Beam
+from onebend.beam.modes import Modes
+from onebend.beam.stiffness import Powers, Profile, Uniform
+from onebend.blas import one_blas_thread
+from onebend.errors import LearningError
+from onebend.learning.forward import Film, film
+from onebend.learning.frames import usable_frames
+from onebend.learning.gauss_newton import FilmNoise, Scales, prior
+from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.search import Effort, Optimum, search
+from onebend.learning.spline import Spline
+from onebend.progress import Progress, Silent
+from onebend.records import Array, BoolArray, Observations
+
+IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
+TAU = 8.0  # expected roughness of log k; its prior spans a factor of ten either way
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the marker-space fit runs."""
+
+    functions: int = 16  # of the spline of log k
+    most_frames: int = 400  # of each recording, evenly chosen
+    priors: Priors = field(default_factory=Priors)
+    effort: Effort = field(default_factory=Effort)
+
+
+@dataclass(frozen=True)
+class Band:
+    """k(s) and how sure it is, at places s."""
+
+    s: Array
+    k: Array  # N m
+    low: Array  # N m
+    high: Array  # N m
+    identified: BoolArray  # False where the band is set by the prior rather than by the data
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A parameter that is not k(s), with one sd before and after the data."""
+
+    name: str
+    unit: str
+    value: float
+    sd: float
+    prior_sd: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the data and the priors say about the beam."""
+
+    at: Layout
+    films: tuple[Film, ...]
+    optimum: Optimum
+    prior_covariance: Array  # (P, P)
+    gain_sd: float  # of the force's common scale, as declared; 0 where it was not
+
+    @property
+    def mean(self) -> Array:
+        """(P,) the most probable parameters."""
+        return self.optimum.x
+
+    @property
+    def covariance(self) -> Array:
+        """(P, P) of the parameters (Laplace)."""
+        return self.optimum.covariance
+
+    def log_stiffness(self, s: Array) -> tuple[Array, Array]:
+        """Mean and sd of log k at `s` (S,), the force's gain apart."""
+        basis = self.at.spline.basis(s)
+        where = self.at.index["stiffness", -1].where
+        sd = np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance[where, where], basis))
+        return basis @ self.mean[where], np.asarray(sd)
+
+    def band(self, s: Array, level: float = 0.95) -> Band:
+        """k(s) with its band; the force's declared gain widens all of it alike."""
+        mean, sd = self.log_stiffness(s)
+        wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(sd, self.gain_sd)
+        return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), sd < IDENTIFIED_SD)
+
+    def nuisances(self) -> list[Nuisance]:
+        """Every parameter but k's and the force error's, before and after the data."""
+        out = []
+        for block in self.at.blocks:
+            if block.start < 0 or block.name in ("stiffness", "force"):
+                continue
+            sd = np.sqrt(np.diag(self.covariance)[block.where])
+            values = zip(block.labels, self.mean[block.where], sd, block.prior_sd, strict=True)
+            out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
+        return out
+
+    @property
+    def beam(self) -> Beam:
+        """The beam at the optimum."""
+        one = self.films[0].observations
+        where = self.at.index["stiffness", -1].where
+        theta0 = self.at.get(self.mean, "curvature")
+        rest: Profile = Uniform(0.0)
+        if np.any(theta0 != 0.0):
+            powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
+            rest = Powers(tuple(powers.tolist()))
+        mass = one.mass if np.isfinite(one.mass) else 0.0
+        return Beam(
+            one.length,
+            self.at.spline.profile(self.mean[where]),
+            rest_curvature=rest,
+            mass_per_length=Uniform(mass / one.length),
+        )
+
+
+@one_blas_thread
+def fit(
+    recordings: Sequence[Observations],
+    start: Profile | float,
+    *,
+    settings: FitSettings = FitSettings(),
+    gain_sd: float = 0.0,
+    progress: Progress = Silent(),
+) -> Posterior:
+    """Maximum a posteriori over one or several recordings of the same beam, from a stiffness to begin with.
+
+    Raises:
+        LearningError: recordings of different beams, no usable frame, or a start from which no equilibrium is found.
+    """
+    _check_same_beam(recordings)
+    spline = Spline(settings.functions)
+    films = [film(o, i, _frames(o, settings.most_frames), spline) for i, o in enumerate(recordings)]
+    at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
+    x, level = _start(at, start)
+    noise = float(np.mean([np.nanmean(f.observations.force_sd) for f in films]))
+    noise = noise if np.isfinite(noise) and noise > 0.0 else 0.01 * max(f.error.largest for f in films)
+    seconds = max(float(np.ptp(f.error.knots)) for f in films)
+    expected = Scales(TAU, noise, noise / np.sqrt(max(seconds, 1.0)), tuple(FilmNoise(1.5, 0.5 * noise) for _ in films))
+    optimum = search(films, at, x, level, expected, settings.effort, progress)
+    precision, _ = prior(films, at, level, optimum.scales)
+    return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
+
+
+def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
+    """Parameters and the level of log k to begin with."""
+    s = np.linspace(0.0, 1.0, 8 * at.spline.count)
+    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
+    if not np.all(k > 0.0):
+        raise LearningError("the start stiffness must be positive everywhere")
+    x = np.zeros(at.size)
+    x[: at.spline.count] = np.linalg.lstsq(at.spline.basis(s), np.log(k), rcond=None)[0]
+    return x, float(np.mean(np.log(k)))
+
+
+def _frames(o: Observations, most: int) -> BoolArray:
+    """At most `most` usable frames, evenly spread."""
+    usable = np.flatnonzero(usable_frames(o))
+    if len(usable) < 5:
+        raise LearningError(f"{o.name}: {len(usable)} frames have a load, a force and a tag; at least 5 are needed")
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
+    out = np.zeros(len(o.time), dtype=bool)
+    out[chosen] = True
+    return out
+
+
+def _check_same_beam(recordings: Sequence[Observations]) -> None:
+    if not recordings:
+        raise LearningError("no recording was given")
+    first = recordings[0]
+    for o in recordings[1:]:
+        if o.length != first.length or not np.array_equal(o.tag_id, first.tag_id):
+            raise LearningError(
+                f"{o.name} is not of the beam of {first.name}: length {o.length} m against {first.length} m, "
+                f"tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
+            )

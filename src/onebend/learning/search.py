@@ -1,0 +1,160 @@
+"""The search for the optimum: Gauss-Newton at fixed scales, scales at fixed shapes, from coarse noise to fine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.errors import LearningError
+from onebend.learning.forward import Film, Prediction, predict
+from onebend.learning.gauss_newton import (
+    Quadratic,
+    Rows,
+    Scales,
+    choose_scales,
+    film_noise,
+    log_evidence,
+    misfit,
+    prior,
+    quadratic,
+    residuals,
+    rest_quadratic,
+    rows_of,
+    together,
+)
+from onebend.learning.parameters import Layout
+from onebend.progress import Progress
+from onebend.records import Array
+
+_COARSE_ROUNDS = 3  # far from the optimum the markers' fine print misleads
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to search."""
+
+    most_steps: int = 60
+    rounds: int = 7
+    tolerance: float = 0.02  # expected gain of the last step, as a share of one sd
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the search ended, and why."""
+
+    x: Array  # (P,)
+    covariance: Array  # (P, P)
+    scales: Scales
+    predictions: tuple[Prediction, ...]
+    log_evidence: float
+    steps: int
+    converged: bool
+    stopped: str
+
+
+def search(
+    films: list[Film], at: Layout, x: Array, level: float, expected: Scales, effort: Effort, progress: Progress
+) -> Optimum:
+    """From parameters x to the maximum a posteriori; `level`: prior mean of log k.
+
+    Raises:
+        LearningError: the start has no equilibrium under the measured forces.
+    """
+    scales, steps, converged = expected, 0, False
+    now = [predict(seen, at, x, None) for seen in films]
+    if not all(np.all(p.solved.converged) for p in now):
+        raise LearningError(
+            "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
+        )
+    progress.start("fitting k(s) in marker space", effort.rounds)
+    for round_number in range(effort.rounds):
+        last = round_number == effort.rounds - 1
+        most = effort.most_steps if last else 20
+        if round_number < _COARSE_ROUNDS:
+            size = [float(np.sqrt(np.mean(residuals(f, p) ** 2))) for f, p in zip(films, now, strict=True)]
+            coarse = tuple(replace(n, marker=max(s, 1.5)) for n, s in zip(expected.films, size, strict=True))
+            scales = replace(expected, films=coarse)
+        x, now, taken, converged = _descend(films, at, x, now, level, scales, most, effort.tolerance)
+        steps += taken
+        rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
+        if not last and round_number >= _COARSE_ROUNDS - 1:
+            scales = _new_scales(films, at, rows, x, level, scales, expected)
+        progress.advance()
+    progress.done()
+    markers = _markers(films, at, rows, x, scales)
+    precision, _ = prior(films, at, level, scales)
+    covariance = np.linalg.inv(together([markers, rest_quadratic(films, at, scales.coloured)]).information + precision)
+    return Optimum(
+        x=x,
+        covariance=0.5 * (covariance + covariance.T),
+        scales=scales,
+        predictions=tuple(now),
+        log_evidence=log_evidence(markers, films, at, level, scales),
+        steps=steps,
+        converged=converged,
+        stopped=f"the last step was worth less than {effort.tolerance:g} of a sd"
+        if converged
+        else f"{effort.most_steps} steps were not enough",
+    )
+
+
+def _new_scales(
+    films: list[Film], at: Layout, rows: list[Rows], x: Array, level: float, scales: Scales, expected: Scales
+) -> Scales:
+    """Noise of every film from its residuals, then the evidence's choice of the rest."""
+    own = [2.0 * len(f.error.knots) + at.spline.count / len(films) for f in films]
+    noise = tuple(film_noise(r, n, spent) for r, n, spent in zip(rows, scales.films, own, strict=True))
+    scales = replace(scales, films=noise)
+    return choose_scales(_markers(films, at, rows, x, scales), films, at, level, scales, expected)
+
+
+def _markers(films: list[Film], at: Layout, rows: list[Rows], x: Array, scales: Scales) -> Quadratic:
+    """What all films' tags say."""
+    every = zip(films, rows, scales.films, strict=True)
+    return together([quadratic(r, at, f.number, x, noise) for f, r, noise in every])
+
+
+def _descend(
+    films: list[Film],
+    at: Layout,
+    x: Array,
+    now: list[Prediction],
+    level: float,
+    scales: Scales,
+    most: int,
+    tolerance: float,
+) -> tuple[Array, list[Prediction], int, bool]:
+    """Levenberg-Marquardt at fixed scales; weights and frames' covariances are renewed at every step."""
+    precision, mean = prior(films, at, level, scales)
+    rests = rest_quadratic(films, at, scales.coloured)
+    damping = 1e-4
+
+    def cost(rows: list[Rows], shapes: list[Prediction], at_x: Array) -> float:
+        if not all(np.all(p.solved.converged) for p in shapes):
+            return np.inf
+        every = zip(films, rows, shapes, scales.films, strict=True)
+        tags = sum(misfit(r, r.root_weight * residuals(f, p), noise) for f, r, p, noise in every)
+        away = at_x - mean
+        return float(tags + away @ precision @ away + at_x @ rests.information @ at_x - 2.0 * rests.b @ at_x)
+
+    for step_number in range(1, most + 1):
+        rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
+        data = together([_markers(films, at, rows, x, scales), rests])
+        hessian = data.information + precision
+        slope = data.b - data.information @ x - precision @ (x - mean)
+        diagonal, before = np.diag(hessian), cost(rows, now, x)
+        while True:
+            step = np.linalg.solve(hessian + damping * np.diag(diagonal), slope)
+            tried = x + step * min(1.0, 1.5 / max(float(np.max(np.abs(step[: at.spline.count]))), 1e-300))
+            there = [predict(f, at, tried, p.solved.q) for f, p in zip(films, now, strict=True)]
+            if cost(rows, there, tried) <= before + 1e-6:
+                break
+            damping *= 8.0
+            if damping > 1e9:
+                return x, now, step_number, False
+        decrease = float(step @ slope)  # twice the cost's expected decrease, in units of one sd squared
+        x, now, damping = tried, there, max(damping / 16.0, 1e-12)
+        if decrease < tolerance**2:
+            return x, now, step_number, True
+    return x, now, most, False
