@@ -12,6 +12,7 @@ from onebend.errors import (
 )
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.posterior import Band, FitSettings, Posterior, fit
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.pipeline import learn_recording
@@ -24,8 +25,10 @@ from onebend.results.observed import load_observations, save_observations
 __version__ = "0.1.0"
 
 __all__ = [
+    "Band",
     "Beam",
     "Comparison",
+    "FitSettings",
     "Gaussians",
     "Learned",
     "LearningError",
@@ -34,6 +37,7 @@ __all__ = [
     "ObservationError",
     "Observations",
     "OnebendError",
+    "Posterior",
     "Powers",
     "RecordingError",
     "ResultsError",
@@ -42,6 +46,7 @@ __all__ = [
     "Steps",
     "Table",
     "Uniform",
+    "fit",
     "learn",
     "learn_recording",
     "load_model",
