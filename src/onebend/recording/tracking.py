@@ -64,7 +64,8 @@ def track_block(frames: Sequence[Frame], tag_id: Sequence[int], finder: Finder) 
 
     The first picture is searched as a whole. From then on each tag is sought around the place its last two sightings
     predict; every `LOOK_EVERY` frames, and in the last one, the whole picture is searched again if a tag is missing. A
-    second pass, backward in time, finds what became visible between two such searches. The result depends on nothing but the frames.
+    second pass, backward in time, finds what became visible between two such searches. The result depends on nothing
+    but the frames.
     """
     tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
     looks, strangers, doubles = 0, [], []
