@@ -123,6 +123,13 @@ def lead_the_end() -> tuple[Array, Held]:
     return poses, hold_along(UNIFORM, poses * [LENGTH, LENGTH, 1.0])
 
 
+def turn_the_end() -> tuple[Array, Held]:
+    """Angles (P,) of the end, over and back with the ends 0.7 L apart, and the beam held at each."""
+    over = np.linspace(1.2, -1.2, 41)
+    angle = np.concatenate([over, over[-2::-1]])
+    return angle, hold_along(UNIFORM, np.stack([0.7 * LENGTH + 0.0 * angle, 0.0 * angle, angle], axis=-1))
+
+
 def left_out(slenderness: float, *, poisson: float = 0.5, load: float = 5.0) -> tuple[float, float, float]:
     """What an unshearable, inextensible beam leaves out, for a rectangle of L / h = `slenderness`, as shares.
 
@@ -163,7 +170,7 @@ def draw_elastica() -> Figure:
         exact = elastica(float(load), 0.5 * np.pi, points)
         shapes.plot(*line.T, color=BLUE, alpha=shade)
         shapes.plot(*exact.T, "o", color=ORANGE, markersize=3.4, markeredgewidth=0.0)
-        shapes.annotate(f"{load:g}", line[-1], (4, 3), textcoords="offset points", fontsize=8.5, color=MUTED)
+        shapes.annotate(f"{load:g}", line[-1], (4.0, 3.0), textcoords="offset points", fontsize=8.5, color=MUTED)
     _plane(shapes, "Pushed across: $PL^2/EI$")
     many = np.geomspace(0.1, 10.0, 25)
     for degrees, colour, mark in ((90.0, BLUE, "o"), (135.0, ORANGE, "s"), (175.0, GREEN, "^")):
@@ -242,24 +249,32 @@ def draw_buckling() -> Figure:
 
 @styled
 def draw_held() -> Figure:
-    """A beam held at both ends while its end is led along a path, and what the holder puts on it."""
-    figure, (shapes, wrenches) = blank(3.4, 1, 2)
+    """A beam held at both ends: led along a path with the holder's force, and turned over until it snaps."""
+    figure, (shapes, turned) = blank(3.4, 1, 2)
     poses, held = lead_the_end()
-    lines, shown = held.solved.xy(ALONG) / LENGTH, range(0, len(poses), 8)
-    force, moment = held.wrench[:, :2] / UNIT_FORCE, held.wrench[:, 2] / STIFFNESS
-    for i in shown:
+    lines, force = held.solved.xy(ALONG) / LENGTH, held.wrench[:, :2] / UNIT_FORCE
+    for i in range(0, len(poses), 8):
         shapes.plot(*lines[i].T, color=BLUE, alpha=0.35 + 0.65 * i / (len(poses) - 1))
         end = poses[i, :2]
-        shapes.annotate("", end + 0.012 * force[i], end, arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.4})
+        if np.hypot(*force[i]) > 1.0:
+            head = end + 0.006 * force[i]
+            shapes.annotate("", tuple(head), tuple(end), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.4})
     shapes.plot(*poses[:, :2].T, ":", color=INK, lw=1.0, zorder=4)
     _plane(shapes, "The end is led along a path")
-    part = np.linspace(0.0, 1.0, len(poses))
-    for values, label, colour in ((force[:, 0], "$F_x L^2/EI$", ORANGE), (force[:, 1], "$F_y L^2/EI$", GREEN)):
-        wrenches.plot(part, values, color=colour, label=label)
-    wrenches.plot(part, moment, color=PINK, label="$M L/EI$")
-    wrenches.plot(part[list(shown)], force[list(shown), 0], "o", color=ORANGE, markersize=4)
-    wrenches.set(title="What the holder puts on it", xlabel="share of the path")
-    wrenches.legend()
+    angle, over = turn_the_end()
+    moment, half = over.wrench[:, 2] / STIFFNESS, len(angle) // 2 + 1
+    for way, colour, label in ((slice(0, half), BLUE, "there"), (slice(half - 1, None), ORANGE, "and back")):
+        gaps = np.where(over.jumped[way], np.nan, moment[way])  # no line across a snap
+        turned.plot(np.rad2deg(angle[way]), gaps, color=colour, label=label)
+    for snap in np.flatnonzero(over.jumped):
+        turned.annotate(
+            "",
+            (np.rad2deg(angle[snap]), moment[snap]),
+            (np.rad2deg(angle[snap - 1]), moment[snap - 1]),
+            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0, "linestyle": "--"},
+        )
+    turned.set(title="Turned over: it snaps", xlabel="angle of the end [°]", ylabel="moment of the holder, $M L/EI$")
+    turned.legend(loc="center")
     return figure
 
 
