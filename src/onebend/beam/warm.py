@@ -176,7 +176,8 @@ class WarmBeam:
             pushes = pushes[None]
         if pushes.shape != (count, 2):
             raise MechanicsError(f"{count} places need forces of shape ({count}, 2), got {pushes.shape}")
-        if not (np.isfinite(pushes).all() and math.isfinite(moment)):
+        # One sum of squares says in a moment that all is finite; only where it does not, each number is looked at.
+        if not math.isfinite(np.vdot(pushes, pushes) + moment) and not np.isfinite([*pushes.flat, moment]).all():
             raise MechanicsError(f"forces must be finite numbers, got {pushes.tolist()} N and {moment} N m")
         if moment != 0.0 and not self._has_moment:
             raise MechanicsError("a moment needs a place: give moment_at when the beam is made")
