@@ -69,3 +69,10 @@ def test_a_beam_with_a_missing_entry_is_refused() -> None:
     del data["stiffness_N_m"]
     with pytest.raises(MechanicsError, match="stiffness_N_m"):
         Beam.from_dict(data)
+
+
+def test_whole_numbers_are_as_good_as_decimals() -> None:
+    whole = Beam(1, Steps((0, 0.5, 1), (1, 2)), rest_curvature=Uniform(1), mass_per_length=Uniform(1))
+    decimal = Beam(1.0, Steps((0.0, 0.5, 1.0), (1.0, 2.0)), rest_curvature=Uniform(1.0), mass_per_length=Uniform(1.0))
+    shapes = [beam.equilibrium((0, 1), gravity=(0, -1)).xy(S) for beam in (whole, decimal)]
+    np.testing.assert_array_equal(shapes[0], shapes[1])

@@ -160,7 +160,7 @@ def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resol
     grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
     one = len(beams) == 1
-    k = _stack([np.asarray(b.stiffness(nodes)) for b in beams])
+    k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
     _check_positive(k, nodes)
     length = np.asarray(beams[0].length) if one else np.array([[b.length] for b in beams])
     alpha0 = np.asarray(beams[0].clamp_angle) if one else np.array([[b.clamp_angle] for b in beams])
@@ -176,7 +176,7 @@ def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resol
         to_nodes=to_nodes,
         length=length,
         k=k,
-        q0=_stack([np.asarray(b.rest_curvature(nodes)) for b in beams]),
+        q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
         alpha0=alpha0,
         dead_force=dead,
         moment=np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s)),

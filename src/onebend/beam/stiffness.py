@@ -41,7 +41,7 @@ class Uniform:
     value: float
 
     def __call__(self, s: Array | float) -> Array:
-        return np.full(np.shape(s), self.value)
+        return np.full(np.shape(s), float(self.value))
 
     @property
     def jumps(self) -> tuple[float, ...]:
@@ -138,7 +138,7 @@ class Steps:
 
     def __call__(self, s: Array | float) -> Array:
         piece = np.searchsorted(self.edges[1:-1], np.asarray(s, dtype=float), side="right")
-        return np.asarray(self.values)[piece]
+        return np.asarray(self.values, dtype=float)[piece]
 
     @property
     def jumps(self) -> tuple[float, ...]:
