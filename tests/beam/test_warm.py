@@ -62,6 +62,15 @@ def test_default_resolution_is_good_to_1e_7_of_the_length() -> None:
         np.testing.assert_allclose(warm.solve(force).xy, exact, rtol=0.0, atol=1e-7 * SOFT.length)
 
 
+@pytest.mark.parametrize(("size", "resolved"), [(1.0, True), (10.0, True), (100.0, False)])
+def test_says_whether_the_nodes_carry_the_shape(size: float, resolved: bool) -> None:
+    warm = WarmBeam(UNIT)
+    force = size * np.array([-0.3, 1.0])
+    error = np.max(np.abs(warm.solve(force).xy - equilibrium(UNIT, push(force)).xy(S)[0]))
+    assert warm.resolved() == resolved
+    assert (error < 1e-7) == resolved
+
+
 def test_moment_and_jumps_of_stiffness_are_carried() -> None:
     beam = Beam(1.0, Steps((0.0, 0.37, 1.0), (2.0, 0.5)))
     warm = WarmBeam(beam, moment_at=0.8)
@@ -151,6 +160,7 @@ def test_straight_beam_beyond_eulers_load_is_refused_and_then_recovers() -> None
         warm.solve((-3.0, 0.0))
     with pytest.raises(MechanicsError, match="no shape"):
         warm.response()
+    assert not warm.resolved()
     again = warm.solve((-2.0, 0.1))
     assert again.route == "rest"
     np.testing.assert_allclose(again.xy, UNIT.equilibrium((-2.0, 0.1)).xy(S), atol=1e-9)
