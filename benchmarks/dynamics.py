@@ -97,7 +97,7 @@ def speed_rows() -> Iterator[Row]:
 
 def chain_rows() -> Iterator[Row]:
     """The tip after the release against a chain of rigid links with hinge springs, refined until it converges."""
-    mujoco = _peer("mujoco")
+    mujoco = peer("mujoco")
     if mujoco is None:
         print("MuJoCo is not installed: the release is not compared (see the top of this file)", file=sys.stderr)
         return
@@ -155,7 +155,7 @@ def _apart(a: Array, b: Array) -> float:
     return float(np.max(np.linalg.norm(a - b, axis=-1)))
 
 
-def _peer(name: str) -> Any:
+def peer(name: str) -> Any:
     """Another simulator, or None; looked for beyond this environment where ONEBEND_PEERS says so."""
     if os.environ.get("ONEBEND_PEERS"):
         sys.path.append(os.environ["ONEBEND_PEERS"])
