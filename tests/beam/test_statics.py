@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onebend.beam.continuation import equilibrium, follow, refine
+from onebend.beam.continuation import Search, equilibrium, follow, refine
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
@@ -282,3 +282,26 @@ def test_modal_equilibrium_approaches_the_exact_one_geometrically() -> None:
         errors.append(np.max(np.abs(theta @ Modes(n).curvature(problem.grid.nodes).T - exact)))
     ratio = np.diff(np.log(errors))
     assert np.all(ratio < -1.5)  # at least a factor 4.5 for every two modes
+
+
+@pytest.mark.parametrize(
+    "beam",
+    [
+        Beam(1.0, Steps((0.0, 0.4, 0.42, 1.0), (1.0, 0.02, 1.0))),
+        Beam(1.0, Gaussians((0.0, 0.5, 1.0), 0.2, (0.6, 0.02, 0.6))),
+        Beam(1.0, Uniform(1.0), rest_curvature=Uniform(2.5)),
+    ],
+    ids=["soft joint", "dip", "curved"],
+)
+def test_strides_land_where_tiny_load_steps_lead(beam: Beam) -> None:
+    """Axial compression with lateral disturbances down to 1e-6: the side of buckling must not be lost in a stride."""
+    rng = np.random.default_rng(5)
+    force = rng.normal(size=(60, 2)) * 1.5
+    force[:30, 0] = -np.abs(force[:30, 0]) * 3.0
+    force[:30, 1] *= 10.0 ** rng.uniform(-6.0, -1.0, 30)
+    problem = pose(beam, push(force), Resolution(10, 0.3))
+    tiny = Search(stride=0.04, trust=0.01, shortest=1e-11, most=6000)
+    quick, slow = follow(problem), follow(problem, search=tiny)
+    assert np.all(quick.converged)
+    assert np.all(quick.stable)
+    np.testing.assert_allclose(node_angles(problem, quick.q), node_angles(problem, slow.q), atol=1e-7)

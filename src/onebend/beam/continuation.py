@@ -23,10 +23,12 @@ class Search:
     """How the branch is followed. Angles in radians."""
 
     stride: float = 0.7  # the largest predicted turn of a step
-    trust: float = 0.25  # the largest turn that the corrector may add to the prediction
+    trust: float = 0.25  # the largest turn that the corrector may add to the prediction,
+    surprise: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
+    least_surprise: float = 1e-3  # which is allowed however small the prediction
     corrections: int = 8  # Newton iterations a step
     tolerance: float = 3e-7  # of the last Newton update, as an angle: convergence is quadratic, the error its square
-    on_the_way: float = 1e-3  # the same for the steps before the full load, which only have to stay near the branch
+    on_the_way: float = 1e-6  # the same before the full load: next to a bifurcation the side is decided by tiny turns
     shortest: float = 1e-9  # share of the load: a step below this has met the end of the branch
     most: int = 400  # steps
 
@@ -105,7 +107,8 @@ def follow(problem: Problem, *, search: Search = Search()) -> Equilibrium:
 def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equilibrium:
     """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
     tolerance = np.full(problem.size, search.tolerance)
-    q, near = _correct(problem, start, np.ones(problem.size), search.stride, tolerance, search.corrections)
+    trust = np.full(problem.size, search.stride)
+    q, near = _correct(problem, start, np.ones(problem.size), trust, tolerance, search.corrections)
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
     lost = np.flatnonzero(~near)
     buckled_at = np.full(problem.size, np.nan)
@@ -131,7 +134,8 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     last = factor + step >= 1.0 - 1e-12
     target = np.where(last, 1.0, factor + step)
     tolerance = np.where(last, search.tolerance, search.on_the_way)
-    found, near = _correct(part, q + step[:, None] * slope, target, search.trust, tolerance, search.corrections)
+    trust = np.minimum(search.trust, search.least_surprise + search.surprise * step * turn)
+    found, near = _correct(part, q + step[:, None] * slope, target, trust, tolerance, search.corrections)
     unbuckled = np.isnan(state.buckled_at[frames])
     buckles = near & unbuckled
     buckles[buckles] = ~is_stable(part.take(buckles), found[buckles], target[buckles])
@@ -145,7 +149,7 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
 
 
 def _correct(
-    problem: Problem, start: Array, factor: Array, trust: float, tolerance: Array, most: int
+    problem: Problem, start: Array, factor: Array, trust: Array, tolerance: Array, most: int
 ) -> tuple[Array, BoolArray]:
     """Newton from `start` at fixed load; True where it settled without turning by more than `trust` on the way."""
     q = start.copy()
@@ -162,7 +166,7 @@ def _correct(
         turn = node_angles(part, update) - part.alpha0
         moved[todo] += turn
         settled[todo] = np.max(np.abs(turn), axis=-1) < tolerance[todo]
-        strayed[todo] = ~(np.max(np.abs(moved[todo]), axis=-1) < trust)
+        strayed[todo] = ~(np.max(np.abs(moved[todo]), axis=-1) < trust[todo])
     return q, settled & ~strayed
 
 
