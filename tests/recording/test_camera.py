@@ -141,7 +141,7 @@ def test_corner_noise_does_not_hide_in_one_bad_tag() -> None:
 
 def test_bent_base_tag_is_refused() -> None:
     corners = corners_of(TRUE, SEEN)
-    corners[:, 0, 2] += 3.0
+    corners[:, 0, 2] += 6.0
     with pytest.raises(ObservationError, match="base tag's shape fits no flat square"):
         measure_markers(detections(corners), recording(calibrated=SEEN))
 
