@@ -113,7 +113,7 @@ def test_covariance_is_honest(calibrated: bool) -> None:
     """
     true = TRUE[::4]
     exact, squares = corners_of(true, SEEN), []
-    for seed in range(20):
+    for seed in range(10):
         noise = edge_noise(exact, 0.3, seed)
         noise[:, 0] = noise[0, 0]
         rec = recording(calibrated=SEEN if calibrated else None)
@@ -137,6 +137,23 @@ def test_corner_noise_does_not_hide_in_one_bad_tag() -> None:
     assert np.isnan(markers.angle[20:25, 1]).all()
     assert np.isfinite(markers.xy).all(axis=2).sum() == 60 * 3 - 5
     assert any("Tag 2 was left out in 5 frames" in remark.text for remark in markers.remarks)
+
+
+def test_bent_base_tag_is_refused() -> None:
+    corners = corners_of(TRUE, SEEN)
+    corners[:, 0, 2] += 6.0
+    with pytest.raises(ObservationError, match="base tag's shape fits no flat square"):
+        measure_markers(detections(corners), recording(calibrated=SEEN))
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_one_frame_is_enough_for_a_pose(calibrated: bool) -> None:
+    facing = view(tilt=(0.0, 0.0), dist=(0.0,) * 5)
+    error, squares = errors(
+        detections(corners_of(TRUE[30:31], facing)), recording(calibrated=facing if calibrated else None), TRUE[30:31]
+    )
+    assert np.abs(error[..., :2]).max() < 5e-4
+    assert np.isfinite(squares).all()
 
 
 def test_missing_tags_stay_missing() -> None:

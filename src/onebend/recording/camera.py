@@ -44,6 +44,11 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
     wrong = misfit > WRONG * max(view.corner_sd, LEAST_SD)
     poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
+    if not np.isfinite(poses.angle[:, :base]).any():
+        raise ObservationError(
+            f"{recording.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
+            "Check that all tags have the same size and lie flat in one plane."
+        )
     origin, moving = base_pose(part(poses, slice(base)), tags.on_base, recording.beam.length)
     relative = relative_to(origin, part(poses, slice(base, None)))
     check_lengths(relative.xy, recording)
@@ -79,7 +84,7 @@ def spread(corners: Array) -> Array:
     push. A rest counts a little, too."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
-    way = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.mean() + 1e-9)])
+    way = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
     frames = np.unique(np.searchsorted(way, np.linspace(0, way[-1], min(CALIBRATION_FRAMES, len(way)))))
     chosen = corners[frames].reshape(-1, 4, 2)
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]

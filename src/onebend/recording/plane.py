@@ -26,7 +26,8 @@ FACING: Array = np.diag(
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
 ENOUGH_TO_START = 60  # sightings, spread over all, from which the first guesses are improved
 SURE = 3.0  # sd: residuals beyond are trusted less and less
-# What is assumed of a camera that nobody calibrated, as one standard deviation around the plainest camera.
+# What is assumed of the plane, and of a camera that nobody calibrated: one standard deviation around the plainest.
+TILT_SD = 0.5  # rad; tells nothing beside a few sightings, but one tag alone may leave the tilt open
 PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
 FOCAL_SD = 0.5  # of its logarithm
 LENS_SD = 0.1  # k1
@@ -126,8 +127,8 @@ def residuals(
     xy, angle = lay_square(flat)
     left = (corners - project(view, square(xy, angle, size))) / sd
     left = np.nan_to_num(left, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
-    prior = unknowns[3:] / np.array([FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])[: len(unknowns) - 3]
-    return np.concatenate([left.ravel(), prior])
+    wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])
+    return np.concatenate([left.ravel(), unknowns / wide[: len(unknowns)]])
 
 
 def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
