@@ -43,7 +43,7 @@ def row(beam: str, kinds: tuple[str, ...], seen: dict[str, Observations], record
     band = found.band(truth.s)
     middle = (truth.s >= 0.05) & (truth.s <= 0.9)
     inside = (truth.k > band.low) & (truth.k < band.high)
-    sd = found.log_stiffness(truth.s)[1]
+    sd = found.stiffness.log_at(truth.s)[1]
     return Row(
         beam=beam,
         recordings=" + ".join(kinds),

@@ -2,6 +2,7 @@
 
 from onebend.beam.model import Beam, Shape
 from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
+from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.errors import (
     LearningError,
     MechanicsError,
@@ -12,7 +13,7 @@ from onebend.errors import (
 )
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.posterior import Band, FitSettings, Posterior, fit
+from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.pipeline import learn_recording
@@ -45,6 +46,7 @@ __all__ = [
     "Shape",
     "Steps",
     "Table",
+    "UncertainStiffness",
     "Uniform",
     "fit",
     "learn",

@@ -132,7 +132,7 @@ def test_several_recordings_in_one_fit_tell_more_than_one() -> None:
     tip = wrong_force(observed(SOFT, forces(40), noise=NOISE, seed=1), 1, 0.005)
     side = replace(wrong_force(observed(SOFT, forces(40), at_s=0.7, noise=NOISE, seed=2), 2, 0.005), name="side")
     alone, both = fit([tip], 0.02), fit([tip, side], 0.02)
-    assert np.mean(both.log_stiffness(S)[1]) < np.mean(alone.log_stiffness(S)[1])
+    assert np.mean(both.stiffness.log_at(S)[1]) < np.mean(alone.stiffness.log_at(S)[1])
 
 
 def test_stiffness_is_positive_for_a_step_that_defeats_the_regression() -> None:

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import ndtri
 
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.stiffness import Powers, Profile, Uniform
+from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.forward import Film, film
@@ -28,7 +28,6 @@ from onebend.learning.spline import Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
-IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
 TAU = 8.0  # expected roughness of log k; its prior spans a factor of ten either way
 
 
@@ -40,17 +39,6 @@ class FitSettings:
     most_frames: int = 400  # of each recording, evenly chosen
     priors: Priors = field(default_factory=Priors)
     effort: Effort = field(default_factory=Effort)
-
-
-@dataclass(frozen=True)
-class Band:
-    """k(s) and how sure it is, at places s."""
-
-    s: Array
-    k: Array  # N m
-    low: Array  # N m
-    high: Array  # N m
-    identified: BoolArray  # False where the band is set by the prior rather than by the data
 
 
 @dataclass(frozen=True)
@@ -84,18 +72,15 @@ class Posterior:
         """(P, P) of the parameters (Laplace)."""
         return self.optimum.covariance
 
-    def log_stiffness(self, s: Array) -> tuple[Array, Array]:
-        """Mean and sd of log k at `s` (S,), the force's gain apart."""
-        basis = self.at.spline.basis(s)
+    @property
+    def stiffness(self) -> UncertainStiffness:
+        """k(s) and its band; the force's declared gain widens all of it alike."""
         where = self.at.index["stiffness", -1].where
-        sd = np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance[where, where], basis))
-        return basis @ self.mean[where], np.asarray(sd)
+        return UncertainStiffness(self.at.spline.knots, self.mean[where], self.covariance[where, where], self.gain_sd)
 
     def band(self, s: Array, level: float = 0.95) -> Band:
-        """k(s) with its band; the force's declared gain widens all of it alike."""
-        mean, sd = self.log_stiffness(s)
-        wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(sd, self.gain_sd)
-        return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), sd < IDENTIFIED_SD)
+        """k(s) with its band."""
+        return self.stiffness.band(s, level)
 
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's and the force error's, before and after the data."""
@@ -112,7 +97,6 @@ class Posterior:
     def beam(self) -> Beam:
         """The beam at the optimum."""
         one = self.films[0].observations
-        where = self.at.index["stiffness", -1].where
         theta0 = self.at.get(self.mean, "curvature")
         rest: Profile = Uniform(0.0)
         if np.any(theta0 != 0.0):
@@ -121,7 +105,7 @@ class Posterior:
         mass = one.mass if np.isfinite(one.mass) else 0.0
         return Beam(
             one.length,
-            self.at.spline.profile(self.mean[where]),
+            self.stiffness.profile,
             rest_curvature=rest,
             mass_per_length=Uniform(mass / one.length),
         )

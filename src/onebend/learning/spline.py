@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 
-from onebend.beam.stiffness import LogSpline
 from onebend.records import Array
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
@@ -41,10 +40,6 @@ class Spline:
     def precision(self, tau: float) -> Array:
         """(count, count) of the coefficients' prior."""
         return self._roughness / tau**2 + self._level_and_slope
-
-    def profile(self, coefficients: Array) -> LogSpline:
-        """k(s)."""
-        return LogSpline(tuple(self.knots.tolist()), tuple(np.asarray(coefficients).tolist()), _DEGREE)
 
     @cached_property
     def _roughness(self) -> Array:
