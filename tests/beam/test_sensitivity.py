@@ -10,6 +10,7 @@ import pytest
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution
 from onebend.beam.sensitivity import (
     Change,
     clamp_wrench,
@@ -21,7 +22,7 @@ from onebend.beam.sensitivity import (
     of_stiffness,
     respond,
 )
-from onebend.beam.statics import Equilibrium, Resolution
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.records import Array
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.loads import Loads
-from onebend.beam.statics import Equilibrium, Problem, Resolution, Rod, gradient, is_stable, node_angles, pose, tangent
+from onebend.beam.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics import Equilibrium, gradient, is_stable, node_angles, tangent
 from onebend.records import Array, BoolArray, IntArray
 
 

@@ -9,15 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.beam.statics import (
-    Problem,
-    gradient,
-    node_angles,
-    positive_definite,
-    potential,
-    tangent,
-    transposed,
-)
+from onebend.beam.grid import transposed
+from onebend.beam.problem import Problem
+from onebend.beam.statics import gradient, node_angles, positive_definite, potential, tangent
 from onebend.records import Array, BoolArray
 
 _TOLERANCE = 1e-11  # of the last update, as an angle

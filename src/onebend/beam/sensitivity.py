@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.statics import Equilibrium, Problem, apply, internal_force, tangent, transposed
+from onebend.beam.grid import apply, transposed
+from onebend.beam.problem import Problem
+from onebend.beam.statics import Equilibrium, internal_force, tangent
 from onebend.records import Array
 
 

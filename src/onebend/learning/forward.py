@@ -10,8 +10,9 @@ from onebend.beam.continuation import follow, refine
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
+from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import of_clamp_angle, of_force, of_rest_curvature, of_stiffness, respond
-from onebend.beam.statics import Equilibrium, Problem, Resolution, pose
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Uniform
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import push_places
