@@ -101,7 +101,7 @@ def apply(rows: Array, values: Array) -> Array:
     """rows (S, Q) or (T, S, Q) on values (Q,) or (T, Q): one matrix product where the rows are shared."""
     if rows.ndim == 2:
         return np.asarray(values @ rows.T)
-    return np.asarray(np.einsum("tsq,q->ts" if values.ndim == 1 else "tsq,tq->ts", rows, values))
+    return np.asarray((rows @ values[..., None])[..., 0])
 
 
 def transposed(matrix: Array) -> Array:

@@ -248,6 +248,7 @@ def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: 
         stable=stable,
         load_factor=np.where(stable, 1.0, np.nan),
         buckled_at=np.full(len(q), np.nan),
+        fell=jumped,
         iterations=0,
     )
     return Held(solved, wrench, jumped)

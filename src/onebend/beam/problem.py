@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -67,6 +68,22 @@ class Problem:
     def size(self) -> int:
         """T."""
         return int(self.dead_force.shape[0])
+
+    @cached_property
+    def dead_pull(self) -> tuple[Array, Array]:
+        """(T, Q) N m each: the dead force beyond the nodes times L w, its components x and y."""
+        lw = self.length * self.weights
+        return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
+
+    def loaded(self, factor: Array) -> Problem:
+        """With all loads times `factor` (T,)."""
+        f = factor[:, None]
+        return replace(
+            self,
+            dead_force=f[..., None] * self.dead_force,
+            moment=f * self.moment,
+            follower=f[..., None] * self.follower,
+        )
 
     def take(self, chosen: IntArray | BoolArray) -> Problem:
         """Some frames of the batch."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
 
 from onebend.beam.grid import apply, transposed
 from onebend.beam.problem import Problem
@@ -34,10 +35,11 @@ class Equilibrium:
 
     problem: Problem
     q: Array  # (T, Q) rad, curvature at the nodes
-    converged: BoolArray  # (T,) equilibrium reached on the branch that grows from rest
+    converged: BoolArray  # (T,) equilibrium reached on the branch that grows from rest, or fallen to where it is lost
     stable: BoolArray  # (T,) the second variation of the potential is positive there
     load_factor: Array  # (T,) share of the load reached: below 1 the branch ends there (snap-through)
     buckled_at: Array  # (T,) share of the load at which the branch lost stability; NaN where it never did
+    fell: BoolArray  # (T,) the branch was lost, and the beam fell from it to the one it stands on now
     iterations: int  # Newton iterations, the most that a frame took
 
     @property
@@ -90,30 +92,18 @@ def potential(problem: Problem, q: Array) -> Array:
 
 def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
     """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads."""
-    factor = np.asarray(load_factor, dtype=float)[..., None]
-    alpha = node_angles(problem, q)
-    n = internal_force(problem, q, load_factor)
-    across = n[..., 1] * np.cos(alpha) - n[..., 0] * np.sin(alpha)
-    elastic = problem.weights * (problem.k * (q - problem.q0) - factor * problem.moment)
-    return elastic - apply(transposed(problem.to_nodes), problem.length * problem.weights * across)
+    return _gradient(problem, q, load_factor, _pulls(problem, q, load_factor))
 
 
 def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
     """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
-    alpha = node_angles(problem, q)
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    n = internal_force(problem, q, load_factor)
-    b, lw = problem.to_nodes, problem.length * problem.weights
-    out = _congruence(b, lw * (n[..., 0] * cos + n[..., 1] * sin))
-    diagonal = np.arange(out.shape[-1])
-    out[..., diagonal, diagonal] += problem.weights * problem.k
-    if problem.follower.shape[1]:
-        _, turning = _followers(problem, q)
-        factor = np.asarray(load_factor, dtype=float)[..., None, None]
-        per_turn = turning[..., 1, None] * cos[:, None] - turning[..., 0, None] * sin[:, None]  # (T, c, Q)
-        moved = factor * lw[..., None, :] * per_turn * problem.follower_beyond @ b
-        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
-    return np.asarray(out)
+    return _tangent(problem, q, load_factor, _pulls(problem, q, load_factor))
+
+
+def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
+    """Gradient and tangent together, for Newton's method."""
+    pulls = _pulls(problem, q, load_factor)
+    return _gradient(problem, q, load_factor, pulls), _tangent(problem, q, load_factor, pulls)
 
 
 def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
@@ -122,14 +112,83 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     With follower forces there is no potential: then "stable" means that no real eigenvalue of T is negative or zero
     (no divergence). Flutter is a matter of dynamics and not seen here.
     """
-    matrices = tangent(problem, q, load_factor)
-    scale = np.sqrt(problem.weights * problem.k)
-    scaled = matrices / (scale[..., :, None] * scale[..., None, :])
+    pulls = _pulls(problem, q, load_factor)
     if problem.follower.shape[1]:
-        values = np.linalg.eigvals(scaled)
+        values = np.linalg.eigvals(scaled(problem, _tangent(problem, q, load_factor, pulls)))
         real = np.abs(values.imag) < 1e-9 * np.abs(values)
         return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
-    return positive_definite(scaled)
+    stable = _surely_stable(problem, pulls.along)
+    doubtful = np.flatnonzero(~stable)
+    if doubtful.size:
+        part = problem if doubtful.size == len(q) else problem.take(doubtful)
+        diagonal = part.weights * part.k
+        stable[doubtful] = positive_definite(_second_variation(part, pulls.along[doubtful], diagonal))
+    return stable
+
+
+def scaled(problem: Problem, matrices: Array) -> Array:
+    """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
+    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
+
+
+@dataclass(frozen=True)
+class _Pulls:
+    """Direction of the tangent at the nodes, and the internal force times L w along it and across it."""
+
+    cos: Array  # (T, Q)
+    sin: Array  # (T, Q)
+    along: Array  # (T, Q) N m
+    across: Array  # (T, Q) N m
+
+
+def _pulls(problem: Problem, q: Array, load_factor: Array | float) -> _Pulls:
+    alpha = node_angles(problem, q)
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    x, y = problem.dead_pull
+    if problem.follower.shape[1]:
+        turned, _ = _followers(problem, q)
+        lw = problem.length * problem.weights
+        x, y = (d + lw * np.einsum("tc,tcq->tq", turned[..., i], problem.follower_beyond) for i, d in enumerate((x, y)))
+    return _Pulls(cos, sin, factor * (x * cos + y * sin), factor * (y * cos - x * sin))
+
+
+def _gradient(problem: Problem, q: Array, load_factor: Array | float, pulls: _Pulls) -> Array:
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    elastic = problem.weights * (problem.k * (q - problem.q0) - factor * problem.moment)
+    return elastic - apply(transposed(problem.to_nodes), pulls.across)
+
+
+def _tangent(problem: Problem, q: Array, load_factor: Array | float, pulls: _Pulls) -> Array:
+    out = _second_variation(problem, pulls.along, problem.weights * problem.k)
+    if problem.follower.shape[1]:
+        _, turning = _followers(problem, q)
+        factor = np.asarray(load_factor, dtype=float)[..., None, None]
+        lw = (problem.length * problem.weights)[..., None, :]
+        per_turn = turning[..., 1, None] * pulls.cos[:, None] - turning[..., 0, None] * pulls.sin[:, None]  # (T, c, Q)
+        moved = factor * lw * per_turn * problem.follower_beyond @ problem.to_nodes
+        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
+    return out
+
+
+def _second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
+    """(T, Q, Q) `diag(diagonal) + B^T diag(along) B`."""
+    out = _congruence(problem.to_nodes, along)
+    nodes = out.shape[-1]
+    out.reshape(-1, nodes * nodes)[:, :: nodes + 1] += diagonal
+    return out
+
+
+def _surely_stable(problem: Problem, along: Array) -> BoolArray:
+    """(T,) True where a bound that needs no factor proves the second variation positive.
+
+    A change of shape that costs the bending energy E turns node i by at most `2 E sum_j B_ij^2 / (w k)_j` squared
+    (Cauchy's inequality). Where compression gains less than E from such turns, nothing lowers the potential. For a
+    uniform column that holds up to 2 EI / L^2; Euler's load is 2.47.
+    """
+    gained = apply(problem.to_nodes**2, 1.0 / (problem.weights * problem.k))
+    return np.asarray(np.sum(np.minimum(along, 0.0) * gained, axis=-1) > -(1.0 - 1e-9))
 
 
 def _congruence(b: Array, diagonal: Array) -> Array:
@@ -152,7 +211,7 @@ def positive_definite(matrices: Array) -> BoolArray:
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.eigvalsh(matrices)[..., 0] > 0.0)
+        return np.array([dpotrf(one, lower=1)[1] == 0 for one in matrices], dtype=bool)
     return np.ones(len(matrices), dtype=bool)
 
 
