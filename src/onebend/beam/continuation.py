@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.falling import Side, let_fall
-from onebend.beam.grid import apply
+from onebend.beam.grid import apply, transposed
 from onebend.beam.loads import Loads
 from onebend.beam.newton import correct, solve_batch
 from onebend.beam.problem import Problem, Resolution, Rod, pose
-from onebend.beam.statics import Equilibrium, gradient, is_stable, tangent
+from onebend.beam.statics import Equilibrium, gradient, is_stable, pulls, tangent
 from onebend.records import Array, IntArray
 
 
@@ -32,8 +32,8 @@ class Search:
     surprise: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
     least_surprise: float = 1e-3  # which is allowed however small the prediction
     corrections: int = 8  # Newton iterations a step
-    tolerance: float = 3e-7  # of the last Newton update, as an angle: convergence is quadratic, the error its square
-    on_the_way: float = 1e-6  # the same before the full load: next to a bifurcation the side is decided by tiny turns
+    left: float = 1e-13  # what Newton's method may leave of the way to equilibrium at the full load,
+    on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
     shortest: float = 1e-9  # share of the load: a step below this has met the end of the branch
     most: int = 400  # steps
 
@@ -42,6 +42,7 @@ _PROBES = 4  # frames that decide the resolution of a batch
 _FINEST = 5  # halvings of the panels
 
 
+_BENT = 0.7  # share of the predicted turn that the terms beyond the slope may change
 _BEYOND = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
 
 
@@ -55,7 +56,10 @@ class _State:
         self.lost = np.zeros(size, dtype=bool)  # the branch has no stable continuation here
         self.fell = np.zeros(size, dtype=bool)
         self.slope, self.turn = np.zeros_like(rest), np.zeros(size)
-        self.fresh = np.zeros(size, dtype=bool)  # whether `slope` and `turn` belong to `q`
+        self.curl = np.zeros(size)
+        self.second, self.third = np.zeros_like(rest), np.zeros_like(rest)
+        self.fresh = np.zeros(size, dtype=bool)  # whether slope, turn, second and third belong to `q`
+        self.q_before, self.factor_before = np.zeros_like(rest), np.full(size, np.nan)  # of the last step
         self.iterations = 0
 
 
@@ -136,7 +140,7 @@ def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equi
     """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
     full, size = np.ones(problem.size), problem.size
     q, near, iterations = correct(
-        problem, start, full, search.stride * full, search.tolerance * full, search.corrections
+        problem, start, full, trust=search.stride * full, left=search.left * full, most=search.corrections
     )
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
     stable, buckled_at = near.copy(), np.full(size, np.nan)
@@ -153,14 +157,18 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
     part = problem if frames.size == problem.size else problem.take(frames)
     q, factor = state.q[frames], state.factor[frames]
-    slope, turn = _slope(part, state, frames)
+    _look_ahead(part, state, frames)
+    turn = state.turn[frames]
     step = np.minimum(state.step[frames], search.stride / np.maximum(turn, 1e-300))
+    curl = np.maximum(state.curl[frames], 1e-300)
+    step = np.minimum(step, np.maximum(_BENT * turn, search.least_surprise) / curl)
     step = np.minimum(step, 1.0 - factor)
     last = factor + step >= 1.0 - 1e-12
     target = np.where(last, 1.0, factor + step)
-    tolerance = np.where(last, search.tolerance, search.on_the_way)
+    left = np.where(last, search.left, search.on_the_way)
     trust = np.minimum(search.trust, search.least_surprise + search.surprise * step * turn)
-    found, near, count = correct(part, q + step[:, None] * slope, target, trust, tolerance, search.corrections)
+    begin = _predicted(part, state, frames, step)
+    found, near, count = correct(part, begin, target, trust=trust, left=left, most=search.corrections)
     state.iterations += count
     guarded = near & ~state.lost[frames]
     buckles = np.zeros_like(near)
@@ -171,25 +179,62 @@ def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) 
     state.lost[frames[at_last]] = True
     near &= ~buckles | at_last
     moved = frames[near]
+    state.q_before[moved], state.factor_before[moved] = q[near], factor[near]
     state.q[moved], state.factor[moved], state.fresh[moved] = found[near], target[near], False
     state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
     ended = ~near & (state.step[frames] < search.shortest)
     state.lost[frames[ended]] = True
 
 
-def _slope(problem: Problem, state: _State, frames: IntArray) -> tuple[Array, Array]:
-    """(T, Q) how the shapes go with the load, and (T,) the largest turn of that; kept while a frame does not move."""
+def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
+    """Slope of the branch with the load, and its next two terms, where a frame has moved since they were known."""
     stale = np.flatnonzero(~state.fresh[frames])
-    if stale.size:
-        chosen = frames[stale]
-        part = problem if stale.size == frames.size else problem.take(stale)
-        q, factor = state.q[chosen], state.factor[chosen]
-        right = gradient(part, q, 0.0) - gradient(part, q, 1.0)
-        at_rest = np.all(factor == 0.0)  # then the tangent is diagonal
-        slope = right / (part.weights * part.k) if at_rest else solve_batch(tangent(part, q, factor), right)
-        state.slope[chosen], state.fresh[chosen] = slope, True
-        state.turn[chosen] = np.max(np.abs(apply(part.to_nodes, slope)), axis=-1)
-    return state.slope[frames], state.turn[frames]
+    if stale.size == 0:
+        return
+    chosen = frames[stale]
+    part = problem if stale.size == frames.size else problem.take(stale)
+    q, factor = state.q[chosen], state.factor[chosen]
+    right = gradient(part, q, 0.0) - gradient(part, q, 1.0)
+    if np.all(factor == 0.0):  # then the tangent is diagonal
+        slope = right / (part.weights * part.k)
+        second, third = _terms_at_rest(part, q, slope)
+    else:
+        slope = solve_batch(tangent(part, q, factor), right)
+        second, third = _terms_behind(state, chosen, slope)
+    state.slope[chosen], state.second[chosen], state.third[chosen] = slope, second, third
+    state.turn[chosen] = np.max(np.abs(apply(part.to_nodes, slope)), axis=-1)
+    state.curl[chosen] = np.max(np.abs(apply(part.to_nodes, second)), axis=-1)
+    state.fresh[chosen] = True
+
+
+def _terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
+    """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
+    if problem.follower.shape[1]:
+        return np.zeros_like(q), np.zeros_like(q)
+    along, across = pulls(problem, q)
+    back, stiff = transposed(problem.to_nodes), problem.weights * problem.k
+    turn = apply(problem.to_nodes, slope)
+    second = -2.0 * apply(back, along * turn) / stiff
+    third = -3.0 * apply(back, along * apply(problem.to_nodes, second) + across * turn**2) / stiff
+    return second / 2.0, third / 6.0
+
+
+def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array, Array]:
+    """The same of the cubic through the last two places on the branch and the slopes there; 0 where there is one."""
+    h = (state.factor[frames] - state.factor_before[frames])[:, None]
+    with np.errstate(invalid="ignore"):
+        mean, before = (state.q[frames] - state.q_before[frames]) / h, state.slope[frames]
+        second, third = (2.0 * slope + before - 3.0 * mean) / h, (slope + before - 2.0 * mean) / h**2
+    return np.where(np.isnan(h), 0.0, second), np.where(np.isnan(h), 0.0, third)
+
+
+def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -> Array:
+    """(T, Q) where the branch is a step ahead: along its slope, bent as it was so far if that changes little."""
+    t = step[:, None]
+    bent = t**2 * (state.second[frames] + t * state.third[frames])
+    turn = np.max(np.abs(apply(problem.to_nodes, bent)), axis=-1)
+    little = turn < _BENT * step * state.turn[frames]
+    return state.q[frames] + t * state.slope[frames] + np.where(little[:, None], bent, 0.0)
 
 
 def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None:
@@ -201,4 +246,5 @@ def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None
     down = frames[landed]
     state.q[down], state.factor[down], state.step[down] = q[landed], beyond[landed], _BEYOND
     state.fell[down], state.lost[down], state.fresh[down] = True, False, False
+    state.factor_before[down] = np.nan
     state.step[frames[~landed]] = 0.0

@@ -111,6 +111,6 @@ def _work(problem: Problem, q: Array, step: Array) -> Array:
 def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
     """Newton's method from close by; True where it came to a stable equilibrium, shapes as they were elsewhere."""
     full = np.ones(len(q))
-    found, near, _ = correct(problem, q, full, 10.0 * _NEAR * full, 1e-9 * full, 12)
+    found, near, _ = correct(problem, q, full, trust=10.0 * _NEAR * full, left=1e-13 * full, most=12)
     near[near] &= is_stable(problem.take(near), found[near])
     return near, np.where(near[:, None], found, q)

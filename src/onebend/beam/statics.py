@@ -132,6 +132,12 @@ def scaled(problem: Problem, matrices: Array) -> Array:
     return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
 
 
+def pulls(problem: Problem, q: Array) -> tuple[Array, Array]:
+    """(T, Q) N m each: the internal force times L w, along the tangent and across it, to its left."""
+    here = _pulls(problem, q, 1.0)
+    return here.along, here.across
+
+
 @dataclass(frozen=True)
 class _Pulls:
     """Direction of the tangent at the nodes, and the internal force times L w along it and across it."""
