@@ -126,13 +126,13 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
         + of_clamp_angle(solved.problem)
         + of_force(solved.problem, seen.push_s)
     )
-    response = respond(solved, change)
+    response = respond(solved, change).poses(s)
     angle, along, across = solved.angle(s), at.get(x, "along"), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
     turned = np.stack([-sin * along - cos * across, cos * along - sin * across], axis=-1)
-    turn = response.angle(s)
+    turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
-    moved = scale * (response.xy(s) + turned[..., None] * turn[:, :, None, :])
+    moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
     mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2)
     out = np.zeros((*now.pose.shape, len(at.known_to(r))))
     p = seen.on_nodes.shape[-1]
