@@ -1,6 +1,6 @@
 """Following the equilibrium that grows from the rest shape while all loads grow together from nothing.
 
-Each step of the load is predicted along the branch's tangent and corrected by Newton's method. A step counts only if
+Each step of the load is predicted from the branch so far and corrected by Newton's method. A step counts only if
 the corrector moved the shape by a small angle and the new shape is stable: then it cannot have landed on another
 branch. Otherwise it is shortened. Where no step however short keeps stability, the branch has passed a bifurcation
 (a perfectly straight beam under a perfectly axial load) and is followed on, marked unstable. Where no step succeeds at
