@@ -19,7 +19,7 @@ from onebend.learning.parameters import Layout
 from onebend.records import Array
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
-_REST_SHARE = 0.3  # of the coloured force noise: what the knots cannot follow in the rests
+_REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Scales:
     """Sizes that the data choose."""
 
     tau: float  # roughness of log k
-    coloured: float  # N, force error from knot to knot
-    walk: float  # N per root second, drift of the force error
+    coloured: float  # of what was expected of the force error's coloured part
+    walk: float  # of what was expected of its random walk
     films: tuple[FilmNoise, ...]
 
 
@@ -118,11 +118,11 @@ def quadratic(rows: Rows, at: Layout, number: int, x: Array, noise: FilmNoise) -
     return Quadratic(information, right, float(c), log_noise)
 
 
-def rest_quadratic(films: list[Film], at: Layout, coloured: float) -> Quadratic:
+def rest_quadratic(films: list[Film], at: Layout) -> Quadratic:
     """The force logs in the rests, where they show their own error."""
-    information, b, c, count = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0
-    sd = _REST_SHARE * coloured
+    information, b, c, log_noise = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0.0
     for seen in films:
+        sd = _REST_SHARE * seen.error.size
         block, values = at.index["force", seen.number], seen.error.rest_values
         if block.start < 0 or len(values) == 0:
             continue
@@ -130,8 +130,8 @@ def rest_quadratic(films: list[Film], at: Layout, coloured: float) -> Quadratic:
         information[block.where, block.where] = weights.T @ weights
         b[block.where] = weights.T @ values.ravel() / sd
         c += float(np.sum(values**2)) / sd**2
-        count += values.size
-    return Quadratic(information, b, c, count * float(np.log(sd)))
+        log_noise += values.size * float(np.log(sd))
+    return Quadratic(information, b, c, log_noise)
 
 
 def together(parts: list[Quadratic]) -> Quadratic:
@@ -165,7 +165,7 @@ def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[
 def log_evidence(markers: Quadratic, films: list[Film], at: Layout, level: float, scales: Scales) -> float:
     """Log marginal likelihood of the linearised model, but for a constant."""
     precision, mean = prior(films, at, level, scales)
-    data = together([markers, rest_quadratic(films, at, scales.coloured)])
+    data = together([markers, rest_quadratic(films, at)])
     factor = cho_factor(data.information + precision, lower=True)
     right = data.b + precision @ mean
     best = cho_solve(factor, right)
@@ -179,7 +179,7 @@ def choose_scales(
 ) -> Scales:
     """Roughness and force-error sizes of greatest evidence, under broad log-normal priors around `expected`."""
     centre = np.log([expected.tau, expected.coloured, expected.walk])
-    spread = np.array([1.2, 0.4, 0.4])
+    spread = np.array([1.2, 0.5, 1.0])
 
     def tried(v: Array) -> Scales:
         tau, coloured, walk = np.exp(np.clip(v, centre - 4.0 * spread, centre + 4.0 * spread)).tolist()
@@ -193,7 +193,9 @@ def choose_scales(
         return -value + 0.5 * float(np.sum(((v - centre) / spread) ** 2))
 
     first = np.log([start.tau, start.coloured, start.walk])
-    found = minimize(cost, first, method="Nelder-Mead", options={"maxfev": 80, "xatol": 0.05, "fatol": 0.05})
+    simplex = first + np.vstack([np.zeros(3), 0.5 * np.diag(spread)])
+    options = {"maxfev": 80, "xatol": 0.03, "fatol": 0.03, "initial_simplex": simplex}
+    found = minimize(cost, first, method="Nelder-Mead", options=options)
     return tried(found.x)
 
 

@@ -130,10 +130,7 @@ def fit(
     films = [film(o, i, _frames(o, settings.most_frames), spline) for i, o in enumerate(recordings)]
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    noise = float(np.mean([np.nanmean(f.observations.force_sd) for f in films]))
-    noise = noise if np.isfinite(noise) and noise > 0.0 else 0.01 * max(f.error.largest for f in films)
-    seconds = max(float(np.ptp(f.error.knots)) for f in films)
-    expected = Scales(TAU, noise, noise / np.sqrt(max(seconds, 1.0)), tuple(FilmNoise(1.5, 0.5 * noise) for _ in films))
+    expected = Scales(TAU, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
     optimum = search(films, at, x, level, expected, settings.effort, progress)
     precision, _ = prior(films, at, level, optimum.scales)
     return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)

@@ -84,7 +84,7 @@ def search(
     progress.done()
     markers = _markers(films, at, rows, x, scales)
     precision, _ = prior(films, at, level, scales)
-    covariance = np.linalg.inv(together([markers, rest_quadratic(films, at, scales.coloured)]).information + precision)
+    covariance = np.linalg.inv(together([markers, rest_quadratic(films, at)]).information + precision)
     return Optimum(
         x=x,
         covariance=0.5 * (covariance + covariance.T),
@@ -127,7 +127,7 @@ def _descend(
 ) -> tuple[Array, list[Prediction], int, bool]:
     """Levenberg-Marquardt at fixed scales; weights and frames' covariances are renewed at every step."""
     precision, mean = prior(films, at, level, scales)
-    rests = rest_quadratic(films, at, scales.coloured)
+    rests = rest_quadratic(films, at)
     damping = 1e-4
 
     def cost(rows: list[Rows], shapes: list[Prediction], at_x: Array) -> float:
