@@ -40,7 +40,7 @@ class FitSettings:
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
     effort: Effort = field(default_factory=Effort)
-    last_rounds: int = 3  # with all frames
+    last_rounds: int = 2  # with all frames
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,8 @@ def fit(
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
     expected = Scales(TAU, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
-    way, end = settings.effort, replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
+    end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
+    way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
     near = search(first, at, x, level, expected, expected, way, progress)
     optimum = search(films, at, near.x, level, near.scales, expected, end, progress)

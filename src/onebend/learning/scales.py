@@ -44,8 +44,8 @@ class Known:
     level: float  # prior mean of log k
     expected: Scales
 
-    def solve(self, scales: Scales) -> tuple[Array, Array, float]:
-        """Most probable parameters, their covariance and the log evidence (but for a constant) under given scales."""
+    def solve(self, scales: Scales) -> tuple[Array, float, tuple[Array, bool]]:
+        """Most probable parameters, log evidence (but for a constant), and the factor of their precision (scipy's)."""
         precision, mean = prior(self.films, self.at, self.level, scales)
         data = together([self.markers, rest_quadratic(self.films, self.at)])
         factor = cho_factor(data.information + precision, lower=True)
@@ -53,8 +53,7 @@ class Known:
         best = cho_solve(factor, right)
         away = data.c - right @ best + mean @ precision @ mean
         ratio = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
-        covariance = cho_solve(factor, np.eye(len(mean)))
-        return best, 0.5 * (covariance + covariance.T), float(0.5 * ratio - 0.5 * away - data.log_noise)
+        return best, float(0.5 * ratio - 0.5 * away - data.log_noise), factor
 
     def scaled(self, start: Scales, z: Array) -> Scales:
         """Scales z (3,) sd from what was expected."""
@@ -68,7 +67,7 @@ class Known:
 
         def of(z: Array) -> float:
             try:
-                return 0.5 * float(z @ z) - self.solve(self.scaled(start, z))[2]
+                return 0.5 * float(z @ z) - self.solve(self.scaled(start, z))[1]
             except np.linalg.LinAlgError:
                 return 1e12
 
@@ -104,9 +103,9 @@ def averaged_covariance(known: Known, scales: Scales) -> Array:
     best = known.solve(scales)[0]
     out = np.zeros((len(best), len(best)))
     for weight, z in zip(weights, points, strict=True):
-        there, covariance, _ = known.solve(known.scaled(scales, z))
-        out += weight * (covariance + np.outer(there - best, there - best))
-    return out
+        there, _, factor = known.solve(known.scaled(scales, z))
+        out += weight * (cho_solve(factor, np.eye(len(best))) + np.outer(there - best, there - best))
+    return 0.5 * (out + out.T)
 
 
 def _hessian(cost: Callable[[Array], float], at: Array, h: float) -> Array:

@@ -32,7 +32,8 @@ class Effort:
 
     most_steps: int = 60
     coarse_rounds: int = 3  # far from the optimum the markers' fine print misleads
-    rounds: int = 7  # in all; each ends with new scales
+    rounds: int = 6  # in all; each ends with new scales
+    on_the_way: float = 0.3  # as `tolerance`, in all rounds but the last
     tolerance: float = 0.02  # expected gain of the last step, as a share of one sd
 
 
@@ -77,8 +78,8 @@ def search(
             size = [float(np.sqrt(np.mean(residuals(f, p) ** 2))) for f, p in zip(films, now, strict=True)]
             coarse = tuple(replace(n, marker=max(s, 1.5)) for n, s in zip(expected.films, size, strict=True))
             scales = replace(expected, films=coarse)
-        most = effort.most_steps if last else 20
-        x, now, taken, converged = _descend(films, at, x, now, level, scales, most, effort.tolerance)
+        most, tolerance = (effort.most_steps, effort.tolerance) if last else (20, effort.on_the_way)
+        x, now, taken, converged = _descend(films, at, x, now, level, scales, most, tolerance)
         steps += taken
         rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
         if not last and round_number >= effort.coarse_rounds - 1:
@@ -90,7 +91,7 @@ def search(
         covariance=averaged_covariance(known, scales),
         scales=scales,
         predictions=tuple(now),
-        log_evidence=known.solve(scales)[2],
+        log_evidence=known.solve(scales)[1],
         steps=steps,
         converged=converged,
         stopped=f"the last step was worth less than {effort.tolerance:g} of a sd"
