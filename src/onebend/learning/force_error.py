@@ -38,8 +38,8 @@ class ForceError:
 
     @property
     def size(self) -> float:
-        """N, expected sd of the coloured part."""
-        return float(np.sqrt(self.coloured[0, 0]))
+        """N, expected sd of the coloured part; next to nothing where no force was logged."""
+        return float(np.sqrt(self.coloured[0, 0])) if len(self.knots) else 1e-9
 
     def covariance(self, coloured: float, walk: float) -> Array:
         """(K, K) N^2 of one axis, its parts `coloured` and `walk` times (in sd) what was expected."""
@@ -78,6 +78,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
+    if largest == 0.0:  # only the weight acts
+        none = np.zeros((0, 0))
+        return ForceError(np.zeros(0), np.zeros((len(time), 0)), none, np.zeros((0, 2)), 0.0, none, none)
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
