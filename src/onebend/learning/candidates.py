@@ -89,7 +89,7 @@ def _broken(solved: Equilibrium, bench: Bench, at_s: float, direction: float, li
     """Which frames break which limit; the last is the beam at rest."""
     here, tip = solved.angle(np.array([at_s, 1.0])).T
     turn = np.abs(tip - tip[-1])
-    side = np.sign(np.sin(direction - here[-1]))
+    side = 1.0 if np.sin(direction - here[-1]) >= 0.0 else -1.0
     slant = np.abs(np.angle(np.exp(1j * (direction - here - side * 0.5 * np.pi))))
     bent = np.max(np.abs(solved.q - solved.problem.q0), axis=1)
     most_turn = 0.5 * np.pi if limits.tip_turn is None else limits.tip_turn

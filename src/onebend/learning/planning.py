@@ -83,7 +83,8 @@ class _Known:
 
     def _own_sd(self) -> Array:
         p = self.basis.shape[1]
-        return np.sqrt(np.einsum("si,ij,sj->s", self.basis, self.covariance[:p, :p], self.basis))
+        variance = np.einsum("si,ij,sj->s", self.basis, self.covariance[:p, :p], self.basis)
+        return np.asarray(np.sqrt(variance))
 
 
 @one_blas_thread
@@ -118,6 +119,21 @@ def plan(
     second = min((_propose(t, after, bench) for t in thoughts), key=_left)
     ranked = _distinct(sorted([*plain, *other], key=_left), settings)
     return Plan(now.quality(), now.sd(), ranked, (first, second), left_out)
+
+
+def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Bench, push: Push) -> UncertainStiffness:
+    """What would be known of k(s) after one push with today's sensor; its mean stays where it is.
+
+    Raises:
+        MechanicsError: the push has no stable equilibrium.
+    """
+    beam = replace(beam, stiffness=uncertain.profile)
+    solved = solve_push(beam, bench, push)
+    tags = np.asarray(bench.tags)
+    seen = see(solved, push.at_s, uncertain.basis(solved.problem.grid.nodes), tags)
+    told = joint_information(seen, bench, push, np.arange(len(tags)))
+    p = len(uncertain.mean)
+    return replace(uncertain, covariance=_updated(bench.joint(uncertain.covariance), told)[:p, :p])
 
 
 def _thoughts(
@@ -232,5 +248,6 @@ def _left_out(found: list[Reach]) -> tuple[str, ...]:
         where = sorted({r.at_s for r in these})
         turned = sorted({round(float(np.rad2deg(r.direction))) for r in these})
         span = f"{where[0]:.2g}" if len(where) == 1 else f"{where[0]:.2g} to {where[-1]:.2g}"
-        out.append(f"{len(these)} pushes at s = {span} in directions {turned} deg left out: {why}.")
+        count = f"{len(these)} pushes" if len(these) > 1 else "1 push"
+        out.append(f"{count} at s = {span} in directions {turned} deg left out: {why}.")
     return tuple(out)
