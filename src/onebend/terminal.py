@@ -246,14 +246,12 @@ def show_model(console: Console, stored: StoredModel) -> None:
 def plan_table(plan: Plan) -> Table:
     """The proposals of a plan, best first."""
     table = Table(title="What to do next, by what it would leave of the band", title_justify="left", box=None)
-    for name in ("", "push at s", "force", "to \\[N]", "tip moves \\[mm]", "needs", "band after", "at worst", "then"):
-        table.add_column(name, justify="right" if "\\[" in name or name in ("", "push at s") else "left")
+    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "band after"):
+        table.add_column(name, justify="left" if name in ("force", "needs") else "right")
     for i, one in enumerate(plan.proposals):
-        needs = one.needs or ("the same push once more" if one.repeats else "nothing new")
-        worst = f"{width_words(one.after.worst_width)} at s = {one.after.worst_s:.2f}"
+        needs = one.needs or ("the same once more" if one.repeats else "nothing new")
         cells = (f"{one.push.at_s:.2f}", direction_words(one.push.direction), significant(one.push.largest))
-        after = (width_words(one.after.mean_width), worst, identified_words(one.after))
-        table.add_row(str(i + 1), *cells, f"{1e3 * one.tip_moves:.0f}", needs, *after)
+        table.add_row(str(i + 1), *cells, f"{1e3 * one.tip_moves:.0f}", needs, width_words(one.after.mean_width))
     return table
 
 

@@ -56,17 +56,25 @@ def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middl
     assert made.frames == 60
 
 
+def test_a_fit_without_a_force_log_makes_no_bench(middle: Posterior) -> None:
+    film = middle.films[0]
+    blind = replace(film, error=replace(film.error, knots=np.zeros(0)))
+    with pytest.raises(LearningError, match="no recording has a force log"):
+        bench_of(replace(middle, films=(blind,)))
+
+
 def test_the_push_of_a_recording_without_load_is_none() -> None:
     made = ramp(TIP, 1)
     assert push_of(replace(made, loaded=np.zeros(60, dtype=bool))).largest == 0.0
 
 
-def test_the_predicted_band_comes_true(middle: Posterior) -> None:
-    predicted = after_push(middle.stiffness, middle.beam, bench_of(middle), TIP).log_at(PLACES)[1]
-    both = fit([ramp(MIDDLE, 1), ramp(TIP, 2)], 0.02, settings=FUNCTIONS).stiffness.log_at(PLACES)[1]
-    before = middle.stiffness.log_at(PLACES)[1]
-    assert np.mean(before) > 3.0 * np.mean(both)
-    assert np.mean(predicted) == pytest.approx(np.mean(both), rel=0.35)
+def test_the_predicted_band_comes_true() -> None:
+    first, second = ramp(TIP, 1), ramp(MIDDLE, 2)
+    tip = fit([first], 0.02, settings=FUNCTIONS)
+    predicted = after_push(tip.stiffness, tip.beam, bench_of(tip), MIDDLE).log_at(PLACES)[1]
+    both = fit([first, second], 0.02, settings=FUNCTIONS).stiffness.log_at(PLACES)[1]
+    assert np.mean(tip.stiffness.log_at(PLACES)[1]) > 2.0 * np.mean(both)
+    assert np.mean(predicted) == pytest.approx(np.mean(both), rel=0.25)
 
 
 def test_no_push_leaves_a_wider_band_anywhere(middle: Posterior) -> None:
@@ -113,12 +121,13 @@ def test_the_second_of_two_pushes_gains_less_than_the_first(next_pushes: Plan) -
 
 
 def test_limits_hold(middle: Posterior) -> None:
-    limits = Limits(force=0.2, tip_turn=np.deg2rad(25.0))
+    turn = float(np.deg2rad(25.0))
+    limits = Limits(force=0.2, tip_turn=turn)
     made = plan(middle.stiffness, middle.beam, bench_of(middle), PlanSettings(limits=limits))
     for one in made.proposals:
         if not one.repeats:
             assert one.push.largest <= 0.2
-            assert abs(one.tip_turns) <= limits.tip_turn + 1e-9
+            assert abs(one.tip_turns) <= turn + 1e-9
 
 
 def test_pushes_that_slip_off_are_left_out_and_said(middle: Posterior) -> None:
@@ -189,10 +198,10 @@ def test_a_damaged_bench_is_refused(middle: Posterior, change: dict[str, Any]) -
     [
         (90.0, "up"),
         (-90.0, "down"),
-        (60.0, "up and 30 deg towards the tip"),
-        (120.0, "up and 30 deg towards the clamp"),
-        (-120.0, "down and 30 deg towards the clamp"),
-        (240.0, "down and 30 deg towards the clamp"),
+        (60.0, "up and 30 deg out"),
+        (120.0, "up and 30 deg back"),
+        (-120.0, "down and 30 deg back"),
+        (240.0, "down and 30 deg back"),
     ],
 )
 def test_directions_in_words(degrees: float, words: str) -> None:

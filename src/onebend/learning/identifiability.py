@@ -9,6 +9,7 @@ clamp, the origin, the camera's scale, a new tag's place) is taken out by a Schu
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -16,18 +17,19 @@ from scipy.interpolate import BSpline
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
-from onebend.beam.sensitivity import of_clamp_angle, of_force, of_rest_curvature, of_stiffness, respond
+from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
 from onebend.beam.statics import Equilibrium, Resolution, pose
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.workbench import Bench, Push
+from onebend.learning.forward import MASS_MODES, REST_MODES
+from onebend.learning.workbench import Bench, ForceDoubt, Push
 from onebend.records import Array, IntArray
 
 STEPS = 24  # frames that stand for all of a push
 RESOLUTION = Resolution(order=12, widest=0.5)
-_REST_SHARE = 0.3  # of the coloured doubt: how well the log in a rest shows the error there
-_REST_MODES = Modes(3)
+_INSTANTS = 4  # of a step, over which the force's error is averaged
+_MOST_RESTS = 80  # instants of a rest that count: what is farther from the push tells nothing new
+_REST_SHARE = 0.1  # of the coloured doubt: how well the log in a rest shows the error there
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,10 @@ class Seen:
     """Derivatives of tags' poses along one push: F frames, the last being the beam at rest; M places of tags."""
 
     tags: Array  # (M,)
-    shape: Array  # (F, M, 3, C) with C coefficients, then 3 states of the rest shape, then the clamp's angle
+    functions: Array  # (F, M, 3, C) with the coefficients
+    curvature: Array  # (F, M, 3, 3) with the states of the rest shape
+    mass: Array  # (F, M, 3, 4) with the parts of the mass, in units of all of it
+    clamp: Array  # (F, M, 3, 1) with the clamp's angle
     force: Array  # (F, M, 3, 2) per N, with each frame's force; zero at rest
     pose: Array  # (F, M, 3) m, m, rad
 
@@ -64,20 +69,32 @@ def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
     return solved
 
 
-def see(solved: Equilibrium, at_s: float, on_nodes: Array, tags: Array) -> Seen:
-    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C)."""
+def see(solved: Equilibrium, bench: Bench, mass: float, at_s: float, on_nodes: Array, tags: Array) -> Seen:
+    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C).
+
+    `mass` [kg] is that of the beam.
+    """
+    problem, nodes = solved.problem, solved.problem.grid.nodes
+    per_length = mass / bench.length * MASS_MODES.curvature(nodes)
     change = (
-        of_stiffness(solved, solved.problem.k[..., None] * on_nodes)
-        + of_rest_curvature(solved.problem, _REST_MODES.curvature(solved.problem.grid.nodes))
-        + of_clamp_angle(solved.problem)
-        + of_force(solved.problem, np.asarray(at_s))
+        of_stiffness(solved, problem.k[..., None] * on_nodes)
+        + of_rest_curvature(problem, REST_MODES.curvature(nodes))
+        + of_mass(problem, per_length, np.asarray(bench.gravity)[None])
+        + of_clamp_angle(problem)
+        + of_force(problem, np.asarray(at_s))
     )
     response = respond(solved, change)
     moved = np.concatenate([response.xy(tags), response.angle(tags)[:, :, None, :]], axis=2)
-    force = moved[..., -2:].copy()
+    functions, curvature, weights, clamp, force = np.split(moved, np.cumsum([on_nodes.shape[1], 3, 4, 1]), axis=-1)
     force[-1] = 0.0  # at rest nothing pushes
     there = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
-    return Seen(tags, moved[..., :-2], force, there)
+    return Seen(tags, functions, curvature, weights, clamp, force, there)
+
+
+def mass_of(beam: Beam) -> float:
+    """kg."""
+    x, w = np.polynomial.legendre.leggauss(32)
+    return float(0.5 * beam.length * w @ np.asarray(beam.mass_per_length(0.5 * (x + 1.0))))
 
 
 def joint_information(seen: Seen, bench: Bench, candidate: Push, chosen: IntArray) -> Array:
@@ -95,7 +112,7 @@ def joint_information(seen: Seen, bench: Bench, candidate: Push, chosen: IntArra
     a = root[:-1, :, None] * seen.force[:-1, chosen].reshape(frames - 1, rows, 2)
     flat = j.reshape(-1, columns)
     aj = (np.swapaxes(a, 1, 2) @ j[:-1]).reshape(-1, columns)  # (2 (F - 1), columns)
-    information = flat.T @ flat - aj.T @ _doubt_left(a, force_covariance(bench, candidate, frames - 1)) @ aj
+    information = flat.T @ flat - aj.T @ _doubt_left(a, force_covariance(bench, candidate)) @ aj
     return eliminate(information, len(own_sd), 1.0 / own_sd**2)
 
 
@@ -114,7 +131,7 @@ def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
     solved = solve_push(beam, bench, candidate)
     knots = np.asarray(stiffness.knots)
     on_nodes = BSpline.design_matrix(solved.problem.grid.nodes, knots, stiffness.degree).toarray()
-    return _of_coefficients(solved, bench, candidate, on_nodes)
+    return _of_coefficients(solved, beam, bench, candidate, on_nodes)
 
 
 def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array, Array]:
@@ -127,35 +144,44 @@ def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array,
     """
     solved = solve_push(beam, bench, candidate)
     weights = solved.problem.weights
-    told = _of_coefficients(solved, bench, candidate, np.diag(1.0 / weights))
+    told = _of_coefficients(solved, beam, bench, candidate, np.diag(1.0 / weights))
     return solved.problem.grid.nodes, np.diag(told)
 
 
-def force_covariance(bench: Bench, candidate: Push, steps: int) -> Array:
-    """(2 steps, 2 steps) N^2: the force's doubt in the steps of a push, x and y in turn, after the rests' say.
+def force_covariance(bench: Bench, candidate: Push) -> Array:
+    """(2 STEPS, 2 STEPS) N^2: the force's doubt in the steps of a push, x and y in turn, after the rests' say.
 
-    A constant level, a part that wanders within its memory and a random walk; where the log runs before and after the
-    push it shows its own error. The clock's doubt acts as a force along the push.
+    The clock's doubt acts as a force along the push.
     """
-    doubt = bench.force
-    time = bench.seconds * (np.arange(steps) + 0.5) / steps
-    spacing = 0.25 * doubt.memory
-    before = -np.arange(spacing, bench.rest_before, spacing)[: _most_rests(bench)]
-    after = bench.seconds + np.arange(spacing, bench.rest_after, spacing)[: _most_rests(bench)]
-    rests = np.concatenate([before, after])
-    every = np.concatenate([time, rests])
-    lag = (every[:, None] - every) / doubt.memory
-    since = every - every.min()
-    full = doubt.coloured**2 * np.exp(-0.5 * lag**2) + doubt.walk**2 * np.minimum(since[:, None], since)
-    full += (doubt.level * candidate.largest) ** 2
-    inside, across = full[:steps, :steps], full[:steps, steps:]
-    seen = full[steps:, steps:] + (_REST_SHARE * doubt.coloured) ** 2 * np.eye(len(rests))
-    if len(rests) and doubt.coloured > 0.0:
-        inside = inside - across @ np.linalg.solve(seen, across.T)
-    inside = inside + np.eye(steps) * doubt.frame**2 * steps / bench.frames
+    one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
+    one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
     unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
-    rate = np.tile(candidate.largest / bench.seconds * unit, steps)
-    return np.asarray(np.kron(inside, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
+    rate = np.tile(candidate.largest / bench.seconds * unit, STEPS)
+    return np.asarray(np.kron(one, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
+
+
+@lru_cache(maxsize=8)
+def _doubt_of_axis(doubt: ForceDoubt, seconds: float, before: float, after: float) -> Array:
+    """(STEPS, STEPS) N^2 of the mean error in each step of a push.
+
+    A constant level, the coloured part and a random walk; where the log runs before and after the push it shows its
+    own error.
+    """
+    apart = seconds / (STEPS * _INSTANTS)
+    inside = apart * (np.arange(STEPS * _INSTANTS) + 0.5)
+    earlier, later = (apart * np.arange(1, rest / apart)[:_MOST_RESTS] for rest in (before, after))
+    rests = np.concatenate([-earlier, seconds + later])
+    every = np.concatenate([inside, rests])
+    since = every - every.min()
+    full = doubt.covariance(every[:, None] - every) + doubt.walk**2 * np.minimum(since[:, None], since)
+    full += doubt.level**2
+    count = len(inside)
+    left = full[:count, :count]
+    if len(rests):
+        seen = full[count:, count:] + _REST_SHARE**2 * doubt.covariance(np.zeros(1)) * np.eye(len(rests))
+        left = left - full[:count, count:] @ np.linalg.solve(seen, full[count:, :count])
+    mean = np.kron(np.eye(STEPS), np.full((1, _INSTANTS), 1.0 / _INSTANTS))
+    return np.asarray(mean @ left @ mean.T)
 
 
 def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Array:
@@ -172,10 +198,15 @@ def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Arra
 
 def alone(bench: Bench) -> Array:
     """(N,) prior precisions of the shared nuisances before any push."""
-    sd = {"curvature": bench.curvature_sd, "turn": bench.turn_sd}
-    size = {"curvature": 3}
-    values = [np.full(size.get(n, len(bench.tags)), sd.get(n, bench.placement_sd)) for n in bench.shared]
-    return np.concatenate([np.zeros(0), *values]) ** -2.0
+    m = len(bench.tags)
+    sd = {
+        "curvature": [bench.curvature_sd] * 3,
+        "mass": [bench.mass_sd] + [bench.mass_spread_sd] * 3,
+        "along": [bench.placement_sd] * m,
+        "across": [bench.placement_sd] * m,
+        "turn": [bench.turn_sd] * m,
+    }
+    return np.array([one for name in bench.shared for one in sd[name]]) ** -2.0
 
 
 def with_better_sensor(bench: Bench, times: float) -> Bench:
@@ -183,31 +214,28 @@ def with_better_sensor(bench: Bench, times: float) -> Bench:
     return replace(bench, force=bench.force.times(1.0 / times), gain_sd=bench.gain_sd / times)
 
 
-def _of_coefficients(solved: Equilibrium, bench: Bench, candidate: Push, on_nodes: Array) -> Array:
+def _of_coefficients(solved: Equilibrium, beam: Beam, bench: Bench, candidate: Push, on_nodes: Array) -> Array:
     tags = np.asarray(bench.tags)
-    joint = joint_information(
-        see(solved, candidate.at_s, on_nodes, tags), bench, candidate, np.arange(len(tags), dtype=np.int64)
-    )
+    seen = see(solved, bench, mass_of(beam), candidate.at_s, on_nodes, tags)
+    joint = joint_information(seen, bench, candidate, np.arange(len(tags), dtype=np.int64))
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
 def _columns(seen: Seen, bench: Bench, chosen: IntArray) -> tuple[Array, Array]:
     """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
-    shape, there = seen.shape[:, chosen], seen.pose[:, chosen]
-    own, tags = len(bench.tags), len(chosen)
+    there, own = seen.pose[:, chosen], len(bench.tags)
     by_tag = {"along": _sideways(there, 0.0), "across": _sideways(there, 0.5 * np.pi), "turn": _turns(there)}
-    parts = [shape[..., :-4]]
-    for name in bench.shared:
-        parts.append(shape[..., -4:-1] if name == "curvature" else by_tag[name][..., :own])
+    shared = {name: part[..., :own] for name, part in by_tag.items()}
+    shared |= {"curvature": seen.curvature[:, chosen], "mass": seen.mass[:, chosen]}
+    parts = [seen.functions[:, chosen], *(shared[name] for name in bench.shared)]
     origin = np.zeros((*there.shape, 2))
     origin[..., 0, 0] = origin[..., 1, 1] = 1.0
     scale = there[..., None] * np.array([1.0, 1.0, 0.0])[:, None]
     wanted = [(by_tag[name][..., own:], bench.placement_sd) for name in ("along", "across")]
-    wanted += [(by_tag["turn"][..., own:], bench.turn_sd), (shape[..., -1:], bench.clamp_sd)]
+    wanted += [(by_tag["turn"][..., own:], bench.turn_sd), (seen.clamp[:, chosen], bench.clamp_sd)]
     wanted += [(origin, bench.origin_sd), (scale, bench.scale_sd)]
     free = [(part, np.full(part.shape[-1], sd)) for part, sd in wanted if sd > 0.0]
     sds = np.concatenate([np.zeros(0), *(sd for _, sd in free)])
-    assert by_tag["turn"].shape[-1] == tags
     return np.concatenate([*parts, *(part for part, _ in free)], axis=-1), sds
 
 
@@ -236,8 +264,3 @@ def _doubt_left(a: Array, covariance: Array) -> Array:
     gram[np.arange(steps), :, np.arange(steps), :] = np.swapaxes(a, 1, 2) @ a
     left = np.linalg.solve(np.eye(2 * steps) + covariance @ gram.reshape(2 * steps, -1), covariance)
     return np.asarray(0.5 * (left + left.T))
-
-
-def _most_rests(bench: Bench) -> int:
-    """Instants of a rest that count: more of them than the memory of the error reaches tell nothing new."""
-    return max(40, int(4.0 * bench.seconds / bench.force.memory))

@@ -16,7 +16,7 @@ from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.candidates import Limits, Reach, reaches, same_push
-from onebend.learning.identifiability import Seen, joint_information, see, solve_push, with_better_sensor
+from onebend.learning.identifiability import Seen, joint_information, mass_of, see, solve_push, with_better_sensor
 from onebend.learning.proposals import PLACES, Plan, Proposal, Quality
 from onebend.learning.workbench import Bench, Push
 from onebend.progress import Progress, Silent, track
@@ -130,7 +130,7 @@ def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Bench, push: Pu
     beam = replace(beam, stiffness=uncertain.profile)
     solved = solve_push(beam, bench, push)
     tags = np.asarray(bench.tags)
-    seen = see(solved, push.at_s, uncertain.basis(solved.problem.grid.nodes), tags)
+    seen = see(solved, bench, mass_of(beam), push.at_s, uncertain.basis(solved.problem.grid.nodes), tags)
     told = joint_information(seen, bench, push, np.arange(len(tags)))
     p = len(uncertain.mean)
     return replace(uncertain, covariance=_updated(bench.joint(uncertain.covariance), told)[:p, :p])
@@ -147,14 +147,14 @@ def _thoughts(
     """Every candidate within the limits, solved; and the pushes made before, once more."""
     new = [Push(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes]
     again = [p for i, p in enumerate(bench.pushes) if p.largest > 0.0 and p not in bench.pushes[:i]]
-    tags = np.concatenate([bench.tags, _gaps(bench)])
+    tags, mass = np.concatenate([bench.tags, _gaps(bench)]), mass_of(beam)
     candidates = [(p, True) for p in again] + [(p, False) for p in new if not any(same_push(p, a) for a in again)]
     for candidate, repeats in track(progress, "trying pushes", candidates, len(candidates)):
         try:
             solved = solve_push(beam, bench, candidate)
         except MechanicsError:
             continue  # a push that was made once stands on its way there, but perhaps not when it grows straight
-        seen = see(solved, candidate.at_s, uncertain.basis(solved.problem.grid.nodes), tags)
+        seen = see(solved, bench, mass, candidate.at_s, uncertain.basis(solved.problem.grid.nodes), tags)
         ends = solved.xy(np.ones(1))[[-2, -1], 0]
         turns = solved.angle(np.ones(1))[[-2, -1], 0]
         yield _Thought(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)

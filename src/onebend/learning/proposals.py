@@ -102,12 +102,12 @@ def width_words(width: float) -> str:
 
 
 def direction_words(direction: float) -> str:
-    """The force's direction in the beam's frame: up is to the beam's left, out is towards the tip."""
+    """The force's direction in the beam's frame: up is to the beam's left, out to its tip."""
     degrees = float(np.rad2deg(np.angle(np.exp(1j * direction))))
     side, off = ("up", 90.0 - degrees) if degrees >= 0.0 else ("down", 90.0 + degrees)
     if abs(off) < 0.5:
         return side
-    return f"{side} and {abs(off):.0f} deg towards the {'tip' if off > 0.0 else 'clamp'}"
+    return f"{side} and {abs(off):.0f} deg {'out' if off > 0.0 else 'back'}"
 
 
 def identified_words(quality: Quality) -> str:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.force_error import LEVEL_SD
+from onebend.learning.force_error import expected_noise, passed
 from onebend.learning.forward import Film
+from onebend.learning.gauss_newton import Scales
 from onebend.learning.parameters import Layout
 from onebend.learning.posterior import Posterior
-from onebend.records import Array, Observations
+from onebend.records import Array, ForceNoise, Observations
 
-SHARED = ("curvature", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
+SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
 
 
 @dataclass(frozen=True)
@@ -28,18 +29,24 @@ class Push:
 
 @dataclass(frozen=True)
 class ForceDoubt:
-    """One sd of what is wrong with the force of a push, each axis alike."""
+    """One sd of what is wrong with the force of a push, each axis alike; the parts of `records.ForceNoise`."""
 
-    level: float  # share of the largest force: what a tare may miss altogether
-    coloured: float  # N, wanders within `memory`
-    memory: float  # s
+    level: float  # N, what a tare may miss altogether
+    coloured: float  # N, before the low-pass
+    tau: float  # s, its correlation time
+    cutoff: float | None  # Hz, of the zero-phase low-pass; None: none
     walk: float  # N / sqrt(s)
     frame: float  # N, of each frame on its own
 
     def times(self, factor: float) -> ForceDoubt:
         """Of a sensor whose every error is `factor` times as large."""
-        level, coloured = factor * self.level, factor * self.coloured
-        return ForceDoubt(level, coloured, self.memory, factor * self.walk, factor * self.frame)
+        sizes = {name: factor * float(getattr(self, name)) for name in ("level", "coloured", "walk", "frame")}
+        return replace(self, **sizes)
+
+    def covariance(self, lag: Array) -> Array:
+        """N^2 of the coloured part at `lag` [s], behind the low-pass."""
+        noise = ForceNoise(0.0, self.coloured, self.tau, self.walk)
+        return passed(noise, np.inf if self.cutoff is None else self.cutoff, lag)
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,8 @@ class Bench:
     placement_sd: float  # m, a tag's place along and across the beam, before any data
     turn_sd: float  # rad, a tag's turn on the beam
     curvature_sd: float  # rad, states of the rest shape; 0 where the beam is straight
+    mass_sd: float  # of the mass; 0 where nothing weighs
+    mass_spread_sd: float  # of the mass: parts of an uneven mass per metre
     clamp_sd: float  # rad, the clamp's direction, anew in every push
     origin_sd: float  # m, the clamp's place against the base tag
     scale_sd: float  # of lengths in the picture; 0 with a calibrated camera
@@ -74,13 +83,13 @@ class Bench:
         shapes = (self.tag_sd.shape, self.shared_covariance.shape, self.shared_slope.shape[:1])
         if m == 0 or shapes != ((m, 3), (count, count), (count,)):
             raise LearningError(f"a bench of {m} tags and {count} shared nuisances cannot hold arrays of {shapes}")
-        if not (self.frames > 0 and self.seconds > 0.0 and np.all(self.tag_sd > 0.0) and self.force.memory > 0.0):
-            raise LearningError("a bench needs frames, seconds, the tags' sd and the force's memory above zero")
+        if not (self.frames > 0 and self.seconds > 0.0 and np.all(self.tag_sd > 0.0) and self.force.tau > 0.0):
+            raise LearningError("a bench needs frames, seconds, the tags' sd and the force's tau above zero")
 
     @property
     def shared_size(self) -> int:
         """N."""
-        return sum(3 if name == "curvature" else len(self.tags) for name in self.shared)
+        return sum({"curvature": 3, "mass": 4}.get(name, len(self.tags)) for name in self.shared)
 
     def joint(self, covariance: Array) -> Array:
         """(p + N, p + N) covariance of coefficients and shared nuisances, from that of the coefficients (p, p)."""
@@ -95,7 +104,7 @@ class Bench:
     def from_dict(data: dict[str, Any]) -> Bench:
         """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
         try:
-            entries = {**data, "force": ForceDoubt(**{k: float(v) for k, v in data["force"].items()})}
+            entries = {**data, "force": ForceDoubt(**data["force"])}
             for name in ("tags", "gravity", "shared"):
                 entries[name] = tuple(data[name])
             for name in ("tag_sd", "shared_slope", "shared_covariance"):
@@ -111,7 +120,11 @@ class Bench:
 
 
 def bench_of(posterior: Posterior) -> Bench:
-    """The bench on which the recordings of a fit were made; what differs between them by its median."""
+    """The bench on which the recordings of a fit were made; what differs between them by its median.
+
+    Raises:
+        LearningError: no recording has a force log with a push.
+    """
     at, films, scales = posterior.at, posterior.films, posterior.optimum.scales
     seen = [f.observations for f in films]
     names = tuple(name for name in SHARED if at.index[name, -1].start >= 0)
@@ -131,17 +144,13 @@ def bench_of(posterior: Posterior) -> Bench:
         placement_sd=_prior_sd(at, films, "along", shared=True),
         turn_sd=_prior_sd(at, films, "turn", shared=True),
         curvature_sd=_prior_sd(at, films, "curvature", shared=True),
+        mass_sd=_prior_sd(at, films, "mass", shared=True, part=0),
+        mass_spread_sd=_prior_sd(at, films, "mass", shared=True, part=-1),
         clamp_sd=_prior_sd(at, films, "clamp"),
         origin_sd=_prior_sd(at, films, "origin"),
         scale_sd=_prior_sd(at, films, "scale"),
         clock_sd=_prior_sd(at, films, "clock"),
-        force=ForceDoubt(
-            level=LEVEL_SD,
-            coloured=scales.coloured,
-            memory=2.0 * float(np.median([f.error.knots[1] - f.error.knots[0] for f in films])),
-            walk=scales.walk,
-            frame=float(np.median([n.force for n in scales.films])),
-        ),
+        force=_force_doubt(films, scales),
         gain_sd=posterior.gain_sd,
         gravity=(float(gravity[0]), float(gravity[1])),
         curvature=float(max(bent)),
@@ -176,10 +185,28 @@ def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[A
     return slope, np.asarray(0.5 * (left + left.T))
 
 
-def _prior_sd(at: Layout, films: tuple[Film, ...], name: str, *, shared: bool = False) -> float:
+def _force_doubt(films: tuple[Film, ...], scales: Scales) -> ForceDoubt:
+    """The expected noise of the force logs, as large as the fit found it."""
+    pushed = [(f, n) for f, n in zip(films, scales.films, strict=True) if len(f.error.knots)]
+    if not pushed:
+        raise LearningError("no recording has a force log with a push, so nothing says how well a force can be known")
+    noises = [expected_noise(f.observations, push_of(f.observations).largest) for f, _ in pushed]
+    logs = [f.observations.clean_force for f, _ in pushed]
+    cutoffs = [log.cutoff for log in logs if log is not None and np.isfinite(log.cutoff)]
+    return ForceDoubt(
+        level=float(np.median([f.error.level for f, _ in pushed])),
+        coloured=scales.coloured * float(np.median([n.coloured for n in noises])),
+        tau=float(np.median([n.tau for n in noises])),
+        cutoff=float(np.median(cutoffs)) if cutoffs else None,
+        walk=scales.walk * float(np.median([n.walk for n in noises])),
+        frame=float(np.median([n.force for _, n in pushed])),
+    )
+
+
+def _prior_sd(at: Layout, films: tuple[Film, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
     """One sd of a kind of nuisance before the data; 0 where it is frozen."""
     blocks = [at.index[name, number] for number in ([-1] if shared else [f.number for f in films])]
-    return float(np.median([np.median(b.prior_sd) if b.start >= 0 else 0.0 for b in blocks]))
+    return float(np.median([b.prior_sd[part] if b.start >= 0 else 0.0 for b in blocks]))
 
 
 def _tag_sd(observations: Observations) -> Array:
@@ -198,7 +225,8 @@ def _rests(observations: Observations) -> tuple[float, float]:
 
 
 def _check_finite(bench: Bench) -> None:
-    for item in fields(bench):
-        value = getattr(bench, item.name)
-        if isinstance(value, float | int | np.ndarray) and not np.all(np.isfinite(value)):
-            raise ValueError(f"{item.name} is not finite")
+    for record in (bench, bench.force):
+        for item in fields(record):
+            value = getattr(record, item.name)
+            if isinstance(value, float | int | np.ndarray) and not np.all(np.isfinite(value)):
+                raise ValueError(f"{item.name} is not finite")
