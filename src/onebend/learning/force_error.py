@@ -45,6 +45,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
+    largest = max(largest, 1e-6)  # only weight acts: no error either, but nothing may be divided by zero
     spacing = 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:

@@ -1,0 +1,74 @@
+"""What a person should know of a marker-space fit: how near it comes to the tags, and what is odd about it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.learning.parameters import Priors
+from onebend.learning.posterior import Posterior
+from onebend.records import Array, Remark
+
+_FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
+_LOUD = 3.0  # times its covariance: a tag that scatters more is remarked on
+
+
+def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
+    """(m,) m of each recording: distance of the tags from the fit, its nuisances (force error, ...) applied.
+
+    NaN for a tag that was never seen. Unlike the RMS of a `Comparison`, errors of the force log are taken off here.
+    """
+    out = []
+    for seen, fitted in zip(posterior.films, posterior.optimum.predictions, strict=True):
+        squared = np.sum((seen.measured - fitted.pose)[..., :2] ** 2, axis=-1)
+        count = np.sum(np.isfinite(squared), axis=0)
+        total = np.nansum(squared, axis=0)
+        out.append(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+    return tuple(out)
+
+
+def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
+    """Warnings and notes on the fit itself."""
+    return (*_search(posterior), *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+
+
+def _search(posterior: Posterior) -> list[Remark]:
+    if posterior.optimum.converged:
+        return []
+    text = f"the fit did not converge ({posterior.optimum.stopped}): k(s) and its band are not to be relied on"
+    return [Remark("warning", text)]
+
+
+def _clamp(posterior: Posterior) -> list[Remark]:
+    usual = Priors().clamp
+    sd = max((float(b.prior_sd[0]) for b in posterior.at.blocks if b.name == "clamp"), default=usual)
+    if sd <= 1.001 * usual:
+        return []
+    text = (
+        f"the clamp's direction was left free to {np.rad2deg(sd):.2g} deg (sd; usual: {np.rad2deg(usual):.2g} deg). A "
+        "turned clamp looks like a softer beam near it: the two trade off, and the band shows it"
+    )
+    return [Remark("warning", text)]
+
+
+def _nuisances(posterior: Posterior) -> list[Remark]:
+    far = [n for n in posterior.nuisances() if abs(n.value) > _FAR * n.prior_sd]
+    return [
+        Remark(
+            "warning",
+            f"{n.name} came out {abs(n.value) / n.prior_sd:.1f} times as far off as recording.toml and the priors "
+            "allow (one sd): something is not as it is written there",
+        )
+        for n in far
+    ]
+
+
+def _noise(posterior: Posterior) -> list[Remark]:
+    out = []
+    for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
+        if noise.marker > _LOUD:
+            text = (
+                f"{seen.observations.name}: the tags lie {noise.marker:.1f} times as far from the fit as their own "
+                "accuracy explains; the band is widened by as much"
+            )
+            out.append(Remark("note", text))
+    return out
