@@ -9,7 +9,7 @@ from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
-_LOUD = 3.0  # times its covariance: a tag that scatters more is remarked on
+_LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
 def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
@@ -67,8 +67,8 @@ def _noise(posterior: Posterior) -> list[Remark]:
     for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
         if noise.marker > _LOUD:
             text = (
-                f"{seen.observations.name}: the tags lie {noise.marker:.1f} times as far from the fit as their own "
-                "accuracy explains; the band is widened by as much"
+                f"{seen.observations.name}: the tags' misfit, which lasts from frame to frame, counts as {noise.marker:.1f} "
+                "times the noise that the pictures explain; the band is that much wider"
             )
             out.append(Remark("note", text))
     return out
