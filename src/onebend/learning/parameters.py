@@ -97,7 +97,13 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
             ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
-            ("force", r, "N", float(np.any(one.force != 0.0)), tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+            (
+                "force",
+                r,
+                "N",
+                float(np.any(one.force != 0.0)),
+                tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy"),
+            ),
         ]
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:

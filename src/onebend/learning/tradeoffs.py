@@ -34,9 +34,7 @@ def tradeoffs(posterior: Posterior, *, most: int = 5, least: float = 0.5) -> tup
     first, second = np.triu_indices(len(names), k=1)
     strength = np.abs(correlation[first, second])
     order = [i for i in np.argsort(-strength, kind="stable") if strength[i] >= least][:most]
-    return tuple(
-        Tradeoff(names[first[i]], names[second[i]], float(correlation[first[i], second[i]])) for i in order
-    )
+    return tuple(Tradeoff(names[first[i]], names[second[i]], float(correlation[first[i], second[i]])) for i in order)
 
 
 def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tuple[Tradeoff, ...]:

@@ -12,6 +12,7 @@ from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
 from onebend.report.wording import significant
 
+FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
 _PLACES = 401
 _SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms"), "1": (1e2, "%")}
 
@@ -41,10 +42,9 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     """Sentences on where the data are blind; empty where they are not."""
     found = identified_ranges(uncertain)
     whose = "this recording says" if recordings == 1 else "these recordings say"
-    rest = f"next to nothing: k is not known to {100 * (np.exp(1.96 * IDENTIFIED_SD) - 1):.0f} % (95 %)."
     if not found:
-        return [f"Nowhere {'does this recording say' if recordings == 1 else 'do these recordings say'} enough: "
-                f"k(s) is not known to {100 * (np.exp(1.96 * IDENTIFIED_SD) - 1):.0f} % (95 %) at any place."]  # fmt: skip
+        return [f"At no place {whose} enough: k(s) is not known to a factor of {FACTOR:.1f} (95 %) anywhere."]
+    rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
     words = []
     if found[0][0] > 0.0:
         words.append(f"Between the clamp and s = {found[0][0]:.2f} {whose} {rest}")
