@@ -5,6 +5,7 @@ Exit codes: 0 done; 2 the input or the request cannot be used, with one message 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,8 +16,9 @@ import typer
 from rich.console import Console
 
 import onebend
-from onebend import terminal
 from onebend.errors import OnebendError
+from onebend.learning.parameters import Priors
+from onebend.learning.posterior import FitSettings
 from onebend.learning.selection import Settings
 from onebend.pipeline import compare, learn_recording
 from onebend.progress import Progress, Silent
@@ -36,7 +38,10 @@ from onebend.results.summary import (
     validation_summary,
 )
 from onebend.results.writing import learned_writer, validation_writer
+from onebend.terminal.bars import Bars
+from onebend.terminal.screens import show_model, show_overview, show_run, show_validation
 
+CLAMP_DEG = math.degrees(Priors().clamp)
 BY = f"onebend {onebend.__version__}"
 
 app = typer.Typer(
@@ -50,7 +55,7 @@ app = typer.Typer(
 # What the commands take. Their names and helps are the user's manual; docs/cli.md says more.
 Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings of the same beam.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml, of one beam.")]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
 ValidateOn = Annotated[
@@ -58,7 +63,11 @@ ValidateOn = Annotated[
     typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
 ]
 Method = Annotated[
-    Literal["regression", "paper"], typer.Option(help="paper: its rows (17) to the letter, tags' positions only.")
+    Literal["fit", "regression", "paper"],
+    typer.Option(
+        help="fit: k(s) with a band, from the markers; it begins at the regression. regression: the paper's way alone, "
+        "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
+    ),
 ]
 Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
 Width = Annotated[
@@ -77,6 +86,15 @@ Epsilon = Annotated[
         help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
     ),
 ]
+ClampSd = Annotated[
+    float | None,
+    typer.Option(
+        "--clamp-sd-deg",
+        min=0.0,
+        metavar="DEG",
+        help=f"How far the clamp may be turned, one sd; default: {CLAMP_DEG:.2g}. It trades off against k.",
+    ),
+]
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
 ]
@@ -87,29 +105,33 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 
 @app.command()
 def learn(
-    recording: Recording,
+    recordings: Recordings,
     *,
     output: Output = None,
     validate_on: ValidateOn = None,
-    method: Method = "regression",
+    method: Method = "fit",
     family: Family = "gaussians",
     width: Width = None,
     bic: Bic = "textbook",
     n: Modes = None,
     m: Functions = None,
+    clamp_sd: ClampSd = None,
     epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn k(s) from the recording REC; results and a report go to OUT (default: the name of REC and -results)."""
-    out = output or Path(f"{recording.resolve().name}-results")
-    settings = Settings(method=method, family=family, width=width, bic=bic, n=n, m=m)
+    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
+    out = output or Path(f"{recordings[0].resolve().name}-results")
+    regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
+    settings = Settings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
+    fitting = _fitting(clamp_sd) if method == "fit" else None
     with _clean_errors(), _workplace(out, LEARN_FORMAT, overwrite) as place, _progress(quiet) as progress:
         run = learn_recording(
-            recording,
+            *recordings,
             settings=settings,
+            fitting=fitting,
             observing=_observing(threads, epsilon),
             validate_on=validate_on or (),
             detect=KeptDetections(place.partial, onebend.__version__).detect,
@@ -122,7 +144,7 @@ def learn(
     if as_json:
         _print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     else:
-        terminal.show_run(Console(), run, seconds, out)
+        show_run(Console(), run, seconds, out)
 
 
 @app.command()
@@ -153,7 +175,7 @@ def validate(
     if as_json:
         _print_json(validation_summary(str(model), pairs, written_by=BY))
     else:
-        terminal.show_validation(Console(), pairs, output)
+        show_validation(Console(), pairs, output)
 
 
 @app.command()
@@ -172,7 +194,7 @@ def check(recording: Recording, *, as_json: Json = False) -> None:
     if as_json:
         _print_json(found.as_dict())
     else:
-        terminal.show_overview(Console(), found)
+        show_overview(Console(), found)
 
 
 @app.command()
@@ -183,13 +205,19 @@ def show(model: Model, *, as_json: Json = False) -> None:
     if as_json:
         _print_json(model_summary(stored))
     else:
-        terminal.show_model(Console(), stored)
+        show_model(Console(), stored)
 
 
 def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:
     if epsilon is None:
         return ObserveSettings(threads=threads)
     return ObserveSettings(threads=threads, pairing="nearest", epsilon=epsilon)
+
+
+def _fitting(clamp_sd: float | None) -> FitSettings:
+    if clamp_sd is None:
+        return FitSettings()
+    return FitSettings(priors=Priors(clamp=math.radians(clamp_sd)))
 
 
 def _say_version(asked: bool) -> None:
@@ -248,7 +276,7 @@ def _progress(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield Silent()
         return
-    with terminal.Bars(Console(stderr=True)) as bars:
+    with Bars(Console(stderr=True)) as bars:
         yield bars
 
 

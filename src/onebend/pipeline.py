@@ -110,8 +110,8 @@ def check_together(wanted: Sequence[Recording], fitting: FitSettings | None) -> 
         if abs(one.beam.length - first.beam.length) > 1e-9 or _ids(one) != _ids(first):
             raise LearningError(
                 f"{one.folder} is not of the beam of {first.folder}: {1000 * one.beam.length:.4g} mm with tags "
-                f"{_ids(one)}, against {1000 * first.beam.length:.4g} mm with tags {_ids(first)}. Learn from recordings "
-                "of one beam, or correct length_m and the tags"
+                f"{_ids(one)}, against {1000 * first.beam.length:.4g} mm with tags {_ids(first)}. Learn from "
+                "recordings of one beam, or correct length_m and the tags"
             )
         for tag, same in zip(one.tags.on_beam, first.tags.on_beam, strict=True):
             away = abs(tag.s - same.s) * first.beam.length

@@ -91,19 +91,14 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     ]
     for r, one in enumerate(recordings):
         origin = one.placement_sd if priors.origin is None else priors.origin
+        error = float(np.any(one.force != 0.0))  # N; weight alone has no log that could err
         scale = priors.scale if one.view is not None and not one.view.calibrated else 0.0
         wanted += [
             ("clamp", r, "rad", priors.clamp, (f"{one.name}: clamp angle",)),
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
             ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
-            (
-                "force",
-                r,
-                "N",
-                float(np.any(one.force != 0.0)),
-                tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy"),
-            ),
+            ("force", r, "N", error, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:

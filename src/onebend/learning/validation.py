@@ -63,7 +63,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
 
 
 def mounting(beam: Beam, observations: Observations) -> Array:
-    """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame there; 0 where it was not seen."""
+    """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen."""
     solved = simulate(beam, push(np.zeros((1, 2))))[0]
     alpha, away = solved.angle(observations.marker_s)[0], observations.rest_xy - solved.xy(observations.marker_s)[0]
     cos, sin = np.cos(alpha), np.sin(alpha)

@@ -67,8 +67,8 @@ def _noise(posterior: Posterior) -> list[Remark]:
     for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
         if noise.marker > _LOUD:
             text = (
-                f"{seen.observations.name}: the tags' misfit, which lasts from frame to frame, counts as {noise.marker:.1f} "
-                "times the noise that the pictures explain; the band is that much wider"
+                f"{seen.observations.name}: the tags' misfit, which lasts from frame to frame, counts as "
+                f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
             )
             out.append(Remark("note", text))
     return out

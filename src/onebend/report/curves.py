@@ -8,13 +8,12 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.posterior import Nuisance
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, shape, styled
 
 MM = 1000.0
@@ -67,7 +66,7 @@ def _plain(axes: Axes, k: Array) -> tuple[float, float]:
 
 
 def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
-    """The curve with its bands; returns the highest value to show: the band may leave the picture where it says nothing."""
+    """The curve with its bands; returns the highest value to show: a band that says nothing may leave the picture."""
     wide = uncertain.band(_S, LEVELS[0][0])
     known, k = wide.identified, wide.k
     for level, strength in LEVELS:
@@ -78,17 +77,15 @@ def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
                     _S, band.low, band.high, where=_reach(where), color=tint, alpha=strength, linewidth=0
                 )  # fmt: skip
     axes.plot(_S, np.where(known, k, np.nan), color=BLUE, label="k(s)")
-    handles = [Patch(color=BLUE, alpha=0.62, label="50, 80, 95 % band")]
+    axes.fill_between([], [], color=BLUE, alpha=0.5, linewidth=0, label="50, 80, 95 % band")  # for the legend
     if not known.all():
         axes.plot(_S, np.where(_reach(~known), k, np.nan), color=GREY)
-        handles.append(Patch(color=GREY, alpha=0.6, label="not identified"))
-    for one in handles:
-        axes.add_patch(one)  # outside the data: only for the legend
+        axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label="not identified")
     seen = known if known.any() else np.ones(len(_S), dtype=bool)
     return float(max(np.max(wide.high[seen]), min(np.max(wide.high), 1.5 * np.max(k))))
 
 
-def _reach(where: Array) -> Array:
+def _reach(where: BoolArray) -> BoolArray:
     """Flags, one place wider on either side, so that two neighbouring pieces of a curve touch."""
     return np.asarray(where | np.roll(where, 1) | np.roll(where, -1)) if not where.all() else where
 

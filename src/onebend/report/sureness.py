@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -48,10 +49,7 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     words = []
     if found[0][0] > 0.0:
         words.append(f"Between the clamp and s = {found[0][0]:.2f} {whose} {rest}")
-    words += [
-        f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}"
-        for before, after in zip(found[:-1], found[1:], strict=True)
-    ]
+    words += [f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(found)]
     if found[-1][1] < 1.0:
         words.append(f"Beyond s = {found[-1][1]:.2f} {whose} {rest}")
     return words
@@ -63,8 +61,8 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
         return "No force was logged: the scale of k(s) is that of the beam's weight, m g."
     if gain_sd > 0.0:
         return (
-            f"The force's scale is declared to {100 * gain_sd:.3g} % (sd): it moves all of k(s) alike, by as much, and is "
-            "in the band."
+            f"The force's scale is declared to {100 * gain_sd:.3g} % (sd): it moves all of k(s) alike, by as much, "
+            "and is in the band."
         )
     return (
         "The force's scale error is not declared (gain_sd in [force]) and not in the band: a sensor that reads 1 % too "

@@ -113,8 +113,8 @@ def assumptions(findings: Findings) -> list[str]:
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
         f"Each tag sits at its written s to {millimetres(seen.placement_sd)} mm (sd).",
-        "What the force sensor reads at rest is taken off; a scale error, which it has only under load, is not seen, and "
-        "goes into k.",
+        "What the force sensor reads at rest is taken off; a scale error, which it has only under load, is not seen, "
+        "and goes into k.",
     ]
 
 

@@ -1,4 +1,4 @@
-"""`model.json`: the learned beam, with all that is needed to simulate it, how sure its k(s) is, and where it comes from."""
+"""`model.json`: the learned beam, all that is needed to simulate it, how sure its k(s) is, and where it comes from."""
 
 from __future__ import annotations
 
