@@ -29,12 +29,22 @@ class Tradeoff:
 
 
 def tradeoffs(posterior: Posterior, *, most: int = 5, least: float = 0.5) -> tuple[Tradeoff, ...]:
-    """The strongest pairs, strongest first: at most `most`, none weaker than `least`."""
+    """The strongest pairs, strongest first: at most `most`, none weaker than `least`.
+
+    Every quantity is named once, with what it trades off against most.
+    """
     names, correlation = correlations(posterior)
     first, second = np.triu_indices(len(names), k=1)
     strength = np.abs(correlation[first, second])
-    order = [i for i in np.argsort(-strength, kind="stable") if strength[i] >= least][:most]
-    return tuple(Tradeoff(names[first[i]], names[second[i]], float(correlation[first[i], second[i]])) for i in order)
+    found: list[Tradeoff] = []
+    named: set[int] = set()
+    for i in np.argsort(-strength, kind="stable"):
+        if strength[i] < least or len(found) == most:
+            break
+        if not named & {int(first[i]), int(second[i])}:
+            found.append(Tradeoff(names[first[i]], names[second[i]], float(correlation[first[i], second[i]])))
+            named |= {int(first[i]), int(second[i])}
+    return tuple(found)
 
 
 def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tuple[Tradeoff, ...]:

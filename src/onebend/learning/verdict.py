@@ -66,8 +66,9 @@ def _noise(posterior: Posterior) -> list[Remark]:
     out = []
     for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
         if noise.marker > _LOUD:
+            whose = f"{seen.observations.name}: " if len(posterior.films) > 1 else ""
             text = (
-                f"{seen.observations.name}: the tags' misfit, which lasts from frame to frame, counts as "
+                f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
                 f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
             )
             out.append(Remark("note", text))

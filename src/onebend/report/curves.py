@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, shape, styled
@@ -35,21 +35,21 @@ def stiffness(
 
     The symbols are the tags; hatched: what no push reached.
     """
-    figure, (axes,) = blank(3.1 if uncertain is None else 3.7)
-    k = beam.stiffness(_S)
     if uncertain is None:
-        low, top = _plain(axes, k)
+        figure, (axes,) = blank(3.1)
+        low, top = _plain(axes, beam.stiffness(_S))
     else:
+        figure, (axes, relative) = blank(4.9, 2, 1, sharex=True, height_ratios=(2.6, 1.0))
         low, top = 0.0, _banded(axes, uncertain)
+        _relative(relative, uncertain, regression)
     if regression is not None:
         axes.plot(_S, regression(_S), color=ORANGE, linewidth=1.3, linestyle="--", label="the paper's regression")
-        inside = (_S > 0.03) & (_S < 0.9)
-        top = max(top, min(float(np.max(regression(_S)[inside])), 2.0 * top))
-    axes.set(xlim=(0, 1), xlabel="place along the beam s", ylabel="bending stiffness k = EI / L [N m]")
-    axes.set_ylim(1.15 * low, 1.15 * top or None)
+        top = max(top, min(float(np.max(regression(_S))), 1.5 * top))
+    axes.set(xlim=(0, 1), ylabel="bending stiffness k = EI / L [N m]", ylim=(1.15 * low, 1.15 * top or None))
     _places(axes, marker_s, push_s)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, handlelength=1.6, columnspacing=1.2)
+        axes.legend(loc="best")
+    figure.axes[-1].set_xlabel("place along the beam s")
     length = MM * beam.length
     above = axes.secondary_xaxis("top", functions=(partial(np.multiply, length), partial(np.multiply, 1.0 / length)))
     above.set_xlabel("distance from the clamp [mm]", color=MUTED)
@@ -67,15 +67,8 @@ def _plain(axes: Axes, k: Array) -> tuple[float, float]:
 
 def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
     """The curve with its bands; returns the highest value to show: a band that says nothing may leave the picture."""
-    wide = uncertain.band(_S, LEVELS[0][0])
+    wide = _bands(axes, uncertain, np.asarray)
     known, k = wide.identified, wide.k
-    for level, strength in LEVELS:
-        band = uncertain.band(_S, level)
-        for where, tint in ((known, BLUE), (~known, GREY)):
-            if where.any():
-                axes.fill_between(
-                    _S, band.low, band.high, where=_reach(where), color=tint, alpha=strength, linewidth=0
-                )  # fmt: skip
     axes.plot(_S, np.where(known, k, np.nan), color=BLUE, label="k(s)")
     axes.fill_between([], [], color=BLUE, alpha=0.5, linewidth=0, label="50, 80, 95 % band")  # for the legend
     if not known.all():
@@ -85,9 +78,32 @@ def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
     return float(max(np.max(wide.high[seen]), min(np.max(wide.high), 1.5 * np.max(k))))
 
 
+def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | None) -> None:
+    """The bands, and the regression, in per cent of k(s)."""
+    k = uncertain.profile(_S)
+    wide = _bands(axes, uncertain, lambda value: 100.0 * (value / k - 1.0))
+    axes.axhline(0.0, color=BLUE)
+    if regression is not None:
+        axes.plot(_S, 100.0 * (regression(_S) / k - 1.0), color=ORANGE, linewidth=1.3, linestyle="--")
+    seen = wide.identified if wide.identified.any() else np.ones(len(_S), dtype=bool)
+    reach = 120.0 * float(np.max((wide.high / k - 1.0)[seen]))
+    axes.set(ylim=(-min(reach, 100.0), reach), ylabel="against k [%]")
+
+
+def _bands(axes: Axes, uncertain: UncertainStiffness, shown: Callable[[Array], Array]) -> Band:
+    """The bands as `shown`, grey where the data are blind; returns the widest."""
+    for level, strength in LEVELS:
+        band = uncertain.band(_S, level)
+        for where, tint in ((band.identified, BLUE), (~band.identified, GREY)):
+            axes.fill_between(
+                _S, shown(band.low), shown(band.high), where=_reach(where), color=tint, alpha=strength, linewidth=0
+            )  # fmt: skip
+    return uncertain.band(_S, LEVELS[0][0])
+
+
 def _reach(where: BoolArray) -> BoolArray:
-    """Flags, one place wider on either side, so that two neighbouring pieces of a curve touch."""
-    return np.asarray(where | np.roll(where, 1) | np.roll(where, -1)) if not where.all() else where
+    """Flags, one place wider to the right, so that two neighbouring pieces of a curve touch."""
+    return np.concatenate([where[:1], where[1:] | where[:-1]])
 
 
 def _places(axes: Axes, marker_s: Array | Sequence[float], push_s: float | None) -> None:

@@ -14,12 +14,13 @@ from rich.text import Text
 
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
+from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.cards import sureness_card
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
 from onebend.report.sureness import gain_words, stop_words, tradeoff_words, unidentified_words
-from onebend.report.wording import significant, worst_marker
+from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
@@ -44,7 +45,11 @@ def headline(run: Findings) -> Panel:
         trial = run.learned.trials[run.learned.chosen]
         how = f"m = {trial.m} {run.learned.family}, {run.learned.method}"
         lines.append(f"[bold]model[/] n = {trial.n} curvature modes, {how}")
-    lines += [f"[bold]{escape(one.name)}[/] worst marker {worst_marker(one)} RMS" for one in run.trainings]
+    for i, one in enumerate(run.trainings):
+        lines.append(f"[bold]{escape(one.name)}[/] worst marker {worst_marker(one)} RMS under the force as logged")
+        if run.posterior is not None:
+            rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
+            lines[-1] += f"; {millimetres(rms)} mm with its fitted error taken off"
     return Panel("\n".join(lines), expand=False, border_style="green")
 
 
