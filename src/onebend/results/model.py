@@ -195,8 +195,10 @@ def _uncertain(file: Path, data: Any, beam: Beam) -> UncertainStiffness | None:
     s = np.linspace(0.0, 1.0, 21)
     try:
         found = UncertainStiffness.from_dict(data)
-        band = found.band(s)
-        fits = np.allclose(band.k, beam.stiffness(s), rtol=1e-9) and np.isfinite([band.low, band.high]).all()
+        spread = np.linalg.eigvalsh(found.covariance)
+        if spread[0] < -1e-9 * spread[-1] or not np.allclose(found.covariance, found.covariance.T):
+            raise MechanicsError("its covariance is none")
+        fits = np.allclose(found.band(s).k, beam.stiffness(s), rtol=1e-9)
     except (MechanicsError, KeyError, TypeError, ValueError, IndexError) as error:
         raise ResultsError(f"{file}: key 'uncertain' describes no stiffness ({error!r}). {_ADVICE}") from error
     if not fits:
