@@ -81,8 +81,7 @@ def test_band_is_drawn_where_it_is_and_grey_where_the_data_are_blind() -> None:
     np.testing.assert_allclose(blue[1][known], uncertain.profile(s)[known])
     assert np.isnan(blue[1][~known]).all()
     np.testing.assert_allclose(grey[1][~known], uncertain.profile(s)[~known])
-    widest = above.collections[0].get_paths()[0].vertices
-    assert widest is not None
+    widest = np.array(above.collections[0].get_paths()[0].vertices, dtype=float)
     np.testing.assert_allclose(np.max(widest[:, 1]), np.max(uncertain.band(s).high[known]), rtol=0.1)
     assert below.get_ylabel() == "against k [%]"
 
