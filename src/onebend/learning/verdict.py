@@ -45,7 +45,7 @@ def _clamp(posterior: Posterior) -> list[Remark]:
         return []
     text = (
         f"the clamp's direction was left free to {np.rad2deg(sd):.2g} deg (sd; usual: {np.rad2deg(usual):.2g} deg). A "
-        "turned clamp looks like a softer beam near it: the two trade off, and the band shows it"
+        "turned clamp looks like a softer beam near it, so this can cost what the data say of k there; see the band"
     )
     return [Remark("warning", text)]
 
