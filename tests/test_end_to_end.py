@@ -117,6 +117,7 @@ def test_the_example_runs_and_stands_in_the_readme() -> None:
     assert done.stderr == ""
     assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
         "k at base, middle and tip [N m]",
+        "95 % band, from",
         "RMS of the three markers on the fast push [mm]",
         "the tip would go to [mm]",
     ]
