@@ -19,7 +19,7 @@ from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.verdict import fit_remarks, missed
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
@@ -145,6 +145,7 @@ def _fit(
     """The fit over all recordings, and what is to be said of it.
 
     All forces are taken to come from one sensor: its scale error is common, so more recordings do not average it out.
+    Raises `LearningError` where several recordings have no beam in common.
     """
     gain_sd = max(one.gain_sd for one in seen)
     try:
@@ -155,6 +156,12 @@ def _fit(
             f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
             "`onebend learn --method regression`"
         ) from error
+    wrong = missed(posterior)
+    if len(seen) > 1 and wrong:
+        raise LearningError(
+            f"the recordings do not agree on one beam. {'; '.join(wrong)}. Learn from each alone, and keep "
+            "together those whose k(s) agree"
+        )
     remarks = fit_remarks(posterior)
     if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"

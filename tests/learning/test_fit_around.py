@@ -19,7 +19,7 @@ from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
 from onebend.learning.validation import mounting, validate
-from onebend.learning.verdict import fit_remarks, fitted_rms
+from onebend.learning.verdict import fit_remarks, fitted_rms, missed
 from onebend.recording.folder import read_recording
 from onebend.records import Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
@@ -171,3 +171,12 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
         pipeline.learn_recording(EXAMPLE / "train")
+
+
+def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = replace(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
+    assert missed(fitted()) == ()
+    seen = iter([made(), other])
+    monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
+    with pytest.raises(LearningError, match=r"do not agree on one beam\. .*misses tag"):
+        pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))

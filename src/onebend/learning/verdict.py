@@ -9,6 +9,7 @@ from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
+_MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -26,9 +27,25 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     return tuple(out)
 
 
+def missed(posterior: Posterior) -> tuple[str, ...]:
+    """One sentence for each recording that the fit cannot explain, its nuisances applied; empty as a rule."""
+    out = []
+    for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
+        xy = seen.measured[..., :2]
+        motion = np.linalg.norm(np.fmax.reduce(xy) - np.fmin.reduce(xy), axis=-1)
+        worst = int(np.argmax(np.nan_to_num(rms / motion)))
+        if rms[worst] > _MISS * motion[worst]:
+            out.append(
+                f"{seen.observations.name}: the fit misses tag {seen.observations.tag_id[worst]} by "
+                f"{1000 * rms[worst]:.1f} mm RMS where it moves by {1000 * motion[worst]:.0f} mm"
+            )
+    return tuple(out)
+
+
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     """Warnings and notes on the fit itself."""
-    return (*_search(posterior), *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+    wrong = [Remark("warning", f"{text}: k(s) and its band are not to be relied on") for text in missed(posterior)]
+    return (*wrong, *_search(posterior), *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
 
 
 def _search(posterior: Posterior) -> list[Remark]:
