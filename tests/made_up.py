@@ -4,7 +4,7 @@ tested on, without a video."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -150,8 +150,9 @@ def learned(training: Comparison | None = None) -> Learned:
 
 @cache
 def posterior() -> Posterior:
-    """A real fit to the made-up markers, without their errors."""
+    """A real fit to the made-up markers, without their errors and with the angles that belong to them."""
     seen = observations(one=comparison(error_m=0.0))
+    seen = replace(seen, angle=BEAM.equilibrium(seen.force, seen.push_s).angle(MARKER_S))
     return fit([seen], 0.03, settings=FitSettings(functions=8, most_frames=30))
 
 

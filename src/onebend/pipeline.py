@@ -161,9 +161,10 @@ def _fit(
         ) from error
     wrong = missed(posterior)
     if len(seen) > 1 and wrong:
+        reasons = "; ".join(f"{name}: {text}" for name, text in wrong)
         raise LearningError(
-            f"the recordings do not agree on one beam. {'; '.join(wrong)}. Learn from each alone, and keep "
-            "together those whose k(s) agree"
+            f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
+            "k(s) agree"
         )
     remarks = fit_remarks(posterior)
     if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:

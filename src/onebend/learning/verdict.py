@@ -27,24 +27,28 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     return tuple(out)
 
 
-def missed(posterior: Posterior) -> tuple[str, ...]:
-    """One sentence for each recording that the fit cannot explain, its nuisances applied; empty as a rule."""
+def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
+    """Name and reason of each recording that the fit cannot explain, its nuisances applied; empty as a rule."""
     out = []
     for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
         xy = seen.measured[..., :2]
         motion = np.linalg.norm(np.fmax.reduce(xy) - np.fmin.reduce(xy), axis=-1)
         worst = int(np.argmax(np.nan_to_num(rms / motion)))
         if rms[worst] > _MISS * motion[worst]:
-            out.append(
-                f"{seen.observations.name}: the fit misses tag {seen.observations.tag_id[worst]} by "
-                f"{1000 * rms[worst]:.1f} mm RMS where it moves by {1000 * motion[worst]:.0f} mm"
+            text = (
+                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.1f} mm RMS where it "
+                f"moves by {1000 * motion[worst]:.0f} mm"
             )
+            out.append((seen.observations.name, text))
     return tuple(out)
 
 
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     """Warnings and notes on the fit itself."""
-    wrong = [Remark("warning", f"{text}: k(s) and its band are not to be relied on") for text in missed(posterior)]
+    wrong = [
+        Remark("warning", f"{_whose(posterior, name)}{text}: k(s) and its band are not to be relied on")
+        for name, text in missed(posterior)
+    ]
     return (*wrong, *_search(posterior), *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
 
 
@@ -83,10 +87,15 @@ def _noise(posterior: Posterior) -> list[Remark]:
     out = []
     for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
         if noise.marker > _LOUD:
-            whose = f"{seen.observations.name}: " if len(posterior.films) > 1 else ""
+            whose = _whose(posterior, seen.observations.name)
             text = (
                 f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
                 f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
             )
             out.append(Remark("note", text))
     return out
+
+
+def _whose(posterior: Posterior, name: str) -> str:
+    """The recording that a remark is on, where there are several."""
+    return f"{name}: " if len(posterior.films) > 1 else ""

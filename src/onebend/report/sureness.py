@@ -48,7 +48,7 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
     words = []
     if found[0][0] > 0.0:
-        words.append(f"Between the clamp and s = {found[0][0]:.2f} {whose} {rest}")
+        words.append(f"Nearer to the clamp than s = {np.ceil(100 * found[0][0]) / 100:.2f} {whose} {rest}")
     words += [f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(found)]
     if found[-1][1] < 1.0:
         words.append(f"Beyond s = {found[-1][1]:.2f} {whose} {rest}")
