@@ -19,7 +19,12 @@ MARGIN = 0.1  # s, kept away from contact when a rest is read
 
 
 def observe_quickly(
-    virtual: Virtual, *, error: Array | None = None, clock_error: float = 0.0, clock_sd: float = 0.0, cutoff: float = 4.0
+    virtual: Virtual,
+    *,
+    error: Array | None = None,
+    clock_error: float = 0.0,
+    clock_sd: float = 0.0,
+    cutoff: float = 4.0,
 ) -> Observations:
     """Observations on a clock that is `clock_error` [s] off, stated as good to `clock_sd` [s] (0: known).
 
@@ -71,6 +76,8 @@ def observe_quickly(
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
-        clock=ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True) if clock_sd > 0.0 else None,
+        clock=ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True)
+        if clock_sd > 0.0
+        else None,
         clean_force=clean,
     )
