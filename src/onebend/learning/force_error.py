@@ -1,10 +1,11 @@
-"""The error that is left in a force log: slow, correlated, zero-mean after the tare.
+"""The error that is left in a force log: slow, correlated, about zero after the tare.
 
-After filter and tare the log differs from the true force by what the sensor's own coloured noise and drift left in.
-It is written as a cubic spline in time whose knots are as dense as the filter's cut-off lets it change. Prior of the
-coefficients: independent (sd `coloured`) plus a random walk (`walk`, per root second) from an unknown level. What is
-faster than the knots counts as noise of each frame. In the rests the true force is zero, so there the log shows its
-error itself.
+The log's noise is known in kind and about in size from the clock search: a coloured part (Ornstein-Uhlenbeck) and a
+random walk (`records.ForceNoise`). After the zero-phase low-pass the coloured part keeps what its spectrum holds below
+the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
+coefficients is that process, each part times a factor that the data choose, and a level that a tare may have missed.
+What is faster than the knots counts as noise of each frame. In the rests the true force is zero, so there the log
+shows its error itself.
 """
 
 from __future__ import annotations
@@ -13,43 +14,75 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.records import Array, IntArray, Observations
+from onebend.recording.signals import low_pass_power
+from onebend.records import Array, ForceNoise, IntArray, Observations
 
-LEVEL_SD = 0.05  # N per largest force: what a tare may miss altogether
 _MARGIN = 0.2  # s, kept away from contact when a rest is read
-_MOST_KNOTS = 150
-_SPACING = 0.15  # of the period of the cut-off
-_MEMORY = 2.0  # knots: correlation length of low-passed noise
+_MOST_KNOTS = 100
+_SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
+_GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
+_UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
 @dataclass(frozen=True)
 class ForceError:
-    """Knots of one recording."""
+    """Knots of one recording, and what is expected at them before the fit."""
 
     knots: Array  # (K,) s
     weights: Array  # (T, K): the error at each used frame is `weights @ values`
     rest_weights: Array  # (R, K): at instants of rest
     rest_values: Array  # (R, 2) N, the log there
     largest: float  # N
+    coloured: Array  # (K, K) N^2, of one axis, where the coloured part is as large as expected
+    walk: Array  # (K, K) N^2, the same of the random walk
+
+    @property
+    def size(self) -> float:
+        """N, expected sd of the coloured part."""
+        return float(np.sqrt(self.coloured[0, 0]))
 
     def covariance(self, coloured: float, walk: float) -> Array:
-        """(K, K) N^2 of one axis."""
-        t = self.knots - self.knots[0] if len(self.knots) else self.knots
-        lag = (t[:, None] - t[None, :]) / (_MEMORY * (t[1] - t[0]))
-        out = coloured**2 * (np.exp(-0.5 * lag**2) + 0.03 * np.eye(len(t)))
-        out = out + walk**2 * np.minimum(t[:, None], t[None, :])
-        return np.asarray(out + (LEVEL_SD * self.largest) ** 2)
+        """(K, K) N^2 of one axis, its parts `coloured` and `walk` times (in sd) what was expected."""
+        return np.asarray(coloured**2 * self.coloured + walk**2 * self.walk + self.largest**2)
+
+
+def expected_noise(observations: Observations, largest: float) -> ForceNoise:
+    """What the clock search found; a stated share of the largest force where it found nothing."""
+    clean = observations.clean_force
+    if clean is not None and clean.noise is not None:
+        return clean.noise
+    size = float(np.nanmean(observations.force_sd)) if np.any(np.isfinite(observations.force_sd)) else 0.0
+    size = size if size > 0.0 else _UNKNOWN_NOISE * largest
+    seconds = float(np.ptp(observations.time)) if len(observations.time) > 1 else 1.0
+    return ForceNoise(white=0.0, coloured=size, tau=0.2, walk=size / np.sqrt(max(seconds, 1.0)))
+
+
+def passed(noise: ForceNoise, cutoff: float, lag: Array) -> Array:
+    """Covariance at `lag` [s] of the coloured part behind the low-pass at `cutoff` [Hz]: a cosine transform."""
+    if not np.isfinite(cutoff):
+        return np.asarray(noise.coloured**2 * np.exp(-np.abs(lag) / noise.tau))
+    x, w = np.polynomial.legendre.leggauss(24)
+    highest = 3.0 * cutoff
+    count = int(np.ceil(2.0 * highest * float(np.max(np.abs(lag), initial=0.0)) / 4.0)) + 1  # panels: 4 half waves each
+    edges = np.linspace(0.0, highest, count + 1)
+    f = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)).ravel()
+    weights = (0.5 * np.diff(edges)[:, None] * w).ravel()
+    density = 4.0 * noise.tau * noise.coloured**2 / (1.0 + (2.0 * np.pi * f * noise.tau) ** 2)
+    density *= low_pass_power(f, cutoff)
+    different, back = np.unique(np.round(np.abs(lag), 9), return_inverse=True)
+    values = np.cos(2.0 * np.pi * different[:, None] * f) @ (weights * density)
+    return np.asarray(values[back].reshape(np.shape(lag)))
 
 
 def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
-    spacing = 0.3
+    noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
         if np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
-            spacing = _SPACING / clean.cutoff
+            cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
         loaded = observations.time[observations.loaded]
         if len(loaded):
             free = np.zeros(len(clean.time), dtype=bool)
@@ -65,7 +98,18 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
     step = (end - begin) / (count - 3)
     knots = np.asarray(begin + step * (np.arange(count) - 1.0), dtype=float)
-    return ForceError(knots, spline_weights(knots, time), spline_weights(knots, rest_time), rest_force, largest)
+    lag = knots[:, None] - knots
+    short = passed(noise, cutoff, lag)
+    since = knots - knots[0]
+    return ForceError(
+        knots=knots,
+        weights=spline_weights(knots, time),
+        rest_weights=spline_weights(knots, rest_time),
+        rest_values=rest_force,
+        largest=largest,
+        coloured=short + _GRAIN * short[0, 0] * np.eye(count),
+        walk=noise.walk**2 * np.minimum(since[:, None], since),
+    )
 
 
 def spline_weights(knots: Array, time: Array) -> Array:

@@ -9,7 +9,7 @@ the band comes from the curvature at the optimum (Laplace's approximation).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,9 +36,11 @@ class FitSettings:
     """How the marker-space fit runs."""
 
     functions: int = 16  # of the spline of log k
-    most_frames: int = 400  # of each recording, evenly chosen
+    most_frames: int = 500  # of each recording, evenly chosen
+    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
     effort: Effort = field(default_factory=Effort)
+    last_rounds: int = 2  # with all frames
 
 
 @dataclass(frozen=True)
@@ -127,14 +129,20 @@ def fit(
     """
     _check_same_beam(recordings)
     spline = Spline(settings.functions)
-    films = [film(o, i, _frames(o, settings.most_frames), spline) for i, o in enumerate(recordings)]
+    first, films = (
+        [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
+        for most in (settings.first_frames, settings.most_frames)
+    )
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    noise = float(np.mean([np.nanmean(f.observations.force_sd) for f in films]))
-    noise = noise if np.isfinite(noise) and noise > 0.0 else 0.01 * max(f.error.largest for f in films)
-    seconds = max(float(np.ptp(f.error.knots)) for f in films)
-    expected = Scales(TAU, noise, noise / np.sqrt(max(seconds, 1.0)), tuple(FilmNoise(1.5, 0.5 * noise) for _ in films))
-    optimum = search(films, at, x, level, expected, settings.effort, progress)
+    expected = Scales(TAU, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
+    end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
+    way = replace(settings.effort, tolerance=settings.effort.on_the_way)
+    progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
+    near = search(first, at, x, level, expected, expected, way, progress)
+    optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
+    optimum = replace(optimum, steps=near.steps + optimum.steps)
+    progress.done()
     precision, _ = prior(films, at, level, optimum.scales)
     return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
 

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.recording.noise import ForceNoise, first_guess, fit_noise, log_evidence
+from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth, outliers, step
-from onebend.records import Array, ClockOffset, ForceLog, Markers, Remark
+from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
