@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.studies import ERRORS, KINDS, LEVELS, Run, run
+from benchmarks.studies import ERRORS, KINDS, LEVELS, OWN, Run, run
 from onebend.records import Array
 
-CELLS = tuple(f"{kind} {errors}" for kind in KINDS for errors in ERRORS)
+CELLS = tuple(f"{kind} {errors}" for kind in KINDS for errors in ERRORS) + OWN
 KEPT = Path(__file__).parents[1] / "out" / "benchmarks" / "coverage.jsonl"
 
 
@@ -86,6 +86,20 @@ def summary(name: str, runs: Sequence[Run]) -> Cell:
     )
 
 
+def efficiency(name: str, runs: Sequence[Run]) -> str:
+    """A row of the table of squared errors over the least possible ones, for the thirds of the beam."""
+    good = [r for r in runs if r.thirds_variance]
+    error, least = (np.array([getattr(r, what) for r in good]) for what in ("thirds_error", "thirds_variance"))
+    squares, off = error**2, "-"
+    if name.startswith("fixed"):
+        bias = error.mean(axis=0)
+        squares = (error - bias) ** 2 * len(good) / max(len(good) - 1, 1)
+        off = " / ".join(f"{b:+.2f}" for b in bias / np.sqrt(least.mean(axis=0)))
+    shares = [share(squares[:, i], least[:, i]) for i in range(error.shape[1])]
+    ratios = " / ".join(f"{one.value:.2f} ± {one.error:.2f}" for one in shares)
+    return f"| {name} | {len(good)} | {ratios} | {off} |"
+
+
 def markdown(cells: Iterable[Cell]) -> str:
     """The table."""
     levels = " / ".join(f"{100 * level:.0f}" for level in LEVELS)
@@ -144,9 +158,16 @@ def main() -> None:
     asked = parser.parse_args()
     cells = [c for c in CELLS if not asked.cells or any(part in c for part in asked.cells)]
     done = study(cells, asked.runs, asked.jobs, asked.kept)
-    print(
-        markdown(summary(c, [r for (cell, seed), r in done.items() if cell == c and seed < asked.runs]) for c in cells)
-    )
+    runs = {c: [r for (cell, seed), r in done.items() if cell == c and seed < asked.runs] for c in cells}
+    print(markdown(summary(cell, of) for cell, of in runs.items()))
+    own = [cell for cell in cells if any(r.thirds_variance for r in runs[cell])]
+    if own:
+        print(
+            "\n| from the fit's own model | runs | variance over the least possible, thirds of the beam | bias / sd |"
+        )
+        print("| --- " * 4 + "|")
+    for cell in own:
+        print(efficiency(cell, runs[cell]))
 
 
 if __name__ == "__main__":

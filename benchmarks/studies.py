@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.in_family import draw, least_variance, thirds
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
 from onebend.errors import LearningError, MechanicsError, ObservationError
@@ -19,11 +20,12 @@ from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
-from onebend.learning.posterior import Posterior, fit
+from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything")
+OWN = ("prior 3", "prior 8", "prior 20", "fixed 6")  # drawn from the fit's own model: see `own_run`
 LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 MOUNTING = np.deg2rad(1.5)  # one sd of a tag's turn
@@ -47,6 +49,8 @@ class Run:
     clock_sd: float = 0.0  # s
     tau: float = 0.0
     converged: bool = False
+    thirds_error: tuple[float, ...] = ()  # of the means of log k over thirds, where drawn from the fit's own model
+    thirds_variance: tuple[float, ...] = ()  # the least possible one
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
@@ -61,6 +65,8 @@ class Run:
     def from_dict(data: dict[str, Any]) -> Run:
         """From `as_dict`."""
         changed = {
+            "thirds_error": tuple(data.get("thirds_error", ())),
+            "thirds_variance": tuple(data.get("thirds_variance", ())),
             "error": tuple(data["error"]),
             "sd": tuple(data["sd"]),
             "inside": tuple(tuple(v == "1" for v in row) for row in data["inside"]),
@@ -114,8 +120,10 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
 
 
 def run(cell: str, seed: int) -> Run:
-    """Make, observe, fit, compare. A cell is a kind of beam and a kind of errors, as "smooth white"."""
+    """Make, observe, fit, compare. A cell is a kind of beam and a kind of errors, as "smooth white", or OWN."""
     kind, errors = cell.split()
+    if cell in OWN:
+        return own_run(cell, seed)
     began = time.perf_counter()
     try:
         bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
@@ -128,6 +136,25 @@ def run(cell: str, seed: int) -> Run:
         compared(found, np.asarray(bench.beam.stiffness(S)), cell, seed),
         clock_error=seen.clock.offset - bench.clock.offset,
         clock_sd=seen.clock.sd,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def own_run(cell: str, seed: int) -> Run:
+    """The same with a draw from the fit's own model: "prior 8" has k of roughness 8, "fixed 6" one k of 6 functions."""
+    kind, number = cell.split()
+    began = time.perf_counter()
+    fixed, functions = kind == "fixed", int(number) if kind == "fixed" else FitSettings().functions
+    try:
+        drawn = draw(seed, roughness=8.0 if fixed else float(number), functions=functions, fixed=fixed)
+        found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
+    except (LearningError, MechanicsError) as wrong:
+        return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
+    error = thirds(drawn.at.spline) @ (found.stiffness.mean - drawn.x[:functions])
+    return replace(
+        compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
+        thirds_error=tuple(error.tolist()),
+        thirds_variance=tuple(least_variance(drawn, prior_of_k=not fixed).tolist()),
         seconds=time.perf_counter() - began,
     )
 
@@ -148,7 +175,7 @@ def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Run:
     )
 
 
-def fit_from_nothing(seen: Observations, *, gain_sd: float = 0.0) -> Posterior:
+def fit_from_nothing(seen: Observations, *, gain_sd: float = 0.0, settings: FitSettings = FitSettings()) -> Posterior:
     """Fit from an even stiffness: half the largest moment over the largest turn; stiffer where the beam snaps through.
 
     Raises
@@ -160,8 +187,8 @@ def fit_from_nothing(seen: Observations, *, gain_sd: float = 0.0) -> Posterior:
     start = 0.5 * moment / max(float(np.nanmax(np.abs(np.median(seen.angle[seen.loaded], axis=1)))), 0.1)
     for factor in (1.0, 3.0):
         try:
-            return fit([seen], factor * start, gain_sd=gain_sd)
+            return fit([seen], factor * start, gain_sd=gain_sd, settings=settings)
         except LearningError as wrong:
             if "stiffer" not in str(wrong):
                 raise
-    return fit([seen], 10.0 * start, gain_sd=gain_sd)
+    return fit([seen], 10.0 * start, gain_sd=gain_sd, settings=settings)
