@@ -32,18 +32,18 @@ class ForceError:
     weights: Array  # (T, K): the error at each used frame is `weights @ values`
     rest_weights: Array  # (R, K): at instants of rest
     rest_values: Array  # (R, 2) N, the log there
-    largest: float  # N
     coloured: Array  # (K, K) N^2, of one axis, where the coloured part is as large as expected
     walk: Array  # (K, K) N^2, the same of the random walk
+    level: float  # N, sd of what the tare may have missed: all of it where the log shows no rest
 
     @property
     def size(self) -> float:
-        """N, expected sd of the coloured part."""
-        return float(np.sqrt(self.coloured[0, 0]))
+        """N, expected sd of the coloured part; next to nothing where no force was logged."""
+        return float(np.sqrt(self.coloured[0, 0])) if len(self.knots) else 1e-9
 
     def covariance(self, coloured: float, walk: float) -> Array:
         """(K, K) N^2 of one axis, its parts `coloured` and `walk` times (in sd) what was expected."""
-        return np.asarray(coloured**2 * self.coloured + walk**2 * self.walk + self.largest**2)
+        return np.asarray(coloured**2 * self.coloured + walk**2 * self.walk + self.level**2)
 
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:
@@ -78,6 +78,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
+    if largest == 0.0:  # only the weight acts
+        none = np.zeros((0, 0))
+        return ForceError(np.zeros(0), np.zeros((len(time), 0)), none, np.zeros((0, 2)), none, none, 0.0)
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
@@ -98,7 +101,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
     step = (end - begin) / (count - 3)
     knots = np.asarray(begin + step * (np.arange(count) - 1.0), dtype=float)
-    lag = knots[:, None] - knots
+    lag, sd = knots[:, None] - knots, observations.force_sd
     short = passed(noise, cutoff, lag)
     since = knots - knots[0]
     return ForceError(
@@ -106,9 +109,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         weights=spline_weights(knots, time),
         rest_weights=spline_weights(knots, rest_time),
         rest_values=rest_force,
-        largest=largest,
         coloured=short + _GRAIN * short[0, 0] * np.eye(count),
         walk=noise.walk**2 * np.minimum(since[:, None], since),
+        level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
     )
 
 

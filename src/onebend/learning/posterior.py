@@ -99,18 +99,21 @@ class Posterior:
     def beam(self) -> Beam:
         """The beam at the optimum."""
         one = self.films[0].observations
-        theta0 = self.at.get(self.mean, "curvature")
-        rest: Profile = Uniform(0.0)
-        if np.any(theta0 != 0.0):
-            powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
-            rest = Powers(tuple(powers.tolist()))
-        mass = one.mass if np.isfinite(one.mass) else 0.0
+        mass = next((f.observations.mass for f in self.films if np.isfinite(f.observations.mass)), 0.0)
+        uneven = mass / one.length * (np.array([1.0, 0.0, 0.0, 0.0]) + self.at.get(self.mean, "mass"))
         return Beam(
             one.length,
             self.stiffness.profile,
-            rest_curvature=rest,
-            mass_per_length=Uniform(mass / one.length),
+            rest_curvature=_from_legendre(self.at.get(self.mean, "curvature")),
+            mass_per_length=_from_legendre(uneven),
         )
+
+
+def _from_legendre(states: Array) -> Profile:
+    """The profile of Legendre states."""
+    if np.all(states[1:] == 0.0):
+        return Uniform(float(states[0]))
+    return Powers(tuple(np.linalg.solve(Modes(len(states), "powers").to_legendre, states).tolist()))
 
 
 @one_blas_thread
