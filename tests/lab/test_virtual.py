@@ -123,7 +123,7 @@ def test_a_pull_along_the_beam_stretches_it_by_hooke() -> None:
 
 def test_pushes_that_cannot_be_are_refused() -> None:
     with pytest.raises(MechanicsError, match="axial stiffness"):
-        made(axial_stiffness=1e-3 * PUSH.peak)
+        made(fps=2.0, axial_stiffness=1e-3 * PUSH.peak)
     with pytest.raises(RecordingError, match="rise"):
         Push(1.0, rise=0.0)
     with pytest.raises(RecordingError, match="acts at"):

@@ -18,6 +18,7 @@ from onebend.records import Array
 
 STEPS = 400
 MOST = 30  # Newton steps
+FARTHEST = 10.0  # of the largest moment: what is left at the force may not grow beyond
 
 
 def stretched(
@@ -34,15 +35,19 @@ def stretched(
     tip = start.xy(np.array([at_s]))[:, 0]
     moment = tip[:, 0] * force[:, 1] - tip[:, 1] * force[:, 0]
     scale = max(float(np.max(np.abs(moment))), 1e-12)
+    text = f"no shape of the beam with an axial stiffness of {axial_stiffness:g} N was found. Give a larger one"
     for _ in range(MOST):
         left = shoot(beam, force, at_s, edges, axial_stiffness, moment)[-1][:, 3]
-        if float(np.max(np.abs(left))) < 1e-11 * scale:
+        worst = float(np.max(np.abs(left)))
+        if worst < 1e-11 * scale:
             break
+        if not worst < FARTHEST * scale:
+            raise MechanicsError(text)
         h = 1e-5 * scale
         more = shoot(beam, force, at_s, edges, axial_stiffness, moment + h)[-1][:, 3]
         moment = moment - left * h / (more - left)
     else:
-        raise MechanicsError(f"no shape of the beam with an axial stiffness of {axial_stiffness:g} N was found")
+        raise MechanicsError(text)
     path = np.stack(shoot(beam, force, at_s, edges, axial_stiffness, moment), axis=1)[:, np.searchsorted(edges, s)]
     return path[..., :2], path[..., 2]
 
