@@ -29,7 +29,7 @@ from onebend.learning.posterior import Posterior
 from onebend.records import Array, BoolArray
 
 S = np.linspace(0.05, 0.9, 18)
-STEP = 0.5  # of pCN: the part of each step that is new
+STEP = 0.8  # of pCN: the part of each step that is new
 INNER = 2  # Gauss-Newton steps of the force's error at each k
 LEVELS = (0.025, 0.1, 0.5, 0.9, 0.975)
 NORMAL = np.array([-1.9600, -1.2816, 0.0, 1.2816, 1.9600])
@@ -179,7 +179,7 @@ def compare(found: Posterior, count: int, *, seed: int, integrate: bool) -> Comp
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--cells", type=int, default=len(CELLS), help="how many of the recordings")
     asked = parser.parse_args()
     quantiles, normal = (" / ".join(f"{q:g}" for q in row) for row in (LEVELS, np.round(NORMAL, 2)))

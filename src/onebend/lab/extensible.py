@@ -16,7 +16,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
-STEPS = 400
+STEPS = 200
 MOST = 30  # Newton steps
 FARTHEST = 10.0  # of the largest moment: what is left at the force may not grow beyond
 
