@@ -11,11 +11,14 @@ from onebend.errors import (
     RecordingError,
     ResultsError,
 )
+from onebend.learning.identifiability import information, information_along
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.planning import PlanSettings, plan
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
+from onebend.learning.workbench import Bench, Push, bench_of
 from onebend.pipeline import learn_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
@@ -28,6 +31,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Band",
     "Beam",
+    "Bench",
     "Comparison",
     "FitSettings",
     "Gaussians",
@@ -38,8 +42,10 @@ __all__ = [
     "ObservationError",
     "Observations",
     "OnebendError",
+    "PlanSettings",
     "Posterior",
     "Powers",
+    "Push",
     "RecordingError",
     "ResultsError",
     "Settings",
@@ -48,12 +54,16 @@ __all__ = [
     "Table",
     "UncertainStiffness",
     "Uniform",
+    "bench_of",
     "fit",
+    "information",
+    "information_along",
     "learn",
     "learn_recording",
     "load_model",
     "load_observations",
     "observe",
+    "plan",
     "read_recording",
     "save_model",
     "save_observations",

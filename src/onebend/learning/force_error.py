@@ -3,9 +3,9 @@
 The log's noise is known in kind and about in size from the clock search: a coloured part (Ornstein-Uhlenbeck) and a
 random walk (`records.ForceNoise`). After the zero-phase low-pass the coloured part keeps what its spectrum holds below
 the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
-coefficients is that process, each part times a factor that the data choose, and a level that a tare may have missed.
-What is faster than the knots counts as noise of each frame. In the rests the true force is zero, so there the log
-shows its error itself.
+coefficients is that process, its sizes and correlation time times factors that the data choose, and a level that a
+tare may have missed. What is faster than the knots counts as noise of each frame. In the rests the true force is zero,
+so there the log shows its error itself.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import toeplitz
 
 from onebend.recording.signals import low_pass_power
 from onebend.records import Array, ForceNoise, IntArray, Observations
@@ -25,6 +26,35 @@ _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never f
 
 
 @dataclass(frozen=True)
+class Filtered:
+    """An Ornstein-Uhlenbeck process behind the low-pass: its covariance by a cosine transform."""
+
+    lag: Array  # (K,) s
+    frequency: Array  # (N,) Hz, quadrature nodes; empty without a filter
+    weight: Array  # (N,) Hz, quadrature times what the filter lets through
+    cosine: Array  # (K, N)
+
+    def covariance(self, sd: float, tau: float) -> Array:
+        """(K,) of a process of that sd and correlation time [s]."""
+        if not len(self.frequency):
+            return np.asarray(sd**2 * np.exp(-self.lag / tau))
+        density = 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * self.frequency * tau) ** 2)
+        return np.asarray(self.cosine @ (self.weight * density))
+
+
+def filtered(lag: Array, cutoff: float) -> Filtered:
+    """Gauss panels of four half waves of the longest lag each, up to thrice the cut-off [Hz]."""
+    if not np.isfinite(cutoff) or not len(lag):
+        return Filtered(lag, np.zeros(0), np.zeros(0), np.zeros((len(lag), 0)))
+    x, w = np.polynomial.legendre.leggauss(12)
+    highest = 3.0 * cutoff
+    edges = np.linspace(0.0, highest, int(np.ceil(highest * float(lag[-1]) / 2.0)) + 2)
+    f = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)).ravel()
+    weights = (0.5 * np.diff(edges)[:, None] * w).ravel() * low_pass_power(f, cutoff)
+    return Filtered(lag, f, weights, np.cos(2.0 * np.pi * lag[:, None] * f))
+
+
+@dataclass(frozen=True)
 class ForceError:
     """Knots of one recording, and what is expected at them before the fit."""
 
@@ -32,18 +62,27 @@ class ForceError:
     weights: Array  # (T, K): the error at each used frame is `weights @ values`
     rest_weights: Array  # (R, K): at instants of rest
     rest_values: Array  # (R, 2) N, the log there
-    coloured: Array  # (K, K) N^2, of one axis, where the coloured part is as large as expected
-    walk: Array  # (K, K) N^2, the same of the random walk
+    noise: ForceNoise  # as expected before the fit
+    filtered: Filtered
     level: float  # N, sd of what the tare may have missed: all of it where the log shows no rest
 
     @property
     def size(self) -> float:
         """N, expected sd of the coloured part; next to nothing where no force was logged."""
-        return float(np.sqrt(self.coloured[0, 0])) if len(self.knots) else 1e-9
+        return (
+            float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau)[0]))
+            if len(self.knots)
+            else 1e-9
+        )
 
-    def covariance(self, coloured: float, walk: float) -> Array:
-        """(K, K) N^2 of one axis, its parts `coloured` and `walk` times (in sd) what was expected."""
-        return np.asarray(coloured**2 * self.coloured + walk**2 * self.walk + self.level**2)
+    def covariance(self, coloured: float, memory: float, walk: float) -> Array:
+        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time and the walk as factors of what was
+        expected."""
+        short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau)
+        since = self.knots - self.knots[0]
+        out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
+        out[np.diag_indices(len(out))] += _GRAIN * short[0]
+        return np.asarray(out)
 
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:
@@ -57,30 +96,15 @@ def expected_noise(observations: Observations, largest: float) -> ForceNoise:
     return ForceNoise(white=0.0, coloured=size, tau=0.2, walk=size / np.sqrt(max(seconds, 1.0)))
 
 
-def passed(noise: ForceNoise, cutoff: float, lag: Array) -> Array:
-    """Covariance at `lag` [s] of the coloured part behind the low-pass at `cutoff` [Hz]: a cosine transform."""
-    if not np.isfinite(cutoff):
-        return np.asarray(noise.coloured**2 * np.exp(-np.abs(lag) / noise.tau))
-    x, w = np.polynomial.legendre.leggauss(24)
-    highest = 3.0 * cutoff
-    count = int(np.ceil(2.0 * highest * float(np.max(np.abs(lag), initial=0.0)) / 4.0)) + 1  # panels: 4 half waves each
-    edges = np.linspace(0.0, highest, count + 1)
-    f = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)).ravel()
-    weights = (0.5 * np.diff(edges)[:, None] * w).ravel()
-    density = 4.0 * noise.tau * noise.coloured**2 / (1.0 + (2.0 * np.pi * f * noise.tau) ** 2)
-    density *= low_pass_power(f, cutoff)
-    different, back = np.unique(np.round(np.abs(lag), 9), return_inverse=True)
-    values = np.cos(2.0 * np.pi * different[:, None] * f) @ (weights * density)
-    return np.asarray(values[back].reshape(np.shape(lag)))
-
-
 def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
     if largest == 0.0:  # only the weight acts
-        none = np.zeros((0, 0))
-        return ForceError(np.zeros(0), np.zeros((len(time), 0)), none, np.zeros((0, 2)), none, none, 0.0)
+        nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
+        empty = np.zeros(0)
+        rest = np.zeros((0, 0)), np.zeros((0, 2))
+        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, filtered(empty, np.inf), 0.0)
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
@@ -101,16 +125,14 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
     step = (end - begin) / (count - 3)
     knots = np.asarray(begin + step * (np.arange(count) - 1.0), dtype=float)
-    lag, sd = knots[:, None] - knots, observations.force_sd
-    short = passed(noise, cutoff, lag)
-    since = knots - knots[0]
+    sd = observations.force_sd
     return ForceError(
         knots=knots,
         weights=spline_weights(knots, time),
         rest_weights=spline_weights(knots, rest_time),
         rest_values=rest_force,
-        coloured=short + _GRAIN * short[0, 0] * np.eye(count),
-        walk=noise.walk**2 * np.minimum(since[:, None], since),
+        noise=noise,
+        filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
     )
 

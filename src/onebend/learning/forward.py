@@ -10,6 +10,7 @@ from onebend.beam.continuation import follow, refine
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
+from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import (
     Change,
     of_clamp_angle,
@@ -19,7 +20,7 @@ from onebend.beam.sensitivity import (
     of_stiffness,
     respond,
 )
-from onebend.beam.statics import Equilibrium, Problem, Resolution, pose
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
@@ -114,7 +115,7 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
     errors = at.get(x, "force", r).reshape(-1, 2)
     force = seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)
     weight_beyond = seen.weight
-    if seen.weight_modes is not None:
+    if seen.weight_modes is not None and seen.weight_modes.force is not None:
         weight_beyond = weight_beyond + seen.weight_modes.force @ at.get(x, "mass")
     problem = replace(
         seen.problem,
@@ -145,13 +146,13 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     )
     if seen.weight_modes is not None:
         change = change + seen.weight_modes
-    response = respond(solved, change)
+    response = respond(solved, change).poses(s)
     angle, along, across = solved.angle(s), at.get(x, "along"), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
     turned = np.stack([-sin * along - cos * across, cos * along - sin * across], axis=-1)
-    turn = response.angle(s)
+    turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
-    moved = scale * (response.xy(s) + turned[..., None] * turn[:, :, None, :])
+    moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
     mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2 (+ 4))
     out = np.zeros((*now.pose.shape, len(at.known_to(r))))
     p = seen.on_nodes.shape[-1]

@@ -32,9 +32,11 @@ class FilmNoise:
 class Scales:
     """Sizes that the data choose."""
 
-    tau: float  # roughness of log k
-    coloured: float  # of what was expected of the force error's coloured part
-    walk: float  # of what was expected of its random walk
+    tau: float  # roughness of the smooth part of log k
+    rho: float  # size of its steps
+    coloured: float  # of the sd that was expected of the force error's coloured part
+    memory: float  # of its correlation time
+    walk: float  # of the random walk that was expected
     films: tuple[FilmNoise, ...]
 
 
@@ -142,22 +144,28 @@ def together(parts: list[Quadratic]) -> Quadratic:
     )
 
 
-def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[Array, Array]:
-    """Precision (P, P) and mean (P,) of the parameters before the data."""
-    precision, mean = np.zeros((at.size, at.size)), np.zeros(at.size)
+def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[Array, Array, float]:
+    """Precision (P, P) and mean (P,) of the parameters before the data, and the precision's log determinant."""
+    precision, mean, log_det = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0
     for block in at.blocks:
         if block.start < 0:
             continue
+        where = block.where
         if block.name == "stiffness":
-            part = at.spline.precision(scales.tau)
-            mean[block.where] = level
-        elif block.name == "force":
-            covariance = films[block.recording].error.covariance(scales.coloured, scales.walk)
-            part = np.kron(np.linalg.inv(covariance), np.eye(2))
+            precision[where, where] = at.spline.precision(scales.tau, scales.rho)
+            mean[where] = level
+            log_det += float(np.linalg.slogdet(precision[where, where])[1])
+        elif block.name == "force":  # x and y in turn, alike
+            covariance = films[block.recording].error.covariance(scales.coloured, scales.memory, scales.walk)
+            inverse = np.linalg.inv(covariance)
+            for axis in range(2):
+                alike = slice(where.start + axis, where.stop, 2)
+                precision[alike, alike] = inverse
+            log_det -= 2.0 * float(np.linalg.slogdet(covariance)[1])
         else:
-            part = np.diag(1.0 / block.prior_sd**2)
-        precision[block.where, block.where] = part
-    return precision, mean
+            precision[where, where] = np.diag(1.0 / block.prior_sd**2)
+            log_det -= 2.0 * float(np.sum(np.log(block.prior_sd)))
+    return precision, mean, log_det
 
 
 def shrink(rows: Rows, noise: FilmNoise) -> Array:

@@ -28,7 +28,7 @@ from onebend.learning.spline import Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
-TAU = 8.0  # expected roughness of log k; its prior spans a factor of ten either way
+TAU, RHO = 8.0, 0.15  # expected roughness and steps of log k; their prior spans a factor of ten either way
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def fit(
     )
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
+    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
@@ -146,7 +146,7 @@ def fit(
     optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
-    precision, _ = prior(films, at, level, optimum.scales)
+    precision, _, _ = prior(films, at, level, optimum.scales)
     return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
 
 

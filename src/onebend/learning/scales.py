@@ -21,24 +21,26 @@ from onebend.learning.gauss_newton import (
     Rows,
     Scales,
     prior,
-    rest_quadratic,
     shrink,
     split,
-    together,
 )
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 
-# One sd of the logs: roughness is known to a factor of three (from a ruler-drawn taper to a joint); the clock search
-# tells the coloured noise to a factor of two and the walk, of which one push is one draw, to a factor of three.
-_SPREAD = np.array([1.2, 0.5, 1.0])
+CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
+# One sd of their logs. Roughness and steps are known to a factor of three (from a ruler-drawn taper to a joint); the
+# coloured noise behind the filter to a factor of two in size and two and a half in correlation time (the clock search
+# takes part of the force for it); the walk, of which one push is one draw, to a factor of three.
+_SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
+_MOST = 4.0
+_CENTRE = 0.25  # share of the node in the middle
 
 
 @dataclass(frozen=True)
 class Known:
     """All that the evidence for scales is computed from."""
 
-    markers: Quadratic
+    data: Quadratic  # what tags and rests say
     films: list[Film]
     at: Layout
     level: float  # prior mean of log k
@@ -46,21 +48,19 @@ class Known:
 
     def solve(self, scales: Scales) -> tuple[Array, float, tuple[Array, bool]]:
         """Most probable parameters, log evidence (but for a constant), and the factor of their precision (scipy's)."""
-        precision, mean = prior(self.films, self.at, self.level, scales)
-        data = together([self.markers, rest_quadratic(self.films, self.at)])
+        precision, mean, log_det = prior(self.films, self.at, self.level, scales)
+        data = self.data
         factor = cho_factor(data.information + precision, lower=True)
         right = data.b + precision @ mean
         best = cho_solve(factor, right)
         away = data.c - right @ best + mean @ precision @ mean
-        ratio = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
+        ratio = log_det - 2.0 * np.sum(np.log(np.diag(factor[0])))
         return best, float(0.5 * ratio - 0.5 * away - data.log_noise), factor
 
     def scaled(self, start: Scales, z: Array) -> Scales:
-        """Scales z (3,) sd from what was expected."""
-        e = self.expected
-        logs = np.log([e.tau, e.coloured, e.walk]) + _SPREAD * np.clip(z, -4.0, 4.0)
-        tau, coloured, walk = np.exp(logs).tolist()
-        return replace(start, tau=tau, coloured=coloured, walk=walk)
+        """Scales z (5,) sd from what was expected."""
+        logs = np.log(_chosen(self.expected)) + _SPREAD * np.clip(z, -_MOST, _MOST)
+        return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Scales) -> Callable[[Array], float]:
         """Minus log posterior of z."""
@@ -74,18 +74,19 @@ class Known:
         return of
 
     def place(self, scales: Scales) -> Array:
-        """(3,) sd of scales from what was expected."""
-        e = self.expected
-        logs = [scales.tau / e.tau, scales.coloured / e.coloured, scales.walk / e.walk]
-        return np.asarray(np.log(logs) / _SPREAD)
+        """(5,) sd of scales from what was expected."""
+        return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / _SPREAD)
+
+
+def _chosen(scales: Scales) -> Array:
+    return np.array([getattr(scales, name) for name in CHOSEN])
 
 
 def choose_scales(known: Known, start: Scales) -> Scales:
     """Roughness and force-error sizes of greatest evidence."""
-    first = known.place(start)
-    simplex = first + np.vstack([np.zeros(3), 0.5 * np.eye(3)])
-    options = {"maxfev": 80, "xatol": 0.03, "fatol": 0.03, "initial_simplex": simplex}
-    found = minimize(known.cost(start), first, method="Nelder-Mead", options=options)
+    bounds = [(-_MOST, _MOST)] * len(CHOSEN)
+    options = {"maxfun": 100, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
+    found = minimize(known.cost(start), known.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     return known.scaled(start, found.x)
 
 
@@ -94,10 +95,13 @@ def averaged_covariance(known: Known, scales: Scales) -> Array:
     middle, cost = known.place(scales), known.cost(scales)
     values, vectors = np.linalg.eigh(_hessian(cost, middle, 0.3))
     sd = 1.0 / np.sqrt(np.maximum(values, 0.5))  # the prior alone has curvature one
-    offsets = 2.0 * np.concatenate([np.zeros((1, 3)), (vectors * sd).T, -(vectors * sd).T])
+    n = len(middle)
+    away = np.sqrt(n / (1.0 - _CENTRE))  # nodes and weights that are exact to degree three for a normal
+    offsets = away * np.concatenate([np.zeros((1, n)), (vectors * sd).T, -(vectors * sd).T])
     points = [middle + one for one in offsets]
-    gauss = 2.0 * np.concatenate([[0.0], np.ones(6)])  # 0.5 * 2^2: minus log of the normal whose nodes these are
-    logs = np.log([0.25, *[0.125] * 6]) - np.array([cost(z) for z in points]) + gauss
+    normal = 0.5 * away**2 * np.concatenate([[0.0], np.ones(2 * n)])
+    shares = np.array([_CENTRE, *[(1.0 - _CENTRE) / (2 * n)] * (2 * n)])
+    logs = np.log(shares) - np.array([cost(z) for z in points]) + normal
     weights = np.exp(logs - np.max(logs))
     weights /= np.sum(weights)
     best = known.solve(scales)[0]

@@ -85,7 +85,7 @@ def search(
         if not last and round_number >= effort.coarse_rounds - 1:
             scales = _new_scales(films, at, rows, x, level, scales, expected)
         progress.advance()
-    known = Known(_markers(films, at, rows, x, scales), films, at, level, expected)
+    known = Known(_data(films, at, rows, x, scales), films, at, level, expected)
     return Optimum(
         x=x,
         covariance=averaged_covariance(known, scales),
@@ -107,13 +107,14 @@ def _new_scales(
     own = [2.0 * len(f.error.knots) + at.spline.count / len(films) for f in films]
     noise = tuple(film_noise(r, n, spent) for r, n, spent in zip(rows, scales.films, own, strict=True))
     scales = replace(scales, films=noise)
-    return choose_scales(Known(_markers(films, at, rows, x, scales), films, at, level, expected), scales)
+    return choose_scales(Known(_data(films, at, rows, x, scales), films, at, level, expected), scales)
 
 
-def _markers(films: list[Film], at: Layout, rows: list[Rows], x: Array, scales: Scales) -> Quadratic:
-    """What all films' tags say."""
+def _data(films: list[Film], at: Layout, rows: list[Rows], x: Array, scales: Scales) -> Quadratic:
+    """What all films' tags and rests say."""
     every = zip(films, rows, scales.films, strict=True)
-    return together([quadratic(r, at, f.number, x, noise) for f, r, noise in every])
+    tags = [quadratic(r, at, f.number, x, noise) for f, r, noise in every]
+    return together([*tags, rest_quadratic(films, at)])
 
 
 def _descend(
@@ -127,7 +128,7 @@ def _descend(
     tolerance: float,
 ) -> tuple[Array, list[Prediction], int, bool]:
     """Levenberg-Marquardt at fixed scales; weights and frames' covariances are renewed at every step."""
-    precision, mean = prior(films, at, level, scales)
+    precision, mean, _ = prior(films, at, level, scales)
     rests = rest_quadratic(films, at)
     damping = 1e-4
 
@@ -141,7 +142,7 @@ def _descend(
 
     for step_number in range(1, most + 1):
         rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
-        data = together([_markers(films, at, rows, x, scales), rests])
+        data = _data(films, at, rows, x, scales)
         hessian = data.information + precision
         slope = data.b - data.information @ x - precision @ (x - mean)
         diagonal, before = np.diag(hessian), cost(rows, now, x)

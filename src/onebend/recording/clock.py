@@ -121,7 +121,7 @@ def fit_clock(
     offset, sd = refined(best, rows, coarse, prior)
     if not sd < 0.5 * spread:
         text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); the written start time is used."
-        return ClockFit(unsettled, None, (Remark("warning", text),))
+        return ClockFit(unsettled, best.noise, (Remark("warning", text),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
     return ClockFit(clock, best.noise, remarks_on(clock, uncertainty, low, high))
 
