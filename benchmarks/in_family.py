@@ -1,9 +1,9 @@
 """Observations drawn from the fit's own model, and the least variance that any estimator could have on them.
 
-Everything is as the fit assumes: log k from its spline prior of a known roughness (or one fixed spline), clamp, origin,
+Everything is as the fit assumes: log k from its spline prior of known sizes (or one fixed spline), clamp, origin,
 clock and tags from their priors, the force's error from its process, white noise on tags and on every frame's force.
-Only level and slope of log k, whose prior is all but flat, are drawn narrower, and the force's zero is not off: a flat
-prior does not care. So the band must hold the truth as often as it says, if what the fit does with its model is right.
+Only level and slope of log k, whose prior is all but flat, are drawn narrower: a flat prior does not care. So the
+band must hold the truth as often as it says, if what the fit does with its model is right.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from onebend.lab.virtual import Bench, virtual_recording
 from onebend.learning.forward import Film, film, jacobian, predict
 from onebend.learning.gauss_newton import FilmNoise, Rows, Scales, prior, quadratic, rest_quadratic, together
 from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.posterior import RHO, TAU
 from onebend.learning.spline import Spline
 from onebend.records import Array, ForceNoise, Observations
 
-COLOURED, TAU, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest force; s
+COLOURED, MEMORY, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest force; s
 CLOCK = 0.01  # s
 LEVEL, LEVEL_SD, SLOPE_SD = float(np.log(0.02)), 0.3, 0.5  # of log k
 THIRDS = 3
@@ -43,11 +44,11 @@ class Drawn:
     scales: Scales
 
 
-def draw(seed: int, *, roughness: float, functions: int = 16, fixed: bool = False) -> Drawn:
+def draw(seed: int, *, tau: float = TAU, rho: float = RHO, functions: int = 16, fixed: bool = False) -> Drawn:
     """One draw; with `fixed`, k(s) and the push are those of seed 0 and all else is drawn."""
     rng, own = np.random.default_rng([seed, 11]), np.random.default_rng([0 if fixed else seed, 12])
     spline = Spline(functions)
-    k = draw_log_k(spline, roughness, own)
+    k = draw_log_k(spline, tau, rho, own)
     stiffness = LogSpline(tuple(spline.knots.tolist()), tuple(k.tolist()))
     beam = Beam(0.15, stiffness)
     direction = own.uniform(1.4, 2.1)
@@ -56,17 +57,17 @@ def draw(seed: int, *, roughness: float, functions: int = 16, fixed: bool = Fals
     exact = virtual_recording(Bench(beam, push, sensor=ForceSensor()), seed=seed)
     template = observe_quickly(exact, clock_sd=CLOCK)
     assert template.clean_force is not None
-    noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=TAU, walk=WALK * peak)
+    noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=MEMORY, walk=WALK * peak)
     clean = replace(template.clean_force, noise=noise)
-    template = replace(template, clean_force=clean)
+    template = replace(template, clean_force=clean, force_sd=np.full(2, COLOURED * peak))
     seen, at = prepared(template, spline)
     x = np.zeros(at.size)
     for block in at.blocks:
         if block.start >= 0 and block.name not in ("stiffness", "force"):
             x[block.where] = block.prior_sd * rng.standard_normal(len(block.prior_sd))
     x[: spline.count] = k
-    process = seen.error.coloured + seen.error.walk
-    errors = np.linalg.cholesky(process) @ rng.standard_normal((len(process), 2))
+    root = np.linalg.cholesky(seen.error.covariance(1.0, 1.0, 1.0))
+    errors = root @ rng.standard_normal((len(root), 2))
     x[at.index["force", 0].where] = errors.ravel()
     log_error = spline_at(seen, clean.time) @ errors
     rest_noise = rest_sd(seen, at) * rng.standard_normal(clean.force.shape)
@@ -76,13 +77,13 @@ def draw(seed: int, *, roughness: float, functions: int = 16, fixed: bool = Fals
     template = replace(template, force=force, clean_force=logged)
     seen, at = prepared(template, spline)
     poses = noisy_poses(seen, at, x, WHITE * peak, rng)
-    scales = Scales(roughness, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
+    scales = Scales(tau, rho, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
     return Drawn(with_poses(template, seen, poses), stiffness, seen, at, x, scales)
 
 
-def draw_log_k(spline: Spline, roughness: float, rng: np.random.Generator) -> Array:
+def draw_log_k(spline: Spline, tau: float, rho: float, rng: np.random.Generator) -> Array:
     """Coefficients from the prior, their line drawn anew."""
-    root = np.linalg.cholesky(spline.precision(roughness))
+    root = np.linalg.cholesky(spline.precision(tau, rho))
     c = np.linalg.solve(root.T, rng.standard_normal(spline.count))
     s = np.linspace(0.0, 1.0, 201)
     basis, line = spline.basis(s), np.stack([np.ones(len(s)), s - 0.5], axis=1)
@@ -156,7 +157,7 @@ def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
         root_weight=known,
     )
     data = together([quadratic(rows, at, 0, drawn.x, noise), rest_quadratic([seen], at)])
-    precision, _ = prior([seen], at, LEVEL, drawn.scales)
+    precision, _, _ = prior([seen], at, LEVEL, drawn.scales)
     p = at.spline.count
     if not prior_of_k:
         precision[:p, :p] = 0.0

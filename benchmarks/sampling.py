@@ -72,7 +72,7 @@ def target_of(found: Posterior) -> tuple[Callable[[Array], Here], Array]:
     films, at, best, scales = list(found.films), found.at, found.optimum, found.optimum.scales
     every = list(zip(films, best.predictions, scales.films, strict=True))
     rows = [rows_of(f, at, best.x, p, n) for f, p, n in every]
-    precision, mean = prior(films, at, prior_level(found), scales)
+    precision, mean, _ = prior(films, at, prior_level(found), scales)
     rests = rest_quadratic(films, at)
     data = together([*(quadratic(r, at, f.number, best.x, n) for (f, _, n), r in zip(every, rows, strict=True)), rests])
 

@@ -25,7 +25,7 @@ from onebend.records import Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything")
-OWN = ("prior 3", "prior 8", "prior 20", "fixed 6")  # drawn from the fit's own model: see `own_run`
+OWN = ("prior 3", "prior 8", "prior 20", "steps 1", "fixed 6")  # drawn from the fit's own model: see `own_run`
 LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 MOUNTING = np.deg2rad(1.5)  # one sd of a tag's turn
@@ -141,12 +141,14 @@ def run(cell: str, seed: int) -> Run:
 
 
 def own_run(cell: str, seed: int) -> Run:
-    """The same with a draw from the fit's own model: "prior 8" has k of roughness 8, "fixed 6" one k of 6 functions."""
+    """The same with a draw from the fit's own model: "prior 8" has k of roughness 8 and the steps that
+    are expected, "steps 1" of steps 1 and the roughness expected, "fixed 6" one k of 6 functions."""
     kind, number = cell.split()
     began = time.perf_counter()
     fixed, functions = kind == "fixed", int(number) if kind == "fixed" else FitSettings().functions
     try:
-        drawn = draw(seed, roughness=8.0 if fixed else float(number), functions=functions, fixed=fixed)
+        sizes = {"prior": {"tau": float(number)}, "steps": {"rho": float(number)}, "fixed": {}}[kind]
+        drawn = draw(seed, functions=functions, fixed=fixed, **sizes)
         found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
     except (LearningError, MechanicsError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")

@@ -9,7 +9,7 @@ import numpy as np
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Profile, Steps, Table
 from onebend.records import Array
 
