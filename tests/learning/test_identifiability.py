@@ -11,7 +11,7 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import push as load
 from onebend.beam.loads import weight
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution, pose
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.stiffness import LogSpline, Powers, Uniform
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.identifiability import (

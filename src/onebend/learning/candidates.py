@@ -8,7 +8,8 @@ import numpy as np
 
 from onebend.beam.continuation import follow
 from onebend.beam.model import Beam
-from onebend.beam.statics import Equilibrium, pose
+from onebend.beam.problem import pose
+from onebend.beam.statics import Equilibrium
 from onebend.learning.identifiability import RESOLUTION, loads_of
 from onebend.learning.workbench import Bench, Push
 from onebend.records import Array, BoolArray

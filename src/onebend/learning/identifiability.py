@@ -17,8 +17,9 @@ from scipy.interpolate import BSpline
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
-from onebend.beam.statics import Equilibrium, Resolution, pose
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.forward import MASS_MODES, REST_MODES

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.force_error import expected_noise, passed
+from onebend.learning.force_error import expected_noise, filtered
 from onebend.learning.forward import Film
 from onebend.learning.gauss_newton import Scales
 from onebend.learning.parameters import Layout
 from onebend.learning.posterior import Posterior
-from onebend.records import Array, ForceNoise, Observations
+from onebend.records import Array, Observations
 
 SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
 
@@ -45,8 +45,9 @@ class ForceDoubt:
 
     def covariance(self, lag: Array) -> Array:
         """N^2 of the coloured part at `lag` [s], behind the low-pass."""
-        noise = ForceNoise(0.0, self.coloured, self.tau, self.walk)
-        return passed(noise, np.inf if self.cutoff is None else self.cutoff, lag)
+        different, back = np.unique(np.round(np.abs(lag), 9), return_inverse=True)
+        behind = filtered(different, np.inf if self.cutoff is None else self.cutoff)
+        return np.asarray(behind.covariance(self.coloured, self.tau)[back].reshape(np.shape(lag)))
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def _force_doubt(films: tuple[Film, ...], scales: Scales) -> ForceDoubt:
     return ForceDoubt(
         level=float(np.median([f.error.level for f, _ in pushed])),
         coloured=scales.coloured * float(np.median([n.coloured for n in noises])),
-        tau=float(np.median([n.tau for n in noises])),
+        tau=scales.memory * float(np.median([n.tau for n in noises])),
         cutoff=float(np.median(cutoffs)) if cutoffs else None,
         walk=scales.walk * float(np.median([n.walk for n in noises])),
         frame=float(np.median([n.force for _, n in pushed])),
