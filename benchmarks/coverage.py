@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import sys
@@ -18,7 +19,8 @@ from benchmarks.studies import ERRORS, KINDS, LEVELS, OWN, Run, run
 from onebend.records import Array
 
 CELLS = tuple(f"{kind} {errors}" for kind in KINDS for errors in ERRORS) + OWN
-KEPT = Path(__file__).parents[1] / "out" / "benchmarks" / "coverage.jsonl"
+MADE_BY = ("studies.py", "in_family.py")  # beside src, what runs depend on
+ROOT = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,14 @@ def markdown(cells: Iterable[Cell]) -> str:
     return "\n".join(lines)
 
 
+def kept() -> Path:
+    """The file that runs of this very code are added to: its name holds a digest of the sources."""
+    digest = hashlib.sha256()
+    for source in sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "benchmarks" / n for n in MADE_BY)]):
+        digest.update(source.read_bytes())
+    return ROOT / "out" / "benchmarks" / f"coverage-{digest.hexdigest()[:12]}.jsonl"
+
+
 def read(path: Path) -> dict[tuple[str, int], Run]:
     """Runs done before. The last line may have been cut off; it is done again."""
     found: dict[tuple[str, int], Run] = {}
@@ -137,13 +147,13 @@ def study(cells: Sequence[str], runs: int, jobs: int, path: Path) -> dict[tuple[
     path.parent.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    with path.open("a", encoding="utf-8") as kept, ProcessPoolExecutor(jobs) as pool:
+    with path.open("a", encoding="utf-8") as lines, ProcessPoolExecutor(jobs) as pool:
         waiting = [pool.submit(run, cell, seed) for cell, seed in todo]
         for count, one in enumerate(as_completed(waiting), 1):
             result = one.result()
             done[result.cell, result.seed] = result
-            kept.write(json.dumps(result.as_dict()) + "\n")
-            kept.flush()
+            lines.write(json.dumps(result.as_dict()) + "\n")
+            lines.flush()
             left = (time.monotonic() - began) / count * (len(todo) - count)
             print(f"\r{count}/{len(todo)} runs, {left / 60:.1f} min left ", end="", file=sys.stderr, flush=True)
     return done
@@ -154,10 +164,10 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=40, help="of each cell")
     parser.add_argument("--cells", nargs="*", metavar="CELL", help=f"parts of their names; of {', '.join(CELLS)}")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="file that the runs are added to")
+    parser.add_argument("--kept", type=Path, help="file that the runs are added to; default: one a version of the code")
     asked = parser.parse_args()
     cells = [c for c in CELLS if not asked.cells or any(part in c for part in asked.cells)]
-    done = study(cells, asked.runs, asked.jobs, asked.kept)
+    done = study(cells, asked.runs, asked.jobs, asked.kept or kept())
     runs = {c: [r for (cell, seed), r in done.items() if cell == c and seed < asked.runs] for c in cells}
     print(markdown(summary(cell, of) for cell, of in runs.items()))
     own = [cell for cell in cells if any(r.thirds_variance for r in runs[cell])]
