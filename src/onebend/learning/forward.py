@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.continuation import follow, refine
+from onebend.beam.grid import apply
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
@@ -125,18 +126,19 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
         dead_force=seen.beyond[..., None] * force[:, None, :] + weight_beyond,
     )
     solved = follow(problem) if start is None else refine(problem, start)
-    s = seen.observations.marker_s
+    s, over = tag_places(seen, at, x)
     angle = solved.angle(s)
-    along, across = at.get(x, "along"), at.get(x, "across")
+    across = at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
-    ride = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
+    ride = np.stack([cos * over - sin * across, sin * over + cos * across], axis=-1)
     xy = (1.0 + at.get(x, "scale", r)) * (solved.xy(s) + ride) + at.get(x, "origin", r)
     return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force)
 
 
 def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, Array]:
     """Derivatives of the tags' poses: (F, m, 3, C) with the parameters `at.known_to`, (F, m, 3, 2) with the force."""
-    r, solved, s = seen.number, now.solved, seen.observations.marker_s
+    r, solved = seen.number, now.solved
+    s, over = tag_places(seen, at, x)
     k = solved.problem.k
     change = (
         of_stiffness(solved, k[..., None] * seen.on_nodes)
@@ -147,9 +149,9 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     if seen.weight_modes is not None:
         change = change + seen.weight_modes
     response = respond(solved, change).poses(s)
-    angle, along, across = solved.angle(s), at.get(x, "along"), at.get(x, "across")
+    angle, across = solved.angle(s), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
-    turned = np.stack([-sin * along - cos * across, cos * along - sin * across], axis=-1)
+    turned = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
     turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
     moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
@@ -165,7 +167,8 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_force, seen.rate)[..., None])
     knots = -np.einsum("tmad,tk->tmakd", by_force, seen.error_weights)
     _put(out, at.columns("force", r), knots.reshape(*now.pose.shape, -1))
-    _put_tags(out, at, cos, sin, scale)
+    bend = np.where(over > 0.0, 0.0, apply(solved.problem.grid.value_at(s), solved.q)) / seen.observations.length
+    _put_tags(out, at, (cos, sin), (1.0 - across * bend) * scale, scale, bend)
     columns = at.columns("origin", r)
     if columns is not None:
         out[:, :, 0, columns.start], out[:, :, 1, columns.start + 1] = 1.0, 1.0
@@ -175,12 +178,22 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     return out, by_force
 
 
-def _put_tags(out: Array, at: Layout, cos: Array, sin: Array, scale: float) -> None:
-    """Derivatives with each tag's own place and turn."""
+def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
+    """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
+    length = seen.observations.length
+    s = seen.observations.marker_s + at.get(x, "along") / length
+    return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
+
+
+def _put_tags(out: Array, at: Layout, turned: tuple[Array, Array], stride: Array, scale: float, bend: Array) -> None:
+    """Derivatives with each tag's own place and turn; `stride` and `bend` (F, m): its way and turn per metre along."""
     along, across, turn = at.columns("along"), at.columns("across"), at.columns("turn")
+    cos, sin = turned
     for i in range(cos.shape[1]):
         if along is not None:
-            out[:, i, 0, along.start + i], out[:, i, 1, along.start + i] = scale * cos[:, i], scale * sin[:, i]
+            column = along.start + i
+            out[:, i, 0, column], out[:, i, 1, column] = stride[:, i] * cos[:, i], stride[:, i] * sin[:, i]
+            out[:, i, 2, column] = bend[:, i]
         if across is not None:
             out[:, i, 0, across.start + i], out[:, i, 1, across.start + i] = -scale * sin[:, i], scale * cos[:, i]
         if turn is not None:

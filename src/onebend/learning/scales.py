@@ -127,7 +127,7 @@ def _hessian(cost: Callable[[Array], float], at: Array, h: float) -> Array:
 def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
     """Noise of a film from its residuals, by expectation-maximisation over the frames' own force errors.
 
-    `spent`: parameters that the fit spent on this film.
+    `spent`: how many parameters the film's tags settled (trace of their information times the covariance).
     """
     numbers = float(np.sum(rows.known))
     share = max(1.0 - spent / max(numbers, 1.0), 0.3)

@@ -104,8 +104,12 @@ def _new_scales(
     films: list[Film], at: Layout, rows: list[Rows], x: Array, level: float, scales: Scales, expected: Scales
 ) -> Scales:
     """Noise of every film from its residuals, then the evidence's choice of the rest."""
-    own = [2.0 * len(f.error.knots) + at.spline.count / len(films) for f in films]
-    noise = tuple(film_noise(r, n, spent) for r, n, spent in zip(rows, scales.films, own, strict=True))
+    every = zip(films, rows, scales.films, strict=True)
+    said = [quadratic(r, at, f.number, x, noise) for f, r, noise in every]
+    precision, _, _ = prior(films, at, level, scales)
+    left = np.linalg.inv(together([*said, rest_quadratic(films, at)]).information + precision)
+    spent = [float(np.sum(left * one.information)) for one in said]  # parameters that each film's tags settled
+    noise = tuple(film_noise(r, n, p) for r, n, p in zip(rows, scales.films, spent, strict=True))
     scales = replace(scales, films=noise)
     return choose_scales(Known(_data(films, at, rows, x, scales), films, at, level, expected), scales)
 

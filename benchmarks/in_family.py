@@ -1,0 +1,166 @@
+"""Observations drawn from the fit's own model, and the least variance that any estimator could have on them.
+
+Everything is as the fit assumes: log k from its spline prior of known sizes (or one fixed spline), clamp, origin,
+clock and tags from their priors, the force's error from its process, white noise on tags and on every frame's force.
+Only level and slope of log k, whose prior is all but flat, are drawn narrower: a flat prior does not care. So the
+band must hold the truth as often as it says, if what the fit does with its model is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import LogSpline
+from onebend.lab.pushes import Push
+from onebend.lab.sensors import ForceSensor
+from onebend.lab.shortcut import observe_quickly
+from onebend.lab.truths import force_that_bends
+from onebend.lab.virtual import Bench, virtual_recording
+from onebend.learning.forward import Film, film, jacobian, predict
+from onebend.learning.gauss_newton import FilmNoise, Rows, Scales, prior, quadratic, rest_quadratic, together
+from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.posterior import RHO, TAU
+from onebend.learning.spline import Spline
+from onebend.records import Array, ForceNoise, Observations
+
+COLOURED, MEMORY, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest force; s
+CLOCK = 0.01  # s
+LEVEL, LEVEL_SD, SLOPE_SD = float(np.log(0.02)), 0.3, 0.5  # of log k
+THIRDS = 3
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A draw of everything, and the observations that it leads to."""
+
+    observations: Observations
+    stiffness: LogSpline
+    seen: Film
+    at: Layout
+    x: Array  # (P,) true parameters
+    scales: Scales
+
+
+def draw(seed: int, *, tau: float = TAU, rho: float = RHO, functions: int = 16, fixed: bool = False) -> Drawn:
+    """One draw; with `fixed`, k(s) and the push are those of seed 0 and all else is drawn."""
+    rng, own = np.random.default_rng([seed, 11]), np.random.default_rng([0 if fixed else seed, 12])
+    spline = Spline(functions)
+    k = draw_log_k(spline, tau, rho, own)
+    stiffness = LogSpline(tuple(spline.knots.tolist()), tuple(k.tolist()))
+    beam = Beam(0.15, stiffness)
+    direction = own.uniform(1.4, 2.1)
+    peak = force_that_bends(beam, own.uniform(0.7, 1.3), direction)
+    push = Push(peak, direction=direction, turn=own.uniform(0.2, 0.8))
+    exact = virtual_recording(Bench(beam, push, sensor=ForceSensor()), seed=seed)
+    template = observe_quickly(exact, clock_sd=CLOCK)
+    assert template.clean_force is not None
+    noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=MEMORY, walk=WALK * peak)
+    clean = replace(template.clean_force, noise=noise)
+    template = replace(template, clean_force=clean, force_sd=np.full(2, COLOURED * peak))
+    seen, at = prepared(template, spline)
+    x = np.zeros(at.size)
+    for block in at.blocks:
+        if block.start >= 0 and block.name not in ("stiffness", "force"):
+            x[block.where] = block.prior_sd * rng.standard_normal(len(block.prior_sd))
+    x[: spline.count] = k
+    root = np.linalg.cholesky(seen.error.covariance(1.0, 1.0, 1.0))
+    errors = root @ rng.standard_normal((len(root), 2))
+    x[at.index["force", 0].where] = errors.ravel()
+    log_error = spline_at(seen, clean.time) @ errors
+    rest_noise = rest_sd(seen, at) * rng.standard_normal(clean.force.shape)
+    logged = replace(clean, force=clean.force + log_error + rest_noise)
+    force = template.force.copy()
+    force[seen.frames] += seen.error.weights @ errors
+    template = replace(template, force=force, clean_force=logged)
+    seen, at = prepared(template, spline)
+    poses = noisy_poses(seen, at, x, WHITE * peak, rng)
+    scales = Scales(tau, rho, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
+    return Drawn(with_poses(template, seen, poses), stiffness, seen, at, x, scales)
+
+
+def draw_log_k(spline: Spline, tau: float, rho: float, rng: np.random.Generator) -> Array:
+    """Coefficients from the prior, their line drawn anew."""
+    root = np.linalg.cholesky(spline.precision(tau, rho))
+    c = np.linalg.solve(root.T, rng.standard_normal(spline.count))
+    s = np.linspace(0.0, 1.0, 201)
+    basis, line = spline.basis(s), np.stack([np.ones(len(s)), s - 0.5], axis=1)
+    rough = basis @ c
+    wanted = np.array([LEVEL + LEVEL_SD * rng.standard_normal(), SLOPE_SD * rng.standard_normal()])
+    values = rough - line @ np.linalg.lstsq(line, rough, rcond=None)[0] + line @ wanted
+    return np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def prepared(o: Observations, spline: Spline) -> tuple[Film, Layout]:
+    """As the fit prepares them: every loaded frame."""
+    seen = film(o, 0, o.loaded, spline)
+    return seen, layout(spline, [o], [len(seen.error.knots)], Priors())
+
+
+def spline_at(seen: Film, time: Array) -> Array:
+    """(N, K) weights of the force error's knots at `time`, constant beyond them."""
+    knots = seen.error.knots
+    held = np.clip(time, knots[1], knots[-2])
+    u = np.abs(held[:, None] - knots) / (knots[1] - knots[0])
+    near, far = 2.0 / 3.0 - u**2 + 0.5 * u**3, (2.0 - np.minimum(u, 2.0)) ** 3 / 6.0
+    return np.asarray(np.where(u < 1.0, near, far))
+
+
+def rest_sd(seen: Film, at: Layout) -> float:
+    """N: the noise that the fit takes the log in the rests to have around its knots, from the weight it gives them."""
+    where = at.index["force", 0].where
+    information = rest_quadratic([seen], at).information[where, where]
+    weights = np.kron(seen.error.rest_weights, np.eye(2))
+    return float(np.sqrt(np.sum(weights**2) / np.trace(information)))
+
+
+def noisy_poses(seen: Film, at: Layout, x: Array, force_sd: float, rng: np.random.Generator) -> Array:
+    """(F, m, 3) tags where x puts them, with the noise that their covariances state, under forces with white noise."""
+    shaken = replace(seen, force=seen.force + force_sd * rng.standard_normal(seen.force.shape))
+    pose = predict(shaken, at, x, None).pose
+    roots = np.linalg.inv(seen.whiten)
+    return np.asarray(pose + np.einsum("fmab,fmb->fma", roots, rng.standard_normal(pose.shape)))
+
+
+def with_poses(o: Observations, seen: Film, poses: Array) -> Observations:
+    """The observations with these tags in the frames of the film, the last of which is the rest."""
+    xy, angle = o.xy.copy(), o.angle.copy()
+    xy[seen.frames], angle[seen.frames] = poses[:-1, :, :2], poses[:-1, :, 2]
+    return replace(o, xy=xy, angle=angle, rest_xy=poses[-1, :, :2], rest_angle=poses[-1, :, 2])
+
+
+def thirds(spline: Spline) -> Array:
+    """(3, p): means of log k over the thirds of the beam, of the spline's coefficients."""
+    s = (np.arange(300) + 0.5) / 300
+    return np.asarray(spline.basis(s).reshape(THIRDS, 100, spline.count).mean(axis=1))
+
+
+def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
+    """(3,) of the means of log k over thirds: what the information at the truth allows, all scales known.
+
+    The data's Fisher information at the true parameters, plus the priors of what is random. With the prior of k too it
+    is van Trees' bound on the mean squared error over draws from the prior (each draw at its own information); without
+    it, the Cramer-Rao bound on any unbiased estimator for this k, the rest being random and integrated out.
+    """
+    at, seen, noise = drawn.at, drawn.seen, drawn.scales.films[0]
+    now = predict(seen, at, drawn.x, None)
+    j, a = jacobian(seen, at, drawn.x, now)
+    count = len(j)
+    known = np.repeat(np.any(seen.whiten != 0.0, axis=(-1, -2)), 3, axis=1).astype(float)
+    rows = Rows(
+        r=np.zeros_like(known),
+        j=(seen.whiten @ j).reshape(count, -1, j.shape[-1]),
+        a=(seen.whiten @ a).reshape(count, -1, 2),
+        known=known,
+        root_weight=known,
+    )
+    data = together([quadratic(rows, at, 0, drawn.x, noise), rest_quadratic([seen], at)])
+    precision, _, _ = prior([seen], at, LEVEL, drawn.scales)
+    p = at.spline.count
+    if not prior_of_k:
+        precision[:p, :p] = 0.0
+    covariance = np.linalg.inv(data.information + precision)[:p, :p]
+    g = thirds(at.spline)
+    return np.asarray(np.einsum("gi,ij,gj->g", g, covariance, g))

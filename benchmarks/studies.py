@@ -1,0 +1,196 @@
+"""Virtual recordings for studies of the marker-space fit: kinds of beams, kinds of errors, one run each.
+
+The truths are not drawn from the fit's own prior, and the errors are made by the virtual lab.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.in_family import draw, least_variance, thirds
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Powers
+from onebend.errors import LearningError, MechanicsError, ObservationError
+from onebend.lab.camera import TagNoise
+from onebend.lab.pushes import Push
+from onebend.lab.sensors import ForceSensor
+from onebend.lab.truths import Kind, force_that_bends, random_stiffness
+from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
+from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.records import Array, Observations
+
+KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
+ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything")
+OWN = ("prior 3", "prior 8", "prior 20", "steps 1", "fixed 6")  # drawn from the fit's own model: see `own_run`
+LENGTH = 0.15  # m
+PLACEMENT = 5e-4  # m, one sd, as stated
+MOUNTING = np.deg2rad(1.5)  # one sd of a tag's turn
+GAIN = 0.05  # one sd, as stated
+S = np.linspace(0.05, 0.9, 35)
+LEVELS = (0.5, 0.8, 0.95)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One fit against its truth, at the places S."""
+
+    cell: str
+    seed: int
+    failure: str = ""
+    error: tuple[float, ...] = ()  # of log k
+    sd: tuple[float, ...] = ()  # of log k, half the width of the 68 % band
+    inside: tuple[tuple[bool, ...], ...] = ()  # of the bands of LEVELS
+    identified: tuple[bool, ...] = ()
+    clock_error: float = 0.0  # s
+    clock_sd: float = 0.0  # s
+    tau: float = 0.0
+    converged: bool = False
+    thirds_error: tuple[float, ...] = ()  # of the means of log k over thirds, where drawn from the fit's own model
+    thirds_variance: tuple[float, ...] = ()  # the least possible one
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, numbers to five digits."""
+        out = asdict(self)
+        out["error"], out["sd"] = ([float(f"{v:.5g}") for v in values] for values in (self.error, self.sd))
+        out["inside"] = ["".join("01"[v] for v in row) for row in self.inside]
+        out["identified"] = "".join("01"[v] for v in self.identified)
+        return out
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> Run:
+        """From `as_dict`."""
+        changed = {
+            "thirds_error": tuple(data.get("thirds_error", ())),
+            "thirds_variance": tuple(data.get("thirds_variance", ())),
+            "error": tuple(data["error"]),
+            "sd": tuple(data["sd"]),
+            "inside": tuple(tuple(v == "1" for v in row) for row in data["inside"]),
+            "identified": tuple(v == "1" for v in data["identified"]),
+        }
+        return Run(**(data | changed))
+
+
+def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
+    """A random beam and push with one kind of errors; sizes of force errors are in parts of the largest force.
+
+    white: force samples 2 %, tags 0.02 mm and 1 mrad a frame. correlated: also 3 % with a correlation time of 0.3 s.
+    To that each of the next adds one thing: bias 30 %; gain 5 %, as declared; a written start of the film that is up to
+    1.5 s off; tags and base off their places by 0.5 mm and 1.5 deg, as declared. everything: all of these, and noise of
+    the tags that lasts, is stated too small and holds outliers, a force error of 2 % that changes when the load
+    reverses, and a natural curvature.
+    """
+    rng = np.random.default_rng([seed, KINDS.index(kind), 7])
+    everything = errors == "everything"
+
+    def has(name: str) -> bool:
+        return everything or errors == name
+
+    rest = Powers(tuple((np.array([0.03, 0.06]) * rng.standard_normal(2)).tolist())) if everything else Powers((0.0,))
+    beam = Beam(LENGTH, random_stiffness(kind, rng), rest_curvature=rest)
+    direction, turn = rng.uniform(1.4, 2.1), rng.uniform(0.2, 0.8)
+    peak = force_that_bends(beam, rng.uniform(0.7, 1.3), direction)
+    off = rng.standard_normal((3, 3)) * np.array([PLACEMENT, PLACEMENT, MOUNTING]) * has("tags")
+    base = rng.standard_normal(3) * np.array([PLACEMENT, PLACEMENT, np.deg2rad(1.0)]) * has("tags")
+    noise = TagNoise()
+    if everything:
+        noise = TagNoise(slow_xy=1e-5, slow_angle=5e-4, stated=0.7, outliers=0.005, missing=0.01)
+    bias = 0.3 * peak * rng.standard_normal(2) * has("bias")
+    return Bench(
+        beam=beam,
+        push=Push(peak, direction=direction, turn=turn),
+        tags=tuple(Tag(i + 1, (i + 1) / 3, *map(float, off[i])) for i in range(3)),
+        base=(float(base[0]), float(base[1]), float(base[2])),
+        sensor=ForceSensor(
+            white_sd=0.02 * peak,
+            coloured_sd=0.0 if errors == "white" else 0.03 * peak,
+            bias=(float(bias[0]), float(bias[1])),
+            gain_sd=GAIN * has("gain"),
+            reversal=0.02 * peak * everything,
+        ),
+        camera=noise,
+        clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if has("clock") else Clock(250.0, 250.0, 0.01),
+        said=Said(placement_sd=PLACEMENT, rest="unknown" if everything else "straight", gain_sd=GAIN * has("gain")),
+        name=f"{kind} {errors} {seed}",
+    )
+
+
+def run(cell: str, seed: int) -> Run:
+    """Make, observe, fit, compare. A cell is a kind of beam and a kind of errors, as "smooth white", or OWN."""
+    kind, errors = cell.split()
+    if cell in OWN:
+        return own_run(cell, seed)
+    began = time.perf_counter()
+    try:
+        bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
+        seen = observe_virtual(virtual_recording(bench, seed=seed))
+        found = fit_from_nothing(seen, gain_sd=bench.said.gain_sd)
+    except (LearningError, MechanicsError, ObservationError) as wrong:
+        return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
+    assert seen.clock is not None
+    return replace(
+        compared(found, np.asarray(bench.beam.stiffness(S)), cell, seed),
+        clock_error=seen.clock.offset - bench.clock.offset,
+        clock_sd=seen.clock.sd,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def own_run(cell: str, seed: int) -> Run:
+    """The same with a draw from the fit's own model: "prior 8" has k of roughness 8 and the steps that
+    are expected, "steps 1" of steps 1 and the roughness expected, "fixed 6" one k of 6 functions."""
+    kind, number = cell.split()
+    began = time.perf_counter()
+    fixed, functions = kind == "fixed", int(number) if kind == "fixed" else FitSettings().functions
+    try:
+        sizes = {"prior": {"tau": float(number)}, "steps": {"rho": float(number)}, "fixed": {}}[kind]
+        drawn = draw(seed, functions=functions, fixed=fixed, **sizes)
+        found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
+    except (LearningError, MechanicsError) as wrong:
+        return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
+    error = thirds(drawn.at.spline) @ (found.stiffness.mean - drawn.x[:functions])
+    return replace(
+        compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
+        thirds_error=tuple(error.tolist()),
+        thirds_variance=tuple(least_variance(drawn, prior_of_k=not fixed).tolist()),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Run:
+    """A fit against k (35,) at S."""
+    band = found.band(S, 0.6826894921370859)
+    bands = [found.band(S, level) for level in LEVELS]
+    return Run(
+        cell,
+        seed,
+        error=tuple(np.log(band.k / truth).tolist()),
+        sd=tuple((0.5 * np.log(band.high / band.low)).tolist()),
+        inside=tuple(tuple(((truth > b.low) & (truth < b.high)).tolist()) for b in bands),
+        identified=tuple(band.identified.tolist()),
+        tau=found.optimum.scales.tau,
+        converged=found.optimum.converged,
+    )
+
+
+def fit_from_nothing(seen: Observations, *, gain_sd: float = 0.0, settings: FitSettings = FitSettings()) -> Posterior:
+    """Fit from an even stiffness: half the largest moment over the largest turn; stiffer where the beam snaps through.
+
+    Raises
+    ------
+    LearningError
+        As `fit`, from the stiffest start too.
+    """
+    moment = float(np.nanmax(np.linalg.norm(seen.force[seen.loaded], axis=1))) * seen.length
+    start = 0.5 * moment / max(float(np.nanmax(np.abs(np.median(seen.angle[seen.loaded], axis=1)))), 0.1)
+    for factor in (1.0, 3.0):
+        try:
+            return fit([seen], factor * start, gain_sd=gain_sd, settings=settings)
+        except LearningError as wrong:
+            if "stiffer" not in str(wrong):
+                raise
+    return fit([seen], 10.0 * start, gain_sd=gain_sd, settings=settings)

@@ -1,0 +1,1 @@
+"""The virtual lab: pushes of known beams, with known errors of sensor, camera and mounting."""

@@ -1,0 +1,83 @@
+"""From a virtual recording to observations without the searches: clock and contact are taken from the truth.
+
+For studies of many runs, and for those that need the force's error to be exactly as given.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from onebend.errors import RecordingError
+from onebend.lab.virtual import Virtual
+from onebend.recording.force import clean_force, force_at
+from onebend.recording.frame import to_beam_frame
+from onebend.records import Array, ClockOffset, Observations
+
+MARGIN = 0.1  # s, kept away from contact when a rest is read
+
+
+def observe_quickly(
+    virtual: Virtual,
+    *,
+    error: Array | None = None,
+    clock_error: float = 0.0,
+    clock_sd: float = 0.0,
+    cutoff: float = 4.0,
+) -> Observations:
+    """Observations on a clock that is `clock_error` [s] off, stated as good to `clock_sd` [s] (0: known).
+
+    With an `error` (T, 2) [N] the force is the true one plus this, and the log is not used; without it the log is
+    zeroed in the true rests and low-passed at `cutoff` [Hz].
+
+    Raises
+    ------
+    RecordingError
+        An error whose shape is not that of the force at the frames.
+    """
+    bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
+    if error is not None and error.shape != virtual.force.shape:
+        raise RecordingError(f"the force at the frames is {virtual.force.shape}, its error is {error.shape}")
+    true_time = markers.time + bench.clock.offset
+    begin, end = bench.push.contact
+    still = np.asarray((markers.time < begin) | (markers.time > end))
+    none = np.zeros((len(markers.time), 2))
+    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, none)
+    clean, force, noise = None, virtual.force, np.full(2, np.nan)
+    if error is not None:
+        force = force + error
+        noise = np.sqrt(np.mean(error**2, axis=0))
+    else:
+        rests = [(-inf, begin + bench.clock.offset - MARGIN)]
+        if bench.push.after > 2.0 * MARGIN:
+            rests.append((end + bench.clock.offset + MARGIN, inf))
+        clean = clean_force(virtual.log, rests, cutoff=cutoff)
+        force, noise = force_at(clean, true_time + clock_error), clean.noise_sd
+    known = np.all(np.isfinite(force), axis=1)
+    return Observations(
+        name=rec.name,
+        length=rec.beam.length,
+        time=(true_time + clock_error)[known],
+        frame=np.flatnonzero(known).astype(np.int64),
+        tag_id=markers.tag_id,
+        marker_s=markers.s,
+        xy=seen.xy[known],
+        angle=seen.angle[known],
+        covariance=seen.covariance[known],
+        force=force[known],
+        force_sd=noise,
+        push_s=np.full(int(np.sum(known)), rec.push.at if rec.push else np.nan),
+        loaded=~still[known],
+        rest_xy=rest.xy,
+        rest_angle=rest.angle,
+        rest_covariance=rest.covariance,
+        gravity=none[known],
+        mass=rec.beam.mass,
+        placement_sd=rec.tags.placement_sd,
+        rest=rec.beam.rest,
+        clock=ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True)
+        if clock_sd > 0.0
+        else None,
+        clean_force=clean,
+    )

@@ -1,0 +1,182 @@
+"""Virtual recordings: a known beam pushed, filmed and logged, with every error known.
+
+What is made is what tag detection and a log file would give (`Markers`, `ForceLog` and the entries of recording.toml);
+everything after that is the real way from a recording to observations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isnan, nan
+from pathlib import Path
+
+import numpy as np
+
+from onebend.beam.continuation import equilibrium
+from onebend.beam.loads import push
+from onebend.beam.model import Beam
+from onebend.errors import MechanicsError, RecordingError
+from onebend.lab.camera import TagNoise, filmed
+from onebend.lab.extensible import stretched
+from onebend.lab.pushes import Push
+from onebend.lab.sensors import ForceSensor, log_of
+from onebend.lab.truths import RESOLUTION
+from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
+from onebend.recording.observe import ObserveSettings, assemble
+from onebend.records import Array, ForceLog, Markers, Observations, Rest
+
+LOG_BEFORE = 1.0  # s, the log begins before the film and ends after it
+DENSE = 1e-3  # s, step of the true force that a sensor sees
+
+
+@dataclass(frozen=True)
+class Tag:
+    """A tag on the beam: its written place, and how far it really sits from there."""
+
+    id: int
+    s: float
+    along: float = 0.0  # m
+    across: float = 0.0  # m
+    turn: float = 0.0  # rad
+
+
+@dataclass(frozen=True)
+class Clock:
+    """`log time = film time + offset`, and what the user wrote down of it."""
+
+    offset: float = 250.0  # s
+    said: float = 250.0  # s
+    uncertainty: float = 2.0  # s, largest error of `said`
+
+
+@dataclass(frozen=True)
+class Said:
+    """What recording.toml says where that is not the truth; NaN: the truth."""
+
+    length: float = nan  # m
+    push_s: float = nan
+    placement_sd: float = 5e-4  # m
+    rest: Rest = "straight"
+    gain_sd: float = nan
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One recording to be made: the beam, the push, the tags, the instruments, and what is said of them."""
+
+    beam: Beam
+    push: Push
+    tags: tuple[Tag, ...] = (Tag(1, 1.0 / 3.0), Tag(2, 2.0 / 3.0), Tag(3, 1.0))
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: the base tag's pose in the clamp's frame
+    sensor: ForceSensor = field(default_factory=ForceSensor)
+    camera: TagNoise = field(default_factory=TagNoise)
+    fps: float = 15.0
+    clock: Clock = field(default_factory=Clock)
+    said: Said = field(default_factory=Said)
+    axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the model of the fit does not know
+    name: str = "virtual"
+
+
+@dataclass(frozen=True)
+class Virtual:
+    """A virtual recording, and its truth."""
+
+    bench: Bench
+    recording: Recording
+    markers: Markers
+    log: ForceLog
+    force: Array  # (T, 2) N, true, at the frames; clamp's frame
+    pose: Array  # (T, m, 3) m, m, rad: the true tags in the clamp's frame
+
+
+def virtual_recording(bench: Bench, *, seed: int) -> Virtual:
+    """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other.
+
+    Raises
+    ------
+    MechanicsError
+        The beam snaps through under the push.
+    RecordingError
+        A frame rate that is not positive, or no tag.
+    """
+    if not bench.fps > 0.0 or not bench.tags:
+        raise RecordingError("a virtual recording needs a frame rate above zero and at least one tag on the beam")
+    camera_rng, sensor_rng = (np.random.default_rng([seed, stream]) for stream in (0, 1))
+    time = np.arange(0.0, bench.push.duration, 1.0 / bench.fps)
+    force = bench.push.force(time)
+    pose = tag_poses(bench, force)
+    seen, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
+    markers = Markers(
+        time=time,
+        tag_id=np.array([tag.id for tag in bench.tags], dtype=np.int64),
+        s=np.array([tag.s for tag in bench.tags]),
+        xy=seen[..., :2],
+        angle=seen[..., 2],
+        covariance=covariance,
+        base_angle=np.zeros(len(time)),
+        view=None,
+    )
+    dense = np.arange(-LOG_BEFORE, bench.push.duration + LOG_BEFORE, DENSE)
+    log = log_of(bench.sensor, dense, bench.push.force(dense), sensor_rng, offset=bench.clock.offset)
+    return Virtual(bench, written(bench), markers, log, force, pose)
+
+
+def observe_virtual(virtual: Virtual, settings: ObserveSettings = ObserveSettings()) -> Observations:
+    """The real way from markers and log to observations: clocks, contact, zero, filter, frame.
+
+    Raises
+    ------
+    ObservationError
+        As for a real recording.
+    """
+    return assemble(virtual.recording, virtual.markers, virtual.log, None, settings)
+
+
+def tag_poses(bench: Bench, force: Array) -> Array:
+    """(T, m, 3) the tags in the clamp's frame under forces (T, 2). A tag rides on the beam where it really sits."""
+    beam, at_s = bench.beam, bench.push.at_s
+    real = np.array([tag.s + tag.along / beam.length for tag in bench.tags])
+    s = np.clip(real, 0.0, 1.0)
+    solved = equilibrium(beam, push(force, at_s), resolution=RESOLUTION)
+    if not np.all(solved.converged):
+        worst = float(np.max(np.linalg.norm(force, axis=1)))
+        raise MechanicsError(f"the virtual beam snaps through under {worst:.3g} N. Give a smaller push")
+    xy, angle = solved.xy(s), solved.angle(s)
+    if np.isfinite(bench.axial_stiffness):
+        xy, angle = stretched(beam, force, at_s, s, bench.axial_stiffness, solved)
+    beyond = beam.length * (real - s)  # a tag may stick out over the tip
+    across = np.array([tag.across for tag in bench.tags])
+    cos, sin = np.cos(angle), np.sin(angle)
+    xy = xy + np.stack([cos * beyond - sin * across, sin * beyond + cos * across], axis=-1)
+    turn = np.array([tag.turn for tag in bench.tags])
+    return np.concatenate([xy, (angle + turn)[..., None]], axis=-1)
+
+
+def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
+    """Poses (T, m, 3) as seen from the base tag."""
+    x, y, turn = base
+    cos, sin = np.cos(turn), np.sin(turn)
+    away = pose[..., :2] - np.array([x, y])
+    back = away @ np.array([[cos, -sin], [sin, cos]])
+    return np.concatenate([back, pose[..., 2:] - turn], axis=-1)
+
+
+def written(bench: Bench) -> Recording:
+    """What recording.toml would say."""
+    said, clock, at = bench.said, bench.clock, Path("virtual") / bench.name
+    return Recording(
+        folder=at,
+        name=bench.name,
+        beam=BeamEntry(length=bench.beam.length if isnan(said.length) else said.length, rest=said.rest),
+        tags=TagsEntry(
+            size=0.012,
+            placement_sd=said.placement_sd,
+            on_base=(TagEntry(id=0, s=0.0),),
+            on_beam=tuple(TagEntry(id=tag.id, s=tag.s) for tag in bench.tags),
+        ),
+        camera=None,
+        video=VideoEntry(file=at / "video.mp4", start=clock.said, start_uncertainty=clock.uncertainty),
+        force=ForceEntry(file=at / "force.csv", gain_sd=said.gain_sd),
+        push=PushEntry(at=bench.push.at_s if isnan(said.push_s) else said.push_s),
+        gravity=None,
+    )
