@@ -150,9 +150,13 @@ def learned(training: Comparison | None = None) -> Learned:
 
 @cache
 def posterior() -> Posterior:
-    """A real fit to the made-up markers, without their errors and with the angles that belong to them."""
+    """A real fit to the made-up markers with the angles that belong to them, and white errors as their covariance."""
     seen = observations(one=comparison(error_m=0.0))
-    seen = replace(seen, angle=BEAM.equilibrium(seen.force, seen.push_s).angle(MARKER_S))
+    angle = BEAM.equilibrium(seen.force, seen.push_s).angle(MARKER_S)
+    rng = np.random.default_rng(7)
+    xy_sd, angle_sd = np.sqrt(seen.covariance[0, 0, [0, 2], [0, 2]])
+    xy = seen.xy + xy_sd * rng.normal(size=seen.xy.shape)
+    seen = replace(seen, xy=xy, angle=angle + angle_sd * rng.normal(size=angle.shape))
     return fit([seen], 0.03, settings=FitSettings(functions=8, most_frames=30))
 
 
