@@ -12,8 +12,10 @@ from onebend.errors import (
     ResultsError,
 )
 from onebend.learning.learn import learn
+from onebend.learning.online import OnlineLearner, OnlineSettings, Update
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.replay import replay
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.pipeline import learn_recording
@@ -38,6 +40,8 @@ __all__ = [
     "ObservationError",
     "Observations",
     "OnebendError",
+    "OnlineLearner",
+    "OnlineSettings",
     "Posterior",
     "Powers",
     "RecordingError",
@@ -48,6 +52,7 @@ __all__ = [
     "Table",
     "UncertainStiffness",
     "Uniform",
+    "Update",
     "fit",
     "learn",
     "learn_recording",
@@ -55,6 +60,7 @@ __all__ = [
     "load_observations",
     "observe",
     "read_recording",
+    "replay",
     "save_model",
     "save_observations",
     "validate",

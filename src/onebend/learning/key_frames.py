@@ -1,4 +1,4 @@
-"""A bounded set of frames that stand for all that was seen: averaged where they are alike, folded away where they are old.
+"""A bounded set of frames that stand for all that was seen: averaged where alike, folded away where old.
 
 A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
 measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
@@ -37,6 +37,7 @@ class KeyFrames:
     gravity: Array  # (K + 2, 2)
     measured: Array  # (K + 2, m, 3)
     information: Array  # (K + 2, m, 3, 3) of `measured`; zero where a tag was not seen
+    root: Array  # (K + 2, m, 3, 3) R with R' R = information
     weight: Array  # (K + 2, m) robust
     error: Array  # (K + 2, 2) N, the force's, as last estimated
     left: Array  # (K + 2, m, 3) measured less predicted, where it was linearised
@@ -66,14 +67,17 @@ class KeyFrames:
             values[i : self.used - 1] = values[i + 1 : self.used]
         self.used -= 1
 
-    def set_linear(self, i: int, x: Array, pose: Array, j: Array, a: Array) -> None:
-        """Linearise frame i at parameters x and its force error: pose (m, 3), derivatives with x and with the force."""
-        turns = np.round((self.measured[i, :, 2] - pose[:, 2]) / (2.0 * np.pi))
+    def set_linear(self, i: IntArray, x: Array, pose: Array, j: Array, a: Array) -> None:
+        """Linearise B frames at parameters x and their force errors.
+
+        `pose` (B, m, 3) and its derivatives: `j` (B, m, 3, n) with x, `a` (B, m, 3, 2) with the force.
+        """
+        turns = np.round((self.measured[i, :, 2] - pose[..., 2]) / (2.0 * np.pi))
         self.measured[i, :, 2] -= 2.0 * np.pi * turns
-        self.j[i], self.a[i] = j, 0.0 if self.rest[i] else a
-        self.left[i] = self.measured[i] - pose
-        self.zeta[i] = self.left[i] + j @ x - self.a[i] @ self.error[i]
-        self.age[i] = 0.0
+        a = a * ~self.rest[i][:, None, None, None]
+        left = self.measured[i] - pose
+        self.j[i], self.a[i], self.left[i], self.age[i] = j, a, left, 0.0
+        self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
         self.whiten(i)
 
     def quadratic(self, i: int, marker: float, white: float) -> tuple[Array, Array]:
@@ -87,12 +91,16 @@ class KeyFrames:
             b[-2:] += certain * self.force[i]
         return information, b
 
-    def whiten(self, i: int) -> None:
-        """Renew the whitened rows of frame i."""
-        root = roots(self.information[i])
-        self.rows_j[i] = (root @ self.j[i]).reshape(-1, self.j.shape[-1])
-        self.rows_a[i] = (root @ self.a[i]).reshape(-1, 2)
-        self.rows_z[i] = (root @ self.zeta[i][..., None]).ravel()
+    def set_information(self, i: int, information: Array) -> None:
+        """(m, 3, 3) of the measured poses of frame i; zero where a tag is not seen."""
+        self.information[i], self.root[i] = information, _roots(information)
+
+    def whiten(self, i: IntArray) -> None:
+        """Renew the whitened rows of B frames."""
+        count, root = len(i), self.root[i]
+        self.rows_j[i] = (root @ self.j[i]).reshape(count, -1, self.j.shape[-1])
+        self.rows_a[i] = (root @ self.a[i]).reshape(count, -1, 2)
+        self.rows_z[i] = (root @ self.zeta[i][..., None]).reshape(count, -1)
 
 
 @dataclass
@@ -134,6 +142,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         gravity=room(2),
         measured=room(tags, 3),
         information=room(tags, 3, 3),
+        root=room(tags, 3, 3),
         weight=room(tags),
         error=room(2),
         left=room(tags, 3),
@@ -149,7 +158,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
     )
 
 
-def roots(information: Array) -> Array:
+def _roots(information: Array) -> Array:
     """R (m, 3, 3) with R' R = information; zero where that is zero."""
     seen = information[:, 0, 0] > 0.0
     safe = np.where(seen[:, None, None], information, np.eye(3))
@@ -186,11 +195,11 @@ def propose_average(keys: KeyFrames, i: int, at: int) -> None:
     keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
     keys.rest[at] = keys.rest[i]
     keys.nodes[at] = keys.nodes[i] if keys.nodes[i] == keys.nodes[k] else 0
-    keys.measured[at], keys.information[at] = 0.0, 0.0
+    keys.measured[at], keys.root[at] = 0.0, 0.0
 
 
 def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
-    """The average at `at` takes the place of frames i and i + 1. All three were linearised just now, at parameters x."""
+    """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
     k = i + 1
     share = keys.frames[k] / keys.frames[at]
     # An average counts as one frame: what tags are read wrong by hardly changes from frame to frame.
@@ -200,10 +209,11 @@ def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
     inverse = np.linalg.inv(np.where(seen[:, None, None], total, np.eye(3))) * seen[:, None, None]
     left = (inverse @ (says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]))[..., 0]
     pose = keys.measured[at] - keys.left[at]
-    keys.information[at], keys.weight[at] = total, seen
+    keys.set_information(at, total)
+    keys.weight[at] = seen
     keys.measured[at], keys.left[at] = pose + left, left
     keys.zeta[at] = left + keys.j[at] @ x - keys.a[at] @ keys.error[at]
-    keys.whiten(at)
+    keys.whiten(np.array([at]))
     for values in keys.arrays():
         values[i] = values[at]
     keys.drop(k)

@@ -123,9 +123,7 @@ def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Ar
     swing = np.stack([-s * along - c * across, c * along - s * across], axis=-1)
     moved = scale * (dxy + swing[..., None] * turn[:, :, None, :])
     mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)
-    pose = np.concatenate(
-        [scale * beam_xy + at.get(x, "origin"), (angle + at.get(x, "turn"))[..., None]], axis=-1
-    )
+    pose = np.concatenate([scale * beam_xy + at.get(x, "origin"), (angle + at.get(x, "turn"))[..., None]], axis=-1)
     j = np.zeros((*pose.shape, at.size))
     p = at.spline.count
     a = mechanics[..., p + 4 :]

@@ -10,6 +10,7 @@ to frame that could lose its definiteness.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
@@ -18,7 +19,6 @@ from onebend.learning.force_process import ForceProcess, Spans, covariance
 from onebend.learning.key_frames import AT_REST, KeyFrames, Past
 from onebend.learning.parameters import Layout
 from onebend.records import Array
-
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,15 @@ class Start:
     mean: Array  # (n,)
     fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: smooth, of roughness tau
 
+    @cached_property
+    def _others(self) -> Array:
+        """(n, n) of all parameters but log k's coefficients."""
+        return np.diag(1.0 / np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0]) ** 2)
+
     def precision(self, tau: float) -> tuple[Array, float]:
         """(n, n), and the log determinant of the part that depends on tau."""
         p = self.at.spline.count
-        sd = np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0])
-        out = np.diag(1.0 / sd**2)
+        out = self._others.copy()
         out[:p, :p] = part = self.at.spline.precision(tau) if self.fixed is None else self.fixed
         return out, float(np.linalg.slogdet(part)[1])
 
@@ -117,7 +121,17 @@ def gather(keys: KeyFrames, past: Past) -> Sums:
         rest = np.append(0.0, rest)
     rows = 3.0 * float(np.sum((keys.information[:used, :, 0, 0] > 0.0) & (keys.weight[:used] > 0.0)))
     return Sums(
-        spans, flat.T @ flat, xe.reshape(-1, n).T, ee, flat.T @ z.ravel(), be, float(np.vdot(z, z)), rows, rest, log, past
+        spans,
+        flat.T @ flat,
+        xe.reshape(-1, n).T,
+        ee,
+        flat.T @ z.ravel(),
+        be,
+        float(np.vdot(z, z)),
+        rows,
+        rest,
+        log,
+        past,
     )
 
 
@@ -157,9 +171,7 @@ def solve(sums: Sums, start: Start, scales: LiveScales, process: ForceProcess) -
     log_information = 2.0 * float(np.sum(np.log(np.diag(factor)) - np.log(unit)))
     total = weight * sums.c + misfit + float(start.mean @ precision @ start.mean) - float(b @ best)
     logs = log_information - log_prior + log_process + log_rest + 2.0 * sums.rows * np.log(scales.marker)
-    return Solution(
-        best[:n], best[n:].reshape(-1, 2), sums.spans, process, inverse, factor, unit, total + logs
-    )
+    return Solution(best[:n], best[n:].reshape(-1, 2), sums.spans, process, inverse, factor, unit, total + logs)
 
 
 def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
@@ -215,4 +227,3 @@ class ScaleSearch:
 
 def _vector(scales: LiveScales) -> Array:
     return np.array([scales.marker, scales.white, scales.coloured, scales.walk, scales.tau])
-

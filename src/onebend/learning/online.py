@@ -8,7 +8,7 @@ roughness climb the evidence, one trial an update. Memory and time per update do
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,18 +19,16 @@ from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
-from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.live_model import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import TAU, Nuisance
 from onebend.learning.smoother import Habits, Smoother
 from onebend.learning.spline import Spline
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray
 
 _STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
 _WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
-_MARGIN = 0.2  # s, kept away from contact when a recording's rests are read
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class OnlineSettings:
 
     functions: int = 16  # of the spline of log k
     key_frames: int = 30
-    renewed: int = 3  # key frames linearised anew with every update
+    renewed: int = 3  # key frames linearised anew with every other update
     priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
     placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
     rest_unknown: bool = True  # the beam may be curved when free
@@ -162,7 +160,7 @@ class OnlineLearner:
         return Update(*found, solved=True)
 
     def settle(self, rounds: int = 10) -> None:
-        """Linearise all key frames anew and solve, several times: for the end of a push, not for every turn of a loop."""
+        """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
         for _ in range(rounds):
             self._state.linearise(list(range(self._state.keys.used)))
             self._state.renew()
@@ -218,68 +216,6 @@ class OnlineLearner:
         return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)
 
 
-def replay(
-    observations: Observations,
-    start: Profile | float | UncertainStiffness,
-    *,
-    gain_sd: float = 0.0,
-    settings: OnlineSettings = OnlineSettings(),
-) -> OnlineLearner:
-    """A learner that has seen a recording frame by frame, as if it were live.
-
-    Placement, rest, camera, clock and force noise are taken from the observations where they say them.
-
-    Raises:
-        LearningError: as `OnlineLearner`.
-    """
-    o = observations
-    learner = OnlineLearner(
-        o.length,
-        o.marker_s,
-        start,
-        mass=o.mass if np.isfinite(o.mass) else 0.0,
-        gain_sd=gain_sd,
-        settings=settings_for(o, settings),
-    )
-    places = push_places(o)
-    for t in playable(o):
-        learner.update(
-            o.time[t],
-            o.xy[t],
-            o.angle[t],
-            o.covariance[t],
-            o.force[t],
-            places[t],
-            loaded=bool(o.loaded[t]),
-            gravity=o.gravity[t],
-        )
-    return learner
-
-
-def settings_for(observations: Observations, settings: OnlineSettings = OnlineSettings()) -> OnlineSettings:
-    """Settings with what a recording says of placement, rest, camera, clock and force noise."""
-    o = observations
-    clock = 0.0 if o.clock is None else float(o.clock.sd) if np.isfinite(o.clock.sd) else 1.0
-    noise = float(np.nanmean(o.force_sd)) if np.any(o.force_sd > 0.0) else settings.force_noise
-    return replace(
-        settings,
-        placement_sd=o.placement_sd,
-        rest_unknown=o.rest == "unknown",
-        calibrated=o.view is None or o.view.calibrated,
-        force_noise=noise,
-        priors=settings.priors if settings.priors.clock is not None else replace(settings.priors, clock=clock),
-    )
-
-
-def playable(observations: Observations) -> list[int]:
-    """Frames that a live learner can use: those under load, and those at rest well away from contact."""
-    o = observations
-    known = np.all(np.isfinite(o.force), axis=1)
-    touched = o.time[o.loaded]
-    gap = np.min(np.abs(o.time[:, None] - touched), axis=1) if len(touched) else np.full(len(o.time), np.inf)
-    return np.flatnonzero(usable_frames(o) & o.loaded | known & ~o.loaded & (gap > _MARGIN)).tolist()
-
-
 def _habits(settings: OnlineSettings) -> Habits:
     s = settings
     return Habits(
@@ -302,7 +238,8 @@ def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Sta
     if isinstance(start, UncertainStiffness):
         if not np.array_equal(start.knots, at.spline.knots):
             raise LearningError(
-                f"the stiffness to go on from has {len(start.mean)} functions, the settings ask for {p}: make them equal"
+                f"the stiffness to go on from has {len(start.mean)} functions, the settings ask for {p}; "
+                "make them equal"
             )
         x[:p] = mean[:p] = start.mean
         return Start(at, mean, np.asarray(np.linalg.inv(start.covariance))), x

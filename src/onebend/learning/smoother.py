@@ -48,6 +48,8 @@ class Smoother:
         self._places: dict[float, Place] = {}
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
+        self._turn = False  # key frames are linearised anew and scales tried in turn, to spread the work
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
         self.solution: Solution = solve(gather(self.keys, self.past), start, scales, self._process(scales))
 
     def enter(self, frame: Frame, rate: Array) -> bool:
@@ -65,7 +67,7 @@ class Smoother:
         keys.age[:i] += 1.0
         here = self._push_s(i)
         waiting = [k for k in np.argsort(-keys.age[:i], kind="stable").tolist() if k not in fresh]
-        waiting = waiting[: self._habits.renewed]
+        waiting = waiting[: self._habits.renewed if pair is None or not self._turn else 0]
         near = [k for k in waiting if self._push_s(k) == here]
         solved = self.linearise([*fresh, *(near or waiting[:1])])
         if i not in solved:
@@ -93,11 +95,11 @@ class Smoother:
         given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen])
         start = keys.q[chosen][:, :nodes] if np.all(keys.nodes[chosen] == nodes) else None
         there = linearise(self._setting, place, self.x, given, start)
-        for b, i in enumerate(chosen):
-            if there.converged[b]:
-                keys.q[i, :nodes], keys.nodes[i] = there.q[b], nodes
-                keys.set_linear(i, self.x, there.pose[b], there.j[b], there.a[b])
-        return {i for b, i in enumerate(chosen) if there.converged[b]}
+        good = there.converged
+        solved = np.asarray(chosen)[good]
+        keys.q[solved, :nodes], keys.nodes[solved] = there.q[good], nodes
+        keys.set_linear(solved, self.x, there.pose[good], there.j[good], there.a[good])
+        return set(solved.tolist())
 
     def _write(self, frame: Frame, rate: Array) -> int:
         """The frame in the place behind the key frames in use, which is returned."""
@@ -106,8 +108,10 @@ class Smoother:
         keys.begin[i] = keys.end[i] = frame.time
         keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
         keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
-        keys.measured[i], keys.information[i], keys.weight[i] = frame.measured, frame.information, frame.seen
-        keys.error[i], _, _ = self.solution.error_at(frame.time)
+        keys.measured[i], keys.weight[i] = frame.measured, frame.seen
+        keys.set_information(i, frame.information)
+        self._expected = self.solution.error_at(frame.time)
+        keys.error[i] = self._expected[0]
         keys.nodes[i] = 0
         if i > 0:
             keys.q[i], keys.nodes[i] = keys.q[i - 1], keys.nodes[i - 1]
@@ -121,7 +125,7 @@ class Smoother:
         """
         keys, i = self.keys, self.keys.used - 1
         tags, n = len(frame.seen), len(self.x)
-        _, rows, own = self.solution.error_at(frame.time)
+        _, rows, own = self._expected
         j, a = keys.j[i].reshape(-1, n), keys.a[i].reshape(-1, 2)
         innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
         by_errors = -a[:, None, :] * rows[None, :, None]
@@ -132,15 +136,16 @@ class Smoother:
         far = frame.seen & (distance > self._habits.gate)
         self._away = np.where(far, self._away + 1, np.where(frame.seen, 0, self._away))
         used = np.asarray(frame.seen & (~far | (self._away >= self._habits.patience)))
-        keys.information[i] *= used[:, None, None]
         keys.weight[i] = used
-        keys.whiten(i)
+        if not np.array_equal(used, frame.seen):
+            keys.set_information(i, keys.information[i] * used[:, None, None])
+            keys.whiten(np.array([i]))
         unseen = ~frame.seen
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
 
     def renew(self) -> None:
-        """Solve with what is linearised now, move the estimate, weigh the tags anew, try another scale."""
+        """Solve with what is linearised now, move the estimate, weigh the tags anew, every other time try a scale."""
         keys, habits = self.keys, self._habits
         sums = gather(keys, self.past)
         self.solution = solution = solve(sums, self._start, self.scales, self._process(self.scales))
@@ -149,8 +154,9 @@ class Smoother:
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
         keys.error[: keys.used] = solution.e[len(solution.e) - keys.used :]
         keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
-        if habits.adapt:
+        if habits.adapt and self._turn:
             self._try_scale(sums)
+        self._turn = not self._turn
 
     def _try_scale(self, sums: Sums) -> None:
         tried = self._search.proposal(self.scales)
