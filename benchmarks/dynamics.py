@@ -27,8 +27,8 @@ from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.motion import Motion, Options, simulate
 from onebend.beam.pieces import taper
+from onebend.beam.problem import Resolution
 from onebend.beam.section import Material, Part, Rectangle, along
-from onebend.beam.statics import Resolution
 from onebend.beam.stiffness import Uniform
 from onebend.beam.vibration import settle, vibration, vibration_of
 from onebend.records import Array

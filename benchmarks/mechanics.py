@@ -12,8 +12,8 @@ from scipy.integrate import solve_bvp
 from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
-from onebend.beam.statics import Resolution, pose
 from onebend.beam.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.records import Array
 from tests.beam.exact import elastica_tip

@@ -20,7 +20,7 @@ from benchmarks.dynamics import peer
 from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution, pose
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.stiffness import Uniform
 from onebend.records import Array
 

@@ -17,7 +17,7 @@ import numpy as np
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.beam.warm import WarmBeam
 from onebend.blas import one_blas_thread

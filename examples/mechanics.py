@@ -20,7 +20,8 @@ from onebend.beam.continuation import equilibrium
 from onebend.beam.held import Held, hold_along
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.statics import Equilibrium, Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Profile, Steps, Uniform
 from onebend.records import Array
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, PINK, blank, png_of, styled

@@ -11,13 +11,16 @@ from onebend.errors import (
     RecordingError,
     ResultsError,
 )
+from onebend.learning.identifiability import information, information_along
 from onebend.learning.learn import learn
 from onebend.learning.online import OnlineLearner, OnlineSettings, Update
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.planning import PlanSettings, plan
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.replay import replay
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
+from onebend.learning.workbench import Bench, Push, bench_of
 from onebend.pipeline import learn_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
@@ -30,6 +33,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Band",
     "Beam",
+    "Bench",
     "Comparison",
     "FitSettings",
     "Gaussians",
@@ -42,8 +46,10 @@ __all__ = [
     "OnebendError",
     "OnlineLearner",
     "OnlineSettings",
+    "PlanSettings",
     "Posterior",
     "Powers",
+    "Push",
     "RecordingError",
     "ResultsError",
     "Settings",
@@ -53,12 +59,16 @@ __all__ = [
     "UncertainStiffness",
     "Uniform",
     "Update",
+    "bench_of",
     "fit",
+    "information",
+    "information_along",
     "learn",
     "learn_recording",
     "load_model",
     "load_observations",
     "observe",
+    "plan",
     "read_recording",
     "replay",
     "save_model",

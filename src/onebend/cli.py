@@ -5,6 +5,7 @@ Exit codes: 0 done; 2 the input or the request cannot be used, with one message 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,8 +18,10 @@ from rich.console import Console
 import onebend
 from onebend import terminal
 from onebend.errors import OnebendError
+from onebend.learning.candidates import Limits
+from onebend.learning.planning import PlanSettings
 from onebend.learning.selection import Settings
-from onebend.pipeline import compare, learn_recording
+from onebend.pipeline import compare, learn_recording, plan_next
 from onebend.progress import Progress, Silent
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.template import write_template
@@ -29,6 +32,7 @@ from onebend.results.kept import KeptDetections
 from onebend.results.model import read_model
 from onebend.results.summary import (
     LEARN_FORMAT,
+    PLAN_FORMAT,
     VALIDATE_FORMAT,
     model_summary,
     summary_of,
@@ -77,6 +81,20 @@ Epsilon = Annotated[
         help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
     ),
 ]
+MaxForce = Annotated[
+    float | None, typer.Option("--max-force-N", min=1e-6, metavar="N", help="Default: twice the largest so far.")
+]
+MaxTipAngle = Annotated[
+    float | None,
+    typer.Option(
+        "--max-tip-angle-deg",
+        min=1.0,
+        max=180.0,
+        metavar="DEG",
+        help="Default: 90, and at most 1.25 times the largest curvature so far.",
+    ),
+]
+Count = Annotated[int, typer.Option(min=1, metavar="N", help="How many proposals.")]
 Threads = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
 ]
@@ -184,6 +202,27 @@ def show(model: Model, *, as_json: Json = False) -> None:
         _print_json(model_summary(stored))
     else:
         terminal.show_model(Console(), stored)
+
+
+@app.command()
+def plan(
+    model: Model,
+    *,
+    max_force: MaxForce = None,
+    max_tip_angle: MaxTipAngle = None,
+    count: Count = 8,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say which push to make next: what each would leave of the band on k(s)."""
+    turn = None if max_tip_angle is None else math.radians(max_tip_angle)
+    settings = PlanSettings(limits=Limits(force=max_force, tip_turn=turn), count=count)
+    with _clean_errors(), _progress(quiet) as progress:
+        found = plan_next(model, settings=settings, progress=progress)
+    if as_json:
+        _print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})
+    else:
+        terminal.show_plan(Console(), found)
 
 
 def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:

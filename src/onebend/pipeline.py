@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from onebend.beam.model import Beam
-from onebend.errors import ObservationError
+from onebend.errors import ObservationError, ResultsError
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.planning import PlanSettings, plan
+from onebend.learning.proposals import Plan
 from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
 from onebend.learning.validation import validate
@@ -20,6 +22,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
 from onebend.records import Observations
+from onebend.results.model import read_model
 
 SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
 
@@ -99,6 +102,22 @@ def compare(
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
         pairs.append((validate(beam, seen), seen))
     return pairs
+
+
+def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), progress: Progress = Silent()) -> Plan:
+    """Which push to make next on the beam in `model`, a `model.json` or the folder that holds one.
+
+    Raises:
+        ResultsError: the file cannot be read, or holds no band on k(s).
+        LearningError: no push is possible within the limits.
+    """
+    stored = read_model(model)
+    if stored.uncertain is None or stored.bench is None:
+        raise ResultsError(
+            f"{model}: the model has no band on k(s), so nothing says what is not known yet. A regression gives none; "
+            'learn the beam with a band (docs/method.md, "k(s) with a band")'
+        )
+    return plan(stored.uncertain, stored.beam, stored.bench, settings, progress=progress)
 
 
 @dataclass

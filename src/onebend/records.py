@@ -83,6 +83,33 @@ class ForceLog:
 
 
 @dataclass(frozen=True)
+class ForceNoise:
+    """Sizes of the three parts, for samples of one given spacing (white noise averages down with wider ones)."""
+
+    white: float  # N, sd of one sample
+    coloured: float  # N, sd
+    tau: float  # s, correlation time of the coloured part
+    walk: float  # N / sqrt(s)
+
+    def covariance(self, time: Array) -> Array:
+        """(N, N) N^2, the walk started at zero at the first time."""
+        apart = np.abs(time[:, None] - time[None, :])
+        since = np.minimum(time[:, None], time[None, :]) - time.min()
+        out = self.coloured**2 * np.exp(-apart / self.tau) + self.walk**2 * since
+        out[np.diag_indices(len(time))] += self.white**2 + 1e-12 * out.max() + np.finfo(float).tiny
+        return np.asarray(out)
+
+    def root(self, time: Array) -> Array:
+        """(N, N) N, Cholesky factor of the covariance."""
+        return np.asarray(np.linalg.cholesky(self.covariance(time)))
+
+    def passed(self, cutoff: float) -> float:
+        """N, sd of the coloured part that an ideal low-pass at `cutoff` [Hz] lets through (its Lorentz spectrum)."""
+        share = 1.0 if not np.isfinite(cutoff) else 2 / np.pi * np.arctan(2 * np.pi * cutoff * self.tau)
+        return float(self.coloured * np.sqrt(share))
+
+
+@dataclass(frozen=True)
 class CleanForce:
     """The force on the beam after tare, outliers, filter and rotation; on the log's clock."""
 
@@ -94,6 +121,7 @@ class CleanForce:
     drift: Array  # (2,) N/s, slope of the tare between the rests before and after contact; NaN if only one rest exists
     cutoff: float  # Hz, of the zero-phase low-pass; infinity if none
     outliers: int  # rows replaced
+    noise: ForceNoise | None = None  # of the log before the filter, where the clock search found it
     remarks: tuple[Remark, ...] = ()
 
 

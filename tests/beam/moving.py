@@ -10,7 +10,7 @@ from onebend.beam.dynamics import Body, body, coriolis_matrix, force_jacobian, g
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.motion import State
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Powers, Scaled, Steps, Uniform
 from onebend.records import Array
 

@@ -22,7 +22,7 @@ from onebend.beam.grid import make_grid
 from onebend.beam.kinematics import jacobians, places, positions
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array

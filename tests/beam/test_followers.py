@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import follow_push, push
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Gaussians, Uniform
 from onebend.records import Array
 

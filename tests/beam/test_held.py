@@ -14,7 +14,8 @@ from onebend.beam.ends import end_jacobian, end_pose, let_down
 from onebend.beam.held import Held, hold, hold_along
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution, gradient, pose, potential
+from onebend.beam.problem import Resolution, pose
+from onebend.beam.statics import gradient, potential
 from onebend.beam.stiffness import Gaussians, Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array

@@ -15,7 +15,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.motion import Motion, Options, State, converged, simulate
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Scaled, Steps, Uniform
 from onebend.beam.vibration import settle, vibration_of
 from onebend.errors import MechanicsError

@@ -10,8 +10,9 @@ import pytest
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution
 from onebend.beam.sensitivity import (
-    Change,
+    Changes,
     clamp_wrench,
     of_clamp_angle,
     of_force,
@@ -21,7 +22,7 @@ from onebend.beam.sensitivity import (
     of_stiffness,
     respond,
 )
-from onebend.beam.statics import Equilibrium, Resolution
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.records import Array
 
@@ -45,7 +46,7 @@ def made(p: Array, loads: Loads) -> Equilibrium:
     return equilibrium(beam, loads + extra, resolution=FINE)
 
 
-def all_changes(solved: Equilibrium) -> Change:
+def all_changes(solved: Equilibrium) -> Changes:
     """In the order of p."""
     nodes = solved.problem.grid.nodes
     return (
@@ -83,6 +84,29 @@ def test_positions_and_angles_for_all_parameters_at_once(loads: Loads) -> None:
         np.testing.assert_allclose(
             exact * SCALE, expected * SCALE, atol=1e-9 * np.max(np.abs(expected * SCALE)) + 1e-12
         )
+
+
+@pytest.mark.parametrize("loads", [Loads(), follow_push((-0.05, 0.1), 1.0)], ids=["dead", "follower"])
+@pytest.mark.parametrize("at", [0.8, np.array([0.8, 0.7])], ids=["one grid", "a grid a frame"])
+def test_solved_for_the_quantities_or_for_the_parameters(loads: Loads, at: float | Array) -> None:
+    """The adjoint way, taken where fewer quantities than parameters are asked for, against all of dq/dp."""
+    beam = Beam(0.15, Gaussians(CENTRES, WIDTH, tuple(HEIGHTS)), Powers((0.2, 0.1)), 0.1, Powers((0.3, 0.2)))
+    solved = equilibrium(beam, push([(0.0, 0.2), (0.1, 0.2)], at) + weight(GRAVITY) + loads, resolution=FINE)
+    nodes = solved.problem.grid.nodes
+    change = (
+        of_stiffness(solved, gaussian_basis(nodes, CENTRES, WIDTH))
+        + (of_clamp_angle(solved.problem) + of_mass(solved.problem, power_basis(nodes, 3), GRAVITY))
+        + of_force(solved.problem, np.array(at))
+    )
+    adjoint, direct = respond(solved, change), respond(solved, change)
+    assert direct.q.shape == (2, nodes.shape[-1], 9)
+    seen = adjoint.poses(S[:2])
+    assert "q" not in adjoint.__dict__
+    np.testing.assert_allclose(seen, direct.poses(S[:2]), atol=1e-12 * np.max(np.abs(seen)))
+    np.testing.assert_allclose(adjoint.xy(S[:2]), seen[:, :, :2], atol=1e-12 * np.max(np.abs(seen)))
+    np.testing.assert_allclose(adjoint.angle(S[:2]), seen[:, :, 2], atol=1e-12 * np.max(np.abs(seen)))
+    by_hand = solved.problem.grid.integral_to(S[:2]) @ direct.q + change.clamp
+    np.testing.assert_allclose(seen[:, :, 2], by_hand, atol=1e-12 * np.max(np.abs(by_hand)))
 
 
 def test_clamp_wrench_and_its_derivative() -> None:

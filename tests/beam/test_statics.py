@@ -12,8 +12,9 @@ from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.sensitivity import of_force, respond
-from onebend.beam.statics import Resolution, gradient, node_angles, pose, tangent
+from onebend.beam.statics import gradient, node_angles, tangent
 from onebend.beam.stiffness import Gaussians, Profile, Steps, Table, Uniform
 from onebend.errors import MechanicsError
 from tests.beam.exact import elastica_tip

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,6 +42,19 @@ def test_round_trip_through_json_is_exact(profile: Profile) -> None:
     assert again == profile
     np.testing.assert_array_equal(again(S), profile(S))
     assert again.jumps == profile.jumps
+
+
+@pytest.mark.parametrize("profile", PROFILES, ids=lambda p: type(p).__name__)
+def test_a_used_profile_is_still_equal_hashable_and_can_be_pickled_and_changed(profile: Profile) -> None:
+    """What a profile keeps from call to call is no part of it."""
+    fresh = profile_from_dict(profile.as_dict())
+    profile(S)
+    assert fresh == profile
+    assert hash(fresh) == hash(profile)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(profile))(S), profile(S))
+    table = Table((0.0, 1.0), (1.0, 2.0))
+    table(S)
+    np.testing.assert_allclose(replace(table, values=(1.0, 3.0))(S), 1.0 + 2.0 * S)
 
 
 def test_gaussians_have_unit_area() -> None:

@@ -16,8 +16,8 @@ from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.motion import State
 from onebend.beam.pieces import taper
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.section import Material, Part, Rectangle, along
-from onebend.beam.statics import Resolution, pose
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.beam.vibration import exponents, settle, vibration, vibration_of
 from onebend.errors import MechanicsError

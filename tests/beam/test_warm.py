@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, Rod, pose
 from onebend.beam.sensitivity import of_force, of_moment, respond
-from onebend.beam.statics import Resolution, Rod, gradient, is_stable, pose
+from onebend.beam.statics import gradient, is_stable
 from onebend.beam.stiffness import Gaussians, Steps, Uniform
 from onebend.beam.warm import WarmBeam
 from onebend.errors import MechanicsError

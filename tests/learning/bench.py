@@ -9,7 +9,7 @@ from onebend.beam.loads import push
 from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.statics import pose
+from onebend.beam.problem import pose
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.records import Array, Observations
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.statics import Resolution
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError
 from onebend.learning.force_process import ForceProcess, Spans, covariance, fast_variance
@@ -76,7 +76,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     slow = max(level, noise) ** 2 + (0.3 * noise) ** 2 * np.minimum(t[:, None], t)
     fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force_memory) + noise**2 * np.eye(count)
     half = np.linalg.inv(np.linalg.cholesky(slow + fast))
-    of_k, p = np.linalg.cholesky(spline.precision(settings.roughness)).T, spline.count
+    of_k, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
     along, across, turn, clamp, origin = v[p : p + 3], v[p + 3 : p + 6], v[p + 6 : p + 9], v[p + 9], v[p + 10 : p + 12]
     error = v[p + 12 :].reshape(count, 2)
     beam = Beam(o.length, LogSpline(tuple(spline.knots), tuple(v[:p])), clamp_angle=float(clamp))
@@ -136,7 +136,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
     at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True)
     keys, start = linear_frames(1, at, 7), Start(at, 0.3 * np.ones(at.size), None)
-    scales = LiveScales(1.3, 0.02, 0.03, 0.02, 2.0)
+    scales = LiveScales(1.3, 0.02, 0.03, 0.02, 2.0, 0.2)
     process = ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02)
     never = Past(np.zeros((at.size + 2, at.size + 2)), np.zeros(at.size + 2), np.nan)
     found = solve(gather(keys, never), start, scales, process)
@@ -149,7 +149,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     rows = np.concatenate([np.hstack([j, a.reshape(42, 14)]), np.eye(2, at.size + 14, at.size) / (0.05 * 0.02)])
     right = np.concatenate([z, keys.force[0] / (0.05 * 0.02)])
     prior = np.zeros((at.size + 14,) * 2)
-    prior[: at.size, : at.size], _ = start.precision(2.0)
+    prior[: at.size, : at.size], _ = start.precision(2.0, 0.2)
     prior[at.size :, at.size :] = np.kron(np.linalg.inv(c), np.eye(2))
     dense = np.linalg.inv(rows.T @ rows + prior)
     best = dense @ (rows.T @ right + prior[:, : at.size] @ start.mean)
@@ -179,7 +179,7 @@ def test_live_and_batch_agree(seed: int) -> None:
 def drawn(seed: int, count: int) -> tuple[Observations, LogSpline]:
     """A push of a drawn beam whose nuisances and force error are drawn as the settings say."""
     rng, spline = np.random.default_rng(seed), Spline(8)
-    rough = np.linalg.cholesky(np.linalg.inv(spline.precision(3.0))) @ rng.normal(size=8)
+    rough = np.linalg.cholesky(np.linalg.inv(spline.precision(3.0, 0.1))) @ rng.normal(size=8)
     places = np.array([np.mean(spline.knots[i + 1 : i + 4]) for i in range(8)])  # coefficients there: log k = s
     line = np.polynomial.Polynomial.fit(places, rough, 1)(places)  # level and slope, of broad prior, are tamed
     log_k = LogSpline(tuple(spline.knots), tuple(np.log(0.025) + rough - line + 0.3 * rng.normal()))
@@ -202,7 +202,7 @@ def drawn(seed: int, count: int) -> tuple[Observations, LogSpline]:
 def test_error_over_band_is_chi_square_over_seeds() -> None:
     """Normalised errors at three places, squared and summed over 30 seeds, within the 99.9 % limits of chi-square."""
     places, total, seeds = np.array([0.15, 0.4, 0.65]), 0.0, 30
-    settings = OnlineSettings(functions=8, roughness=3.0, force_noise=0.003)
+    settings = OnlineSettings(functions=8, roughness=3.0, steps=0.1, force_noise=0.003)
     for seed in range(seeds):
         made, truth = drawn(seed, 60)
         made = replace(made, force_sd=np.zeros(2), rest_xy=np.full((3, 2), np.nan))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from onebend.recording.clock import find_offset, fit_clock
-from onebend.recording.noise import ForceNoise, fit_noise, log_evidence
+from onebend.recording.noise import fit_noise, log_evidence
 from onebend.recording.relation import levers
+from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
 
 

@@ -17,8 +17,7 @@ from onebend.recording.force import (
     read_force_log,
     to_beam,
 )
-from onebend.recording.noise import ForceNoise
-from onebend.records import ForceLog
+from onebend.records import ForceLog, ForceNoise
 from tests.recording.pushed import Pushed
 
 COLUMNS = ("time_s", "fx_N", "fy_N")

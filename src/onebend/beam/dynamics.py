@@ -26,7 +26,7 @@ import numpy as np
 
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.modes import Modes
-from onebend.beam.statics import Resolution, Rod
+from onebend.beam.problem import Resolution, Rod
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray

@@ -9,15 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.beam.statics import (
-    Problem,
-    gradient,
-    node_angles,
-    positive_definite,
-    potential,
-    tangent,
-    transposed,
-)
+from onebend.beam.falling import to_the_left
+from onebend.beam.grid import transposed
+from onebend.beam.problem import Problem
+from onebend.beam.statics import gradient, node_angles, positive_definite, potential, tangent
 from onebend.records import Array, BoolArray
 
 _TOLERANCE = 1e-11  # of the last update, as an angle
@@ -149,21 +144,9 @@ def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
     down = -amplitude / np.maximum(np.abs(values), _FLAT)
     falling = values < 0.0
     # At a perfect bifurcation the slope has no part along the unstable direction: to the left then.
-    left = to_the_left(problem, q, modes)
+    left = to_the_left(problem, q, modes[None])[0]
     down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
     return (modes @ down)[None], wrench, not np.any(falling)
-
-
-def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
-    """(P,) 1 or -1: the sign with which changes of curvature (Q, P) move one frame's beam to its left, on average."""
-    alpha = node_angles(problem, q)[0]
-    b = problem.to_nodes if problem.to_nodes.ndim == 2 else problem.to_nodes[0]
-    turned = b @ modes
-    x, y = -b @ (np.sin(alpha)[:, None] * turned), b @ (np.cos(alpha)[:, None] * turned)
-    weights = np.broadcast_to(problem.weights, q.shape)[0]
-    moved = weights @ (np.cos(alpha)[:, None] * y - np.sin(alpha)[:, None] * x)
-    undecided = np.abs(moved) < 1e-9 * np.max(np.abs(turned), axis=0)
-    return np.where(np.where(undecided, turned[-1] + turned[len(turned) // 4], moved) < 0.0, -1.0, 1.0)
 
 
 def _solve(matrices: Array, right: Array) -> Array:

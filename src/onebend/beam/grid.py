@@ -97,6 +97,18 @@ def make_grid(breaks: tuple[float, ...] = (), *, order: int = 16, widest: float 
     return Grid(np.asarray(edges), order)
 
 
+def apply(rows: Array, values: Array) -> Array:
+    """rows (S, Q) or (T, S, Q) on values (Q,) or (T, Q): one matrix product where the rows are shared."""
+    if rows.ndim == 2:
+        return np.asarray(values @ rows.T)
+    return np.asarray((rows @ values[..., None])[..., 0])
+
+
+def transposed(matrix: Array) -> Array:
+    """The last two axes swapped."""
+    return np.swapaxes(matrix, -1, -2)
+
+
 @lru_cache(maxsize=32)
 def _gauss(order: int) -> tuple[Array, Array]:
     x, w = np.polynomial.legendre.leggauss(order)

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.ends import end_pose, let_down, newton, restore, stands
 from onebend.beam.loads import Loads
+from onebend.beam.problem import Problem, Resolution, Rod, pose
 from onebend.beam.sensitivity import clamp_wrench
-from onebend.beam.statics import Equilibrium, Problem, Resolution, Rod, node_angles, pose, potential
+from onebend.beam.statics import Equilibrium, node_angles, potential
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
@@ -247,6 +248,7 @@ def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: 
         stable=stable,
         load_factor=np.where(stable, 1.0, np.nan),
         buckled_at=np.full(len(q), np.nan),
+        fell=jumped,
         iterations=0,
     )
     return Held(solved, wrench, jumped)

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.modes import Modes
-from onebend.beam.statics import Problem, gradient, tangent
+from onebend.beam.problem import Problem
+from onebend.beam.statics import gradient, tangent
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.beam.continuation import equilibrium
+from onebend.beam.falling import Side
 from onebend.beam.loads import push, weight
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Profile, Uniform, profile_from_dict
@@ -56,24 +57,40 @@ class Beam:
         if not self.length > 0.0:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
 
-    def equilibrium(self, force: ArrayLike, at_s: ArrayLike = 1.0, *, gravity: ArrayLike | None = None) -> Shape:
+    def equilibrium(
+        self,
+        force: ArrayLike,
+        at_s: ArrayLike = 1.0,
+        *,
+        gravity: ArrayLike | None = None,
+        fall: Side | None = None,
+    ) -> Shape:
         """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, and under its weight.
 
-        `gravity`: (2,) or (T, 2) m/s^2 in the beam's frame.
+        Args:
+            force: N, in the beam's frame.
+            at_s: one place or (T,) places.
+            gravity: (2,) or (T, 2) m/s^2 in the beam's frame.
+            fall: None stays on the branch that grows from rest, even where it is unstable. "left" or "right": where
+                that branch loses stability or ends, the beam falls to where it stands; to this side of it, where the
+                loads leave that open (a perfectly axial force).
 
         Raises:
             MechanicsError: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
-                before the full load (the beam would snap through).
+                before the full load (the beam snaps through) and no `fall` was asked for, or led nowhere.
         """
+        if fall not in (None, "left", "right"):
+            raise MechanicsError(f"a beam falls to its 'left' or to its 'right' (or None: not at all), got {fall!r}")
         loads = push(force, at_s)
         if gravity is not None:
             loads = loads + weight(gravity)
-        solved = equilibrium(self, loads)
+        solved = equilibrium(self, loads, fall=fall)
         if not np.all(solved.converged):
             frame = int(np.flatnonzero(~solved.converged)[0])
             raise MechanicsError(
                 f"load {frame}: the equilibrium that grows from rest ends at {solved.load_factor[frame]:.1%} "
-                "of the load; beyond it the beam snaps through. Give a smaller load"
+                "of the load; beyond it the beam snaps through. "
+                + ("Give a smaller load, or a side to `fall` to" if fall is None else "It falls to no stable shape")
             )
         return Shape(solved, single=np.ndim(force) == 1)
 

@@ -1,43 +1,60 @@
 """Derivatives of an equilibrium by the implicit function theorem: `dq/dp = -T^-1 dg/dp`, T the tangent.
 
 A `Change` says how parameters enter the out-of-balance: by the internal force and moment they add, by the elastic term,
-by the clamp's angle. Changes are joined with `+` and answered together: the tangent is factorised once for all of them.
+by the clamp's angle. Changes are joined with `+` and answered together: the tangent is factorised once for all of them,
+and solved for the parameters or, where those are fewer, for the quantities looked at (the adjoint way).
 Never by differentiating through the iterations.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from onebend.beam.statics import Equilibrium, Problem, apply, internal_force, tangent, transposed
+from onebend.beam.grid import apply, transposed
+from onebend.beam.problem import Problem
+from onebend.beam.statics import Equilibrium, internal_force, pulls, tangent
 from onebend.records import Array
 
 
 @dataclass(frozen=True)
 class Change:
-    """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T."""
+    """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T.
 
-    force: Array  # (T, Q, 2, P) N per unit: of the dead force beyond each node
-    moment: Array  # (T, Q, P) N m per unit: of the moment beyond each node
-    elastic: Array  # (T, Q, P) N m per unit: of k (q - q0) at fixed q
+    None where nothing of the kind changes.
+    """
+
+    force: Array | None  # (T, Q, 2, P) N per unit: of the dead force beyond each node
+    moment: Array | None  # (T, Q, P) N m per unit: of the moment beyond each node
+    elastic: Array | None  # (T, Q, P) N m per unit: of k (q - q0) at fixed q
     clamp: Array  # (P,) rad per unit
 
-    def __add__(self, other: Change) -> Change:
+    @property
+    def parts(self) -> tuple[Change, ...]:
+        """Itself, as `Changes` has it."""
+        return (self,)
+
+    def __add__(self, other: Change | Changes) -> Changes:
         """Both sets of parameters, one after the other."""
-        size = max(len(x) for c in (self, other) for x in (c.force, c.moment, c.elastic))
+        return Changes(self.parts + other.parts)
 
-        def join(a: Array, b: Array) -> Array:
-            spread = [np.broadcast_to(x, (size, *x.shape[1:])) for x in (a, b)]
-            return np.concatenate(spread, axis=-1)
 
-        return Change(
-            join(self.force, other.force),
-            join(self.moment, other.moment),
-            join(self.elastic, other.elastic),
-            np.concatenate([self.clamp, other.clamp]),
-        )
+@dataclass(frozen=True)
+class Changes:
+    """Several sets of parameters, one after the other: P in all."""
+
+    parts: tuple[Change, ...]
+
+    @property
+    def clamp(self) -> Array:
+        """(P,) rad per unit."""
+        return np.concatenate([part.clamp for part in self.parts])
+
+    def __add__(self, other: Change | Changes) -> Changes:
+        """Those of `other` after these."""
+        return Changes(self.parts + other.parts)
 
 
 @dataclass(frozen=True)
@@ -45,102 +62,171 @@ class Response:
     """How equilibria move with P parameters."""
 
     solved: Equilibrium
-    change: Change
-    q: Array  # (T, Q, P) rad per unit, at the nodes
+    change: Change | Changes
+
+    @cached_property
+    def q(self) -> Array:
+        """(T, Q, P) rad per unit, of the curvature at the nodes."""
+        return _solve(tangent(self.solved.problem, self.solved.q), self._right)
 
     @property
     def alpha(self) -> Array:
         """(T, Q, P) of the angle at the nodes."""
         return self.solved.problem.to_nodes @ self.q + self.change.clamp
 
+    def poses(self, s: Array) -> Array:
+        """(T, S, 3, P) m, m, rad per unit: of position and angle at places `s` (S,) or (T, S)."""
+        turning, at = self._turning(s), self.solved.problem.grid.integral_to(s)
+        angle = np.broadcast_to(at, (len(self.solved.q), *at.shape[-2:]))[:, :, None]
+        ones = np.ones((*turning.shape[:2], 1))
+        turned = np.concatenate([np.sum(turning, axis=-1), ones], axis=-1)
+        return self._seen(np.concatenate([turning @ self._to_nodes, angle], axis=2), turned)
+
     def angle(self, s: Array) -> Array:
         """(T, S, P) rad per unit, of the angle at places `s` (S,) or (T, S)."""
-        return self.solved.problem.grid.integral_to(s) @ self.q + self.change.clamp
+        at = self.solved.problem.grid.integral_to(s)
+        rows = np.broadcast_to(at, (len(self.solved.q), *at.shape[-2:]))
+        return self._seen(rows, np.ones(rows.shape[:-1]))
 
     def xy(self, s: Array) -> Array:
-        """(T, S, 2, P) m per unit, of the position at places `s`."""
-        problem, alpha, turned = self.solved.problem, self.solved.alpha, self.alpha
-        rows = problem.length[..., None] * problem.grid.integral_to(s)
-        x = rows @ (-np.sin(alpha)[..., None] * turned)
-        y = rows @ (np.cos(alpha)[..., None] * turned)
-        return np.stack([x, y], axis=-2)
+        """(T, S, 2, P) m per unit, of the position at places `s` (S,) or (T, S)."""
+        turning = self._turning(s)
+        return self._seen(turning @ self._to_nodes, np.sum(turning, axis=-1))
 
     def clamp_wrench(self) -> Array:
         """(T, 3, P) N, N, N m per unit: of force and moment that the clamp puts on the beam (dead loads)."""
-        problem, alpha, turned = self.solved.problem, self.solved.alpha, self.alpha
-        n, dn = internal_force(problem, self.solved.q), self.change.force
-        cos, sin = np.cos(alpha), np.sin(alpha)
-        along = n[..., 0] * cos + n[..., 1] * sin
-        across = dn[..., 1, :] * cos[..., None] - dn[..., 0, :] * sin[..., None] - along[..., None] * turned
-        lever = np.sum((problem.length * problem.weights)[..., None] * across, axis=1)
-        base = _at_base(problem)
-        force, moment = np.einsum("q,tqcp->tcp", base, dn), np.einsum("q,tqp->tp", base, self.change.moment)
-        moment = np.broadcast_to(moment, lever.shape)
-        return -np.concatenate([np.broadcast_to(force, (len(lever), *force.shape[1:])), (lever + moment)[:, None]], 1)
+        problem, base = self.solved.problem, _at_base(self.solved.problem)
+        along, _ = pulls(problem, self.solved.q)
+        out = np.zeros((len(along), 3, len(self.change.clamp)))
+        lw = (problem.length * problem.weights)[..., None]
+        out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
+        for columns, part in _columns(self.change):
+            if part.force is not None:
+                out[:, :2, columns] -= np.einsum("q,tqcp->tcp", base, part.force)
+                out[:, 2, columns] -= np.sum(lw * _across(self.solved.alpha, part.force), axis=1)
+            if part.moment is not None:
+                out[:, 2, columns] -= np.einsum("q,tqp->tp", base, part.moment)
+        return out
+
+    @cached_property
+    def _right(self) -> Array:
+        return right_side(self.solved, self.change)
+
+    @property
+    def _to_nodes(self) -> Array:
+        """B, to be multiplied with a stack (T, S, 2, Q) from the right."""
+        b = self.solved.problem.to_nodes
+        return b if b.ndim == 2 else b[:, None]
+
+    def _turning(self, s: Array) -> Array:
+        """(T, S, 2, Q) m: how positions at `s` go with the angles at the nodes."""
+        problem, alpha = self.solved.problem, self.solved.alpha
+        rows = problem.length[..., None] * problem.grid.integral_to(s)
+        return np.stack([-np.sin(alpha)[:, None] * rows, np.cos(alpha)[:, None] * rows], axis=-2)
+
+    def _seen(self, rows: Array, turned: Array) -> Array:
+        """(T, ..., P) of quantities that go with curvature by `rows` (T, ..., Q), with the clamp by `turned` (T, ...).
+
+        Where they are fewer than the parameters, T is solved for them: `rows T^-1 right = (T^-T rows^T)^T right`.
+        """
+        flat = rows.reshape(len(rows), -1, rows.shape[-1])
+        clamp = self.change.clamp
+        if "q" in self.__dict__ or flat.shape[1] >= len(clamp):
+            out = flat @ self.q
+        else:
+            matrices = tangent(self.solved.problem, self.solved.q)
+            out = transposed(_solve(transposed(matrices), transposed(flat))) @ self._right
+        out = out.reshape(*rows.shape[:-1], len(clamp))
+        return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
 
-def respond(solved: Equilibrium, change: Change) -> Response:
+def respond(solved: Equilibrium, change: Change | Changes) -> Response:
     """Derivatives of the equilibria with respect to all parameters of `change`.
 
-    NaN in frames whose tangent is singular: at a limit point the response is infinite.
+    They are worked out when asked for. NaN in frames whose tangent is singular: at a limit point the response is
+    infinite.
     """
-    right = right_side(solved, change)
-    matrices = tangent(solved.problem, solved.q)
-    try:
-        q = np.linalg.solve(matrices, right)
-    except np.linalg.LinAlgError:
-        q = np.full_like(right, np.nan)
-        for i, matrix in enumerate(matrices):
-            if np.linalg.cond(matrix) < 1.0 / np.finfo(float).eps:
-                q[i] = np.linalg.solve(matrix, right[i])
-    return Response(solved, change, np.asarray(q))
+    return Response(solved, change)
 
 
-def right_side(solved: Equilibrium, change: Change) -> Array:
+def right_side(solved: Equilibrium, change: Change | Changes) -> Array:
     """(T, Q, P): minus the derivative of the out-of-balance at fixed q."""
     problem, alpha = solved.problem, solved.alpha
-    cos, sin = np.cos(alpha)[..., None], np.sin(alpha)[..., None]
     lw = (problem.length * problem.weights)[..., None]
-    across = change.force[..., 1, :] * cos - change.force[..., 0, :] * sin
-    out = transposed(problem.to_nodes) @ (lw * across)
-    out = out + problem.weights[..., None] * (change.moment - change.elastic)
-    if np.any(change.clamp != 0.0):
-        # Turning the clamp turns every angle alike, followers included: T summed over a uniform turn, less elasticity.
-        n = internal_force(problem, solved.q)
-        along = n[..., 0, None] * cos + n[..., 1, None] * sin
-        if problem.follower.shape[1]:
-            along = along - _turned_followers(problem, solved.q, cos, sin)
-        out = out - (transposed(problem.to_nodes) @ (lw * along)) * change.clamp
-    return np.asarray(out)
+    weights = problem.weights[..., None]
+    out = np.zeros((*alpha.shape, len(change.clamp)))
+    for columns, part in _columns(change):
+        if part.force is not None:
+            out[..., columns] += transposed(problem.to_nodes) @ (lw * _across(alpha, part.force))
+        if part.moment is not None:
+            out[..., columns] += weights * part.moment
+        if part.elastic is not None:
+            out[..., columns] -= weights * part.elastic
+        if np.any(part.clamp != 0.0):
+            out[..., columns] -= _of_turn(solved) * part.clamp
+    return out
+
+
+def _of_turn(solved: Equilibrium) -> Array:
+    """(T, Q, 1): of the out-of-balance with a common turn: T summed over a uniform turn, less elasticity."""
+    problem = solved.problem
+    along, _ = pulls(problem, solved.q)
+    if problem.follower.shape[1]:  # they turn alike
+        cos, sin = np.cos(solved.alpha)[..., None], np.sin(solved.alpha)[..., None]
+        along = along - (problem.length * problem.weights) * _turned_followers(problem, solved.q, cos, sin)[..., 0]
+    return apply(transposed(problem.to_nodes), along)[..., None]
+
+
+def _columns(change: Change | Changes) -> list[tuple[slice, Change]]:
+    """The parts with their places among all parameters."""
+    ends = np.cumsum([0, *(len(part.clamp) for part in change.parts)]).tolist()
+    return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], change.parts, strict=True)]
+
+
+def _across(alpha: Array, force: Array) -> Array:
+    """(T, Q, P) across the tangent, to its left, of (T, Q, 2, P)."""
+    return force[..., 1, :] * np.cos(alpha)[..., None] - force[..., 0, :] * np.sin(alpha)[..., None]
+
+
+def _solve(matrices: Array, right: Array) -> Array:
+    """(T, Q, P) solutions; NaN where a matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right))
+    except np.linalg.LinAlgError:
+        out = np.full_like(right, np.nan)
+        for i, matrix in enumerate(matrices):
+            if np.linalg.cond(matrix) < 1.0 / np.finfo(float).eps:
+                out[i] = np.linalg.solve(matrix, right[i])
+        return out
 
 
 def of_force(problem: Problem, at_s: Array) -> Change:
     """Two parameters: the components [N] of a dead force at `at_s`, a number or (T,)."""
     beyond = _beyond(problem, at_s)
     force = beyond[..., None, None] * np.eye(2)
-    return _change(problem, 2, force=force)
+    return Change(force, None, None, np.zeros(2))
 
 
 def of_moment(problem: Problem, at_s: Array) -> Change:
     """One parameter: a moment [N m] at `at_s`, a number or (T,)."""
-    return _change(problem, 1, moment=_beyond(problem, at_s)[..., None])
+    return Change(None, _beyond(problem, at_s)[..., None], None, np.zeros(1))
 
 
 def of_stiffness(solved: Equilibrium, functions: Array) -> Change:
     """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m]."""
     problem = solved.problem
-    return _change(problem, functions.shape[-1], elastic=(solved.q - problem.q0)[..., None] * functions)
+    return Change(None, None, (solved.q - problem.q0)[..., None] * functions, np.zeros(functions.shape[-1]))
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Change:
     """P parameters: coefficients of functions (Q, P) added to q0(s) [rad]."""
     elastic = -np.asarray(problem.k)[..., None] * functions
-    return _change(problem, functions.shape[-1], elastic=elastic if elastic.ndim == 3 else elastic[None])
+    return Change(None, None, elastic if elastic.ndim == 3 else elastic[None], np.zeros(functions.shape[-1]))
 
 
-def of_clamp_angle(problem: Problem) -> Change:
+def of_clamp_angle(problem: Problem) -> Change:  # noqa: ARG001 - it takes what its sisters take
     """One parameter: the clamp's angle [rad], the loads keeping their directions."""
-    return _change(problem, 1, clamp=np.ones(1))
+    return Change(None, None, None, np.ones(1))
 
 
 def of_mass(problem: Problem, functions: Array, gravity: Array) -> Change:
@@ -149,7 +235,7 @@ def of_mass(problem: Problem, functions: Array, gravity: Array) -> Change:
     total = np.sum(problem.weights[..., None] * line, axis=-2, keepdims=True)
     beyond = total - problem.to_nodes @ line
     beyond = beyond if beyond.ndim == 3 else beyond[None]
-    return _change(problem, functions.shape[-1], force=beyond[..., None, :] * gravity[:, None, :, None])
+    return Change(beyond[..., None, :] * gravity[:, None, :, None], None, None, np.zeros(functions.shape[-1]))
 
 
 def clamp_wrench(solved: Equilibrium) -> Array:
@@ -161,25 +247,6 @@ def clamp_wrench(solved: Equilibrium) -> Array:
     base = _at_base(problem)
     moment = lever + problem.moment @ base
     return -np.concatenate([np.einsum("q,tqc->tc", base, n), moment[:, None]], axis=1)
-
-
-def _change(
-    problem: Problem,
-    count: int,
-    *,
-    force: Array | None = None,
-    moment: Array | None = None,
-    elastic: Array | None = None,
-    clamp: Array | None = None,
-) -> Change:
-    """A change with zeros where nothing is given."""
-    nodes = problem.to_nodes.shape[-1]
-    return Change(
-        force=np.zeros((1, nodes, 2, count)) if force is None else force,
-        moment=np.zeros((1, nodes, count)) if moment is None else moment,
-        elastic=np.zeros((1, nodes, count)) if elastic is None else elastic,
-        clamp=np.zeros(count) if clamp is None else clamp,
-    )
 
 
 def _beyond(problem: Problem, at_s: Array) -> Array:

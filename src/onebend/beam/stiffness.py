@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -113,7 +114,11 @@ class Table:
 
     def __call__(self, s: Array | float) -> Array:
         inside = np.clip(np.asarray(s, dtype=float), self.s[0], self.s[-1])
-        return np.asarray(PchipInterpolator(self.s, self.values)(inside))
+        return np.asarray(self._interpolator(inside))
+
+    @cached_property
+    def _interpolator(self) -> PchipInterpolator:
+        return PchipInterpolator(self.s, self.values)
 
     @property
     def jumps(self) -> tuple[float, ...]:
@@ -157,8 +162,11 @@ class LogSpline:
     degree: int = 3
 
     def __call__(self, s: Array | float) -> Array:
-        spline = BSpline(np.asarray(self.knots), np.asarray(self.coefficients), self.degree)
-        return np.asarray(np.exp(spline(np.asarray(s, dtype=float))))
+        return np.asarray(np.exp(self._spline(np.asarray(s, dtype=float))))
+
+    @cached_property
+    def _spline(self) -> BSpline:
+        return BSpline(np.asarray(self.knots), np.asarray(self.coefficients), self.degree)
 
     @property
     def jumps(self) -> tuple[float, ...]:

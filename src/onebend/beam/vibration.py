@@ -15,7 +15,8 @@ from scipy.linalg import eigh, eigvals
 from onebend.beam.actions import Actions, acting
 from onebend.beam.dynamics import Body, body, mass_matrix
 from onebend.beam.motion import State
-from onebend.beam.statics import Equilibrium, Rod, tangent
+from onebend.beam.problem import Rod
+from onebend.beam.statics import Equilibrium, tangent
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array

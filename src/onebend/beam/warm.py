@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, twist, weight
-from onebend.beam.statics import Resolution, Rod, pose
+from onebend.beam.problem import Resolution, Rod, pose
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

@@ -1,10 +1,11 @@
-"""The error that is left in a force log: slow, correlated, zero-mean after the tare.
+"""The error that is left in a force log: slow, correlated, about zero after the tare.
 
-After filter and tare the log differs from the true force by what the sensor's own coloured noise and drift left in.
-It is written as a cubic spline in time whose knots are as dense as the filter's cut-off lets it change. Prior of the
-coefficients: independent (sd `coloured`) plus a random walk (`walk`, per root second) from an unknown level. What is
-faster than the knots counts as noise of each frame. In the rests the true force is zero, so there the log shows its
-error itself.
+The log's noise is known in kind and about in size from the clock search: a coloured part (Ornstein-Uhlenbeck) and a
+random walk (`records.ForceNoise`). After the zero-phase low-pass the coloured part keeps what its spectrum holds below
+the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
+coefficients is that process, its sizes and correlation time times factors that the data choose, and a level that a
+tare may have missed. What is faster than the knots counts as noise of each frame. In the rests the true force is zero,
+so there the log shows its error itself.
 """
 
 from __future__ import annotations
@@ -12,44 +13,103 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import toeplitz
 
-from onebend.records import Array, IntArray, Observations
+from onebend.recording.signals import low_pass_power
+from onebend.records import Array, ForceNoise, IntArray, Observations
 
-LEVEL_SD = 0.05  # N per largest force: what a tare may miss altogether
 _MARGIN = 0.2  # s, kept away from contact when a rest is read
-_MOST_KNOTS = 150
-_SPACING = 0.15  # of the period of the cut-off
-_MEMORY = 2.0  # knots: correlation length of low-passed noise
+_MOST_KNOTS = 100
+_SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
+_GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
+_UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """An Ornstein-Uhlenbeck process behind the low-pass: its covariance by a cosine transform."""
+
+    lag: Array  # (K,) s
+    frequency: Array  # (N,) Hz, quadrature nodes; empty without a filter
+    weight: Array  # (N,) Hz, quadrature times what the filter lets through
+    cosine: Array  # (K, N)
+
+    def covariance(self, sd: float, tau: float) -> Array:
+        """(K,) of a process of that sd and correlation time [s]."""
+        if not len(self.frequency):
+            return np.asarray(sd**2 * np.exp(-self.lag / tau))
+        density = 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * self.frequency * tau) ** 2)
+        return np.asarray(self.cosine @ (self.weight * density))
+
+
+def filtered(lag: Array, cutoff: float) -> Filtered:
+    """Gauss panels of four half waves of the longest lag each, up to thrice the cut-off [Hz]."""
+    if not np.isfinite(cutoff) or not len(lag):
+        return Filtered(lag, np.zeros(0), np.zeros(0), np.zeros((len(lag), 0)))
+    x, w = np.polynomial.legendre.leggauss(12)
+    highest = 3.0 * cutoff
+    edges = np.linspace(0.0, highest, int(np.ceil(highest * float(lag[-1]) / 2.0)) + 2)
+    f = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)).ravel()
+    weights = (0.5 * np.diff(edges)[:, None] * w).ravel() * low_pass_power(f, cutoff)
+    return Filtered(lag, f, weights, np.cos(2.0 * np.pi * lag[:, None] * f))
 
 
 @dataclass(frozen=True)
 class ForceError:
-    """Knots of one recording."""
+    """Knots of one recording, and what is expected at them before the fit."""
 
     knots: Array  # (K,) s
     weights: Array  # (T, K): the error at each used frame is `weights @ values`
     rest_weights: Array  # (R, K): at instants of rest
     rest_values: Array  # (R, 2) N, the log there
-    largest: float  # N
+    noise: ForceNoise  # as expected before the fit
+    filtered: Filtered
+    level: float  # N, sd of what the tare may have missed: all of it where the log shows no rest
 
-    def covariance(self, coloured: float, walk: float) -> Array:
-        """(K, K) N^2 of one axis."""
-        t = self.knots - self.knots[0] if len(self.knots) else self.knots
-        lag = (t[:, None] - t[None, :]) / (_MEMORY * (t[1] - t[0]))
-        out = coloured**2 * (np.exp(-0.5 * lag**2) + 0.03 * np.eye(len(t)))
-        out = out + walk**2 * np.minimum(t[:, None], t[None, :])
-        return np.asarray(out + (LEVEL_SD * self.largest) ** 2)
+    @property
+    def size(self) -> float:
+        """N, expected sd of the coloured part; next to nothing where no force was logged."""
+        return (
+            float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau)[0]))
+            if len(self.knots)
+            else 1e-9
+        )
+
+    def covariance(self, coloured: float, memory: float, walk: float) -> Array:
+        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time and the walk as factors of what was
+        expected."""
+        short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau)
+        since = self.knots - self.knots[0]
+        out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
+        out[np.diag_indices(len(out))] += _GRAIN * short[0]
+        return np.asarray(out)
+
+
+def expected_noise(observations: Observations, largest: float) -> ForceNoise:
+    """What the clock search found; a stated share of the largest force where it found nothing."""
+    clean = observations.clean_force
+    if clean is not None and clean.noise is not None:
+        return clean.noise
+    size = float(np.nanmean(observations.force_sd)) if np.any(np.isfinite(observations.force_sd)) else 0.0
+    size = size if size > 0.0 else _UNKNOWN_NOISE * largest
+    seconds = float(np.ptp(observations.time)) if len(observations.time) > 1 else 1.0
+    return ForceNoise(white=0.0, coloured=size, tau=0.2, walk=size / np.sqrt(max(seconds, 1.0)))
 
 
 def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
-    spacing = 0.3
+    if largest == 0.0:  # only the weight acts
+        nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
+        empty = np.zeros(0)
+        rest = np.zeros((0, 0)), np.zeros((0, 2))
+        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, filtered(empty, np.inf), 0.0)
+    noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
         if np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
-            spacing = _SPACING / clean.cutoff
+            cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
         loaded = observations.time[observations.loaded]
         if len(loaded):
             free = np.zeros(len(clean.time), dtype=bool)
@@ -65,7 +125,16 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
     step = (end - begin) / (count - 3)
     knots = np.asarray(begin + step * (np.arange(count) - 1.0), dtype=float)
-    return ForceError(knots, spline_weights(knots, time), spline_weights(knots, rest_time), rest_force, largest)
+    sd = observations.force_sd
+    return ForceError(
+        knots=knots,
+        weights=spline_weights(knots, time),
+        rest_weights=spline_weights(knots, rest_time),
+        rest_values=rest_force,
+        noise=noise,
+        filtered=filtered(knots - knots[0], cutoff),
+        level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
+    )
 
 
 def spline_weights(knots: Array, time: Array) -> Array:

@@ -10,9 +10,19 @@ from onebend.beam.continuation import follow, refine
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.sensitivity import of_clamp_angle, of_force, of_rest_curvature, of_stiffness, respond
-from onebend.beam.statics import Equilibrium, Problem, Resolution, pose
+from onebend.beam.problem import Problem, Resolution, pose
+from onebend.beam.sensitivity import (
+    Change,
+    of_clamp_angle,
+    of_force,
+    of_mass,
+    of_rest_curvature,
+    of_stiffness,
+    respond,
+)
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Uniform
+from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import push_places
 from onebend.learning.parameters import Layout
@@ -21,6 +31,7 @@ from onebend.records import Array, BoolArray, Observations
 
 RESOLUTION = Resolution(order=12, widest=0.5)
 REST_MODES = Modes(3)
+MASS_MODES = Modes(4)
 
 
 @dataclass(frozen=True)
@@ -39,7 +50,8 @@ class Film:
     push_s: Array  # (F,)
     problem: Problem  # grid and what does not change
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
-    weight: Array  # (F, Q, 2) N, weight beyond the node
+    weight: Array  # (F, Q, 2) N, weight beyond the node, the mass evenly spread
+    weight_modes: Change | None  # derivatives with the parts of the mass that are not; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
 
@@ -70,7 +82,10 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
-    mass = o.mass if np.isfinite(o.mass) else 0.0
+    weighs = bool(np.any(gravity != 0.0))
+    if weighs and not np.isfinite(o.mass):
+        raise LearningError(f"{o.name}: gravity acts in the plane, so beam.mass_kg must be given")
+    mass = o.mass if weighs else 0.0
     carrier = Beam(o.length, Uniform(1.0), mass_per_length=Uniform(mass / o.length))
     problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity), RESOLUTION)
     nodes = problem.grid.nodes
@@ -88,6 +103,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         problem=problem,
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
         weight=problem.dead_force,
+        weight_modes=of_mass(problem, mass / o.length * MASS_MODES.curvature(nodes), gravity) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
     )
@@ -98,12 +114,15 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
     r = seen.number
     errors = at.get(x, "force", r).reshape(-1, 2)
     force = seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)
+    weight_beyond = seen.weight
+    if seen.weight_modes is not None and seen.weight_modes.force is not None:
+        weight_beyond = weight_beyond + seen.weight_modes.force @ at.get(x, "mass")
     problem = replace(
         seen.problem,
         k=np.exp(seen.on_nodes @ at.get(x, "stiffness")),
         q0=seen.rest_on_nodes @ at.get(x, "curvature"),
         alpha0=np.asarray(at.get(x, "clamp", r)[0]),
-        dead_force=seen.beyond[..., None] * force[:, None, :] + seen.weight,
+        dead_force=seen.beyond[..., None] * force[:, None, :] + weight_beyond,
     )
     solved = follow(problem) if start is None else refine(problem, start)
     s = seen.observations.marker_s
@@ -125,20 +144,24 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
         + of_clamp_angle(solved.problem)
         + of_force(solved.problem, seen.push_s)
     )
-    response = respond(solved, change)
+    if seen.weight_modes is not None:
+        change = change + seen.weight_modes
+    response = respond(solved, change).poses(s)
     angle, along, across = solved.angle(s), at.get(x, "along"), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
     turned = np.stack([-sin * along - cos * across, cos * along - sin * across], axis=-1)
-    turn = response.angle(s)
+    turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
-    moved = scale * (response.xy(s) + turned[..., None] * turn[:, :, None, :])
-    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2)
+    moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
+    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2 (+ 4))
     out = np.zeros((*now.pose.shape, len(at.known_to(r))))
     p = seen.on_nodes.shape[-1]
-    by_force = mechanics[..., p + 4 :]
+    by_force = mechanics[..., p + 4 : p + 6]
     _put(out, at.columns("stiffness"), mechanics[..., :p])
     _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
     _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
+    if seen.weight_modes is not None:
+        _put(out, at.columns("mass"), mechanics[..., p + 6 :])
     _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_force, seen.rate)[..., None])
     knots = -np.einsum("tmad,tk->tmakd", by_force, seen.error_weights)
     _put(out, at.columns("force", r), knots.reshape(*now.pose.shape, -1))

@@ -3,23 +3,21 @@
 At a point x every film gives whitened residuals r, derivatives J with the parameters and A with each frame's force. A
 frame's covariance is its tags' own plus what the fast part of its force error does: `s^2 (I + (f/s)^2 A A^T)`. The
 data's say is a quadratic: information `H` and `b = J^T S^-1 (r + J x)`. Priors are Gaussian, so for fixed scales the
-maximum and the evidence (marginal likelihood) of the linearised model follow in closed form.
+maximum and the evidence (marginal likelihood) of the linearised model follow in closed form (`scales.py`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from onebend.learning.forward import Film, Prediction, jacobian
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
-_REST_SHARE = 0.3  # of the coloured force noise: what the knots cannot follow in the rests
+_REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,11 @@ class FilmNoise:
 class Scales:
     """Sizes that the data choose."""
 
-    tau: float  # roughness of log k
-    coloured: float  # N, force error from knot to knot
-    walk: float  # N per root second, drift of the force error
+    tau: float  # roughness of the smooth part of log k
+    rho: float  # size of its steps
+    coloured: float  # of the sd that was expected of the force error's coloured part
+    memory: float  # of its correlation time
+    walk: float  # of the random walk that was expected
     films: tuple[FilmNoise, ...]
 
 
@@ -87,7 +87,7 @@ def residuals(seen: Film, now: Prediction) -> Array:
 
 def split(rows: Rows, r: Array, noise: FilmNoise) -> tuple[Array, Array]:
     """Residuals (F, R) less what the frames' own force errors explain, and these errors (F, 2) N."""
-    force = np.einsum("fdc,fcr,fr->fd", _shrink(rows, noise), np.swapaxes(rows.a, 1, 2), r, optimize=True)
+    force = np.einsum("fdc,fcr,fr->fd", shrink(rows, noise), np.swapaxes(rows.a, 1, 2), r, optimize=True)
     return r - np.einsum("frd,fd->fr", rows.a, force), force
 
 
@@ -103,13 +103,13 @@ def quadratic(rows: Rows, at: Layout, number: int, x: Array, noise: FilmNoise) -
     y = rows.r + rows.j @ x[mine]
     aj = np.swapaxes(rows.a, 1, 2) @ rows.j  # (F, 2, C)
     ay = np.einsum("frd,fr->fd", rows.a, y)
-    shrink = _shrink(rows, noise)
+    less = shrink(rows, noise)
     j, flat = rows.j.reshape(-1, len(mine)), y.ravel()
-    lowered = (shrink @ aj).reshape(-1, len(mine))
+    lowered = (less @ aj).reshape(-1, len(mine))
     variance = noise.marker**2
     h = (j.T @ j - aj.reshape(-1, len(mine)).T @ lowered) / variance
     b = (j.T @ flat - lowered.T @ ay.ravel()) / variance
-    c = (flat @ flat - np.einsum("fd,fde,fe->", ay, shrink, ay)) / variance
+    c = (flat @ flat - np.einsum("fd,fde,fe->", ay, less, ay)) / variance
     gram = np.swapaxes(rows.a, 1, 2) @ rows.a
     spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * gram)[1]
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
@@ -118,11 +118,11 @@ def quadratic(rows: Rows, at: Layout, number: int, x: Array, noise: FilmNoise) -
     return Quadratic(information, right, float(c), log_noise)
 
 
-def rest_quadratic(films: list[Film], at: Layout, coloured: float) -> Quadratic:
+def rest_quadratic(films: list[Film], at: Layout) -> Quadratic:
     """The force logs in the rests, where they show their own error."""
-    information, b, c, count = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0
-    sd = _REST_SHARE * coloured
+    information, b, c, log_noise = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0.0
     for seen in films:
+        sd = _REST_SHARE * seen.error.size
         block, values = at.index["force", seen.number], seen.error.rest_values
         if block.start < 0 or len(values) == 0:
             continue
@@ -130,8 +130,8 @@ def rest_quadratic(films: list[Film], at: Layout, coloured: float) -> Quadratic:
         information[block.where, block.where] = weights.T @ weights
         b[block.where] = weights.T @ values.ravel() / sd
         c += float(np.sum(values**2)) / sd**2
-        count += values.size
-    return Quadratic(information, b, c, count * float(np.log(sd)))
+        log_noise += values.size * float(np.log(sd))
+    return Quadratic(information, b, c, log_noise)
 
 
 def together(parts: list[Quadratic]) -> Quadratic:
@@ -144,95 +144,31 @@ def together(parts: list[Quadratic]) -> Quadratic:
     )
 
 
-def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[Array, Array]:
-    """Precision (P, P) and mean (P,) of the parameters before the data."""
-    precision, mean = np.zeros((at.size, at.size)), np.zeros(at.size)
+def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[Array, Array, float]:
+    """Precision (P, P) and mean (P,) of the parameters before the data, and the precision's log determinant."""
+    precision, mean, log_det = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0
     for block in at.blocks:
         if block.start < 0:
             continue
+        where = block.where
         if block.name == "stiffness":
-            part = at.spline.precision(scales.tau)
-            mean[block.where] = level
-        elif block.name == "force":
-            covariance = films[block.recording].error.covariance(scales.coloured, scales.walk)
-            part = np.kron(np.linalg.inv(covariance), np.eye(2))
+            precision[where, where] = at.spline.precision(scales.tau, scales.rho)
+            mean[where] = level
+            log_det += float(np.linalg.slogdet(precision[where, where])[1])
+        elif block.name == "force":  # x and y in turn, alike
+            covariance = films[block.recording].error.covariance(scales.coloured, scales.memory, scales.walk)
+            inverse = np.linalg.inv(covariance)
+            for axis in range(2):
+                alike = slice(where.start + axis, where.stop, 2)
+                precision[alike, alike] = inverse
+            log_det -= 2.0 * float(np.linalg.slogdet(covariance)[1])
         else:
-            part = np.diag(1.0 / block.prior_sd**2)
-        precision[block.where, block.where] = part
-    return precision, mean
+            precision[where, where] = np.diag(1.0 / block.prior_sd**2)
+            log_det -= 2.0 * float(np.sum(np.log(block.prior_sd)))
+    return precision, mean, log_det
 
 
-def log_evidence(markers: Quadratic, films: list[Film], at: Layout, level: float, scales: Scales) -> float:
-    """Log marginal likelihood of the linearised model, but for a constant."""
-    precision, mean = prior(films, at, level, scales)
-    data = together([markers, rest_quadratic(films, at, scales.coloured)])
-    factor = cho_factor(data.information + precision, lower=True)
-    right = data.b + precision @ mean
-    best = cho_solve(factor, right)
-    away = data.c - right @ best + mean @ precision @ mean
-    ratio = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
-    return float(0.5 * ratio - 0.5 * away - data.log_noise)
-
-
-def choose_scales(
-    markers: Quadratic, films: list[Film], at: Layout, level: float, start: Scales, expected: Scales
-) -> Scales:
-    """Roughness and force-error sizes of greatest evidence, under broad log-normal priors around `expected`."""
-    centre = np.log([expected.tau, expected.coloured, expected.walk])
-    spread = np.array([1.2, 0.4, 0.4])
-
-    def tried(v: Array) -> Scales:
-        tau, coloured, walk = np.exp(np.clip(v, centre - 4.0 * spread, centre + 4.0 * spread)).tolist()
-        return replace(start, tau=tau, coloured=coloured, walk=walk)
-
-    def cost(v: Array) -> float:
-        try:
-            value = log_evidence(markers, films, at, level, tried(v))
-        except np.linalg.LinAlgError:
-            return 1e12
-        return -value + 0.5 * float(np.sum(((v - centre) / spread) ** 2))
-
-    first = np.log([start.tau, start.coloured, start.walk])
-    found = minimize(cost, first, method="Nelder-Mead", options={"maxfev": 80, "xatol": 0.05, "fatol": 0.05})
-    return tried(found.x)
-
-
-def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
-    """Noise of a film from its residuals, by expectation-maximisation over the frames' own force errors.
-
-    `spent`: parameters that the fit spent on this film.
-    """
-    numbers = float(np.sum(rows.known))
-    share = max(1.0 - spent / max(numbers, 1.0), 0.3)
-    noise = before
-    for _ in range(30):
-        across, force = split(rows, rows.r, noise)
-        doubt = noise.marker**2 * _shrink(rows, noise)  # (F, 2, 2) covariance left in each frame's force
-        explained = np.einsum("frd,fde,fre->", rows.a, doubt, rows.a, optimize=True)
-        marker = (float(np.sum(across**2)) + explained) / (numbers * share)
-        own = np.mean(np.sum(force**2, axis=1) + np.trace(doubt, axis1=1, axis2=2)) / 2.0
-        noise = FilmNoise(float(np.sqrt(marker)), float(np.sqrt(own)))
-    across, force = split(rows, rows.r, noise)
-    marker = noise.marker * np.sqrt(_correlation_time(across))
-    return FilmNoise(float(marker), noise.force * float(np.sqrt(_correlation_time(force))))
-
-
-def _shrink(rows: Rows, noise: FilmNoise) -> Array:
+def shrink(rows: Rows, noise: FilmNoise) -> Array:
     """(F, 2, 2) `((s/f)^2 + A'A)^-1`."""
     gram = np.swapaxes(rows.a, 1, 2) @ rows.a
     return np.asarray(np.linalg.inv((noise.marker / noise.force) ** 2 * np.eye(2) + gram))
-
-
-def _correlation_time(r: Array) -> float:
-    """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, pooled."""
-    z = r - np.mean(r, axis=0)
-    spread = np.median(np.abs(z), axis=0) / 0.6745
-    z = np.clip(np.divide(z, spread, out=np.zeros_like(z), where=spread > 0.0), -3.0, 3.0)
-    power = float(np.sum(z**2))
-    total = 1.0
-    for lag in range(1, max(len(z) // 8, 2)):
-        rho = float(np.sum(z[:-lag] * z[lag:])) / max(power, 1e-12)
-        if rho < 0.05:
-            break
-        total += 2.0 * rho
-    return total

@@ -9,8 +9,9 @@ import numpy as np
 from onebend.beam.continuation import follow, refine
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.modes import Modes
+from onebend.beam.problem import Problem
 from onebend.beam.sensitivity import Change, respond
-from onebend.beam.statics import Equilibrium, Problem
+from onebend.beam.statics import Equilibrium
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray

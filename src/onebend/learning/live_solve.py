@@ -10,7 +10,7 @@ to frame that could lose its definiteness.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 from onebend.learning.force_process import ForceProcess, Spans, covariance
 from onebend.learning.key_frames import AT_REST, KeyFrames, Past
 from onebend.learning.parameters import Layout
+from onebend.learning.spline import Spline
 from onebend.records import Array
 
 
@@ -30,6 +31,7 @@ class LiveScales:
     coloured: float  # N, Ornstein-Uhlenbeck part
     walk: float  # N per root second
     tau: float  # roughness of log k
+    rho: float  # its steps
 
 
 @dataclass(frozen=True)
@@ -38,19 +40,27 @@ class Start:
 
     at: Layout
     mean: Array  # (n,)
-    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: smooth, of roughness tau
+    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: by tau and rho
 
     @cached_property
     def _others(self) -> Array:
         """(n, n) of all parameters but log k's coefficients."""
         return np.diag(1.0 / np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0]) ** 2)
 
-    def precision(self, tau: float) -> tuple[Array, float]:
-        """(n, n), and the log determinant of the part that depends on tau."""
+    def precision(self, tau: float, rho: float) -> tuple[Array, float]:
+        """(n, n), and the log determinant of the part that depends on tau and rho."""
         p = self.at.spline.count
         out = self._others.copy()
-        out[:p, :p] = part = self.at.spline.precision(tau) if self.fixed is None else self.fixed
-        return out, float(np.linalg.slogdet(part)[1])
+        part, log = _of_k(self.at.spline, tau, rho) if self.fixed is None else (self.fixed, 0.0)
+        out[:p, :p] = part
+        return out, log
+
+
+@lru_cache(maxsize=8)
+def _of_k(spline: Spline, tau: float, rho: float) -> tuple[Array, float]:
+    """Precision of log k's coefficients, and its log determinant: the same from update to update but for the trials."""
+    precision = spline.precision(tau, rho)
+    return precision, float(np.linalg.slogdet(precision)[1])
 
 
 @dataclass(frozen=True)
@@ -139,7 +149,7 @@ def solve(sums: Sums, start: Start, scales: LiveScales, process: ForceProcess) -
     """The posterior under given scales. Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
     n, slots = len(sums.bx), len(sums.spans.begin)
     weight = 1.0 / scales.marker**2
-    precision, log_prior = start.precision(scales.tau)
+    precision, log_prior = start.precision(scales.tau, scales.rho)
     h, b = np.zeros((n + 2 * slots, n + 2 * slots)), np.zeros(n + 2 * slots)
     h[:n, :n] = weight * sums.xx + precision
     b[:n] = weight * sums.bx + precision @ start.mean
@@ -204,7 +214,7 @@ class ScaleSearch:
 
     expected: LiveScales
     freedom: LiveScales  # one sd of the log of each before the data
-    steps: Array  # (5,) of the logs
+    steps: Array  # (6,) of the logs
     turn: int = 0
 
     def proposal(self, now: LiveScales) -> LiveScales:
@@ -226,4 +236,4 @@ class ScaleSearch:
 
 
 def _vector(scales: LiveScales) -> Array:
-    return np.array([scales.marker, scales.white, scales.coloured, scales.walk, scales.tau])
+    return np.array([scales.marker, scales.white, scales.coloured, scales.walk, scales.tau, scales.rho])

@@ -22,7 +22,7 @@ from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_model import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
-from onebend.learning.posterior import TAU, Nuisance
+from onebend.learning.posterior import RHO, TAU, Nuisance
 from onebend.learning.smoother import Habits, Smoother
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
@@ -47,6 +47,7 @@ class OnlineSettings:
     force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
     force_memory: float = 0.3  # s, correlation time of the log's coloured error
     roughness: float = TAU  # of log k
+    steps: float = RHO  # of log k
     adapt: bool = True  # False: the sizes stay as they begin
     bulk: float = 3.0  # sd: a tag that fits worse gets less weight; infinite: plain least squares
     gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
@@ -103,7 +104,7 @@ class OnlineLearner:
         self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
         known, x = _start(at, start)
         noise = settings.force_noise
-        scales = LiveScales(settings.marker_noise, noise, noise, _WALK * noise, settings.roughness)
+        scales = LiveScales(settings.marker_noise, noise, noise, _WALK * noise, settings.roughness, settings.steps)
         self._state = Smoother(self._setting, known, x, scales, _habits(settings))
         self._last: tuple[float, Array] | None = None
         self._frames = 0
@@ -259,7 +260,7 @@ def _check(length: float, marker_s: Array, mass: float, settings: OnlineSettings
         raise LearningError(f"tags are at s in (0, 1], got {marker_s.tolist()}")
     if not mass >= 0.0:
         raise LearningError(f"a beam's mass cannot be negative, got {mass} kg")
-    for name in ("marker_noise", "force_noise", "force_memory", "roughness", "bulk", "gate", "step"):
+    for name in ("marker_noise", "force_noise", "force_memory", "roughness", "steps", "bulk", "gate", "step"):
         if not getattr(settings, name) > 0.0:
             raise LearningError(f"{name} must be positive, got {getattr(settings, name)}")
     for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):

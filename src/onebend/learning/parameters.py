@@ -20,6 +20,8 @@ class Priors:
     clamp: float = 3e-3  # rad, the clamp's direction in the beam's frame
     origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
     scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
+    mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
+    mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
     clock: float | None = None  # s; None: as the clock's own estimate says
 
 
@@ -82,9 +84,11 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     tags = [f"tag {i}" for i in first.tag_id]
     placement = first.placement_sd if priors.placement is None else priors.placement
     curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
+    weighs = any(bool(np.any(r.gravity != 0.0)) for r in recordings)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
+        ("mass", -1, "1", priors.mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
         ("turn", -1, "rad", priors.mounting, tuple(f"{t} turn" for t in tags)),
@@ -102,7 +106,10 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:
         free = sd > 0.0 and len(labels) > 0
-        blocks.append(Block(name, r, unit, np.full(len(labels), sd), labels, start if free else -1))
+        sds = np.full(len(labels), sd)
+        if name == "mass":
+            sds[1:] = priors.mass_spread
+        blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
 

@@ -9,7 +9,7 @@ the band comes from the curvature at the optimum (Laplace's approximation).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from onebend.learning.spline import Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
-TAU = 8.0  # expected roughness of log k; its prior spans a factor of ten either way
+TAU, RHO = 8.0, 0.15  # expected roughness and steps of log k; their prior spans a factor of ten either way
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,11 @@ class FitSettings:
     """How the marker-space fit runs."""
 
     functions: int = 16  # of the spline of log k
-    most_frames: int = 400  # of each recording, evenly chosen
+    most_frames: int = 500  # of each recording, evenly chosen
+    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
     effort: Effort = field(default_factory=Effort)
+    last_rounds: int = 2  # with all frames
 
 
 @dataclass(frozen=True)
@@ -97,18 +99,21 @@ class Posterior:
     def beam(self) -> Beam:
         """The beam at the optimum."""
         one = self.films[0].observations
-        theta0 = self.at.get(self.mean, "curvature")
-        rest: Profile = Uniform(0.0)
-        if np.any(theta0 != 0.0):
-            powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
-            rest = Powers(tuple(powers.tolist()))
-        mass = one.mass if np.isfinite(one.mass) else 0.0
+        mass = next((f.observations.mass for f in self.films if np.isfinite(f.observations.mass)), 0.0)
+        uneven = mass / one.length * (np.array([1.0, 0.0, 0.0, 0.0]) + self.at.get(self.mean, "mass"))
         return Beam(
             one.length,
             self.stiffness.profile,
-            rest_curvature=rest,
-            mass_per_length=Uniform(mass / one.length),
+            rest_curvature=_from_legendre(self.at.get(self.mean, "curvature")),
+            mass_per_length=_from_legendre(uneven),
         )
+
+
+def _from_legendre(states: Array) -> Profile:
+    """The profile of Legendre states."""
+    if np.all(states[1:] == 0.0):
+        return Uniform(float(states[0]))
+    return Powers(tuple(np.linalg.solve(Modes(len(states), "powers").to_legendre, states).tolist()))
 
 
 @one_blas_thread
@@ -127,15 +132,21 @@ def fit(
     """
     _check_same_beam(recordings)
     spline = Spline(settings.functions)
-    films = [film(o, i, _frames(o, settings.most_frames), spline) for i, o in enumerate(recordings)]
+    first, films = (
+        [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
+        for most in (settings.first_frames, settings.most_frames)
+    )
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    noise = float(np.mean([np.nanmean(f.observations.force_sd) for f in films]))
-    noise = noise if np.isfinite(noise) and noise > 0.0 else 0.01 * max(f.error.largest for f in films)
-    seconds = max(float(np.ptp(f.error.knots)) for f in films)
-    expected = Scales(TAU, noise, noise / np.sqrt(max(seconds, 1.0)), tuple(FilmNoise(1.5, 0.5 * noise) for _ in films))
-    optimum = search(films, at, x, level, expected, settings.effort, progress)
-    precision, _ = prior(films, at, level, optimum.scales)
+    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
+    end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
+    way = replace(settings.effort, tolerance=settings.effort.on_the_way)
+    progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
+    near = search(first, at, x, level, expected, expected, way, progress)
+    optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
+    optimum = replace(optimum, steps=near.steps + optimum.steps)
+    progress.done()
+    precision, _, _ = prior(films, at, level, optimum.scales)
     return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
 
 

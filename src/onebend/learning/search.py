@@ -12,9 +12,6 @@ from onebend.learning.gauss_newton import (
     Quadratic,
     Rows,
     Scales,
-    choose_scales,
-    film_noise,
-    log_evidence,
     misfit,
     prior,
     quadratic,
@@ -24,10 +21,9 @@ from onebend.learning.gauss_newton import (
     together,
 )
 from onebend.learning.parameters import Layout
+from onebend.learning.scales import Known, averaged_covariance, choose_scales, film_noise
 from onebend.progress import Progress
 from onebend.records import Array
-
-_COARSE_ROUNDS = 3  # far from the optimum the markers' fine print misleads
 
 
 @dataclass(frozen=True)
@@ -35,7 +31,9 @@ class Effort:
     """How hard to search."""
 
     most_steps: int = 60
-    rounds: int = 7
+    coarse_rounds: int = 3  # far from the optimum the markers' fine print misleads
+    rounds: int = 6  # in all; each ends with new scales
+    on_the_way: float = 0.3  # as `tolerance`, in all rounds but the last
     tolerance: float = 0.02  # expected gain of the last step, as a share of one sd
 
 
@@ -54,43 +52,46 @@ class Optimum:
 
 
 def search(
-    films: list[Film], at: Layout, x: Array, level: float, expected: Scales, effort: Effort, progress: Progress
+    films: list[Film],
+    at: Layout,
+    x: Array,
+    level: float,
+    scales: Scales,
+    expected: Scales,
+    effort: Effort,
+    progress: Progress,
 ) -> Optimum:
-    """From parameters x to the maximum a posteriori; `level`: prior mean of log k.
+    """From parameters x and scales to the maximum a posteriori; `level`: prior mean of log k.
 
     Raises:
         LearningError: the start has no equilibrium under the measured forces.
     """
-    scales, steps, converged = expected, 0, False
+    steps, converged = 0, False
     now = [predict(seen, at, x, None) for seen in films]
     if not all(np.all(p.solved.converged) for p in now):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
         )
-    progress.start("fitting k(s) in marker space", effort.rounds)
     for round_number in range(effort.rounds):
         last = round_number == effort.rounds - 1
-        most = effort.most_steps if last else 20
-        if round_number < _COARSE_ROUNDS:
+        if round_number < effort.coarse_rounds:
             size = [float(np.sqrt(np.mean(residuals(f, p) ** 2))) for f, p in zip(films, now, strict=True)]
             coarse = tuple(replace(n, marker=max(s, 1.5)) for n, s in zip(expected.films, size, strict=True))
             scales = replace(expected, films=coarse)
-        x, now, taken, converged = _descend(films, at, x, now, level, scales, most, effort.tolerance)
+        most, tolerance = (effort.most_steps, effort.tolerance) if last else (20, effort.on_the_way)
+        x, now, taken, converged = _descend(films, at, x, now, level, scales, most, tolerance)
         steps += taken
         rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
-        if not last and round_number >= _COARSE_ROUNDS - 1:
+        if not last and round_number >= effort.coarse_rounds - 1:
             scales = _new_scales(films, at, rows, x, level, scales, expected)
         progress.advance()
-    progress.done()
-    markers = _markers(films, at, rows, x, scales)
-    precision, _ = prior(films, at, level, scales)
-    covariance = np.linalg.inv(together([markers, rest_quadratic(films, at, scales.coloured)]).information + precision)
+    known = Known(_data(films, at, rows, x, scales), films, at, level, expected)
     return Optimum(
         x=x,
-        covariance=0.5 * (covariance + covariance.T),
+        covariance=averaged_covariance(known, scales),
         scales=scales,
         predictions=tuple(now),
-        log_evidence=log_evidence(markers, films, at, level, scales),
+        log_evidence=known.solve(scales)[1],
         steps=steps,
         converged=converged,
         stopped=f"the last step was worth less than {effort.tolerance:g} of a sd"
@@ -106,13 +107,14 @@ def _new_scales(
     own = [2.0 * len(f.error.knots) + at.spline.count / len(films) for f in films]
     noise = tuple(film_noise(r, n, spent) for r, n, spent in zip(rows, scales.films, own, strict=True))
     scales = replace(scales, films=noise)
-    return choose_scales(_markers(films, at, rows, x, scales), films, at, level, scales, expected)
+    return choose_scales(Known(_data(films, at, rows, x, scales), films, at, level, expected), scales)
 
 
-def _markers(films: list[Film], at: Layout, rows: list[Rows], x: Array, scales: Scales) -> Quadratic:
-    """What all films' tags say."""
+def _data(films: list[Film], at: Layout, rows: list[Rows], x: Array, scales: Scales) -> Quadratic:
+    """What all films' tags and rests say."""
     every = zip(films, rows, scales.films, strict=True)
-    return together([quadratic(r, at, f.number, x, noise) for f, r, noise in every])
+    tags = [quadratic(r, at, f.number, x, noise) for f, r, noise in every]
+    return together([*tags, rest_quadratic(films, at)])
 
 
 def _descend(
@@ -126,8 +128,8 @@ def _descend(
     tolerance: float,
 ) -> tuple[Array, list[Prediction], int, bool]:
     """Levenberg-Marquardt at fixed scales; weights and frames' covariances are renewed at every step."""
-    precision, mean = prior(films, at, level, scales)
-    rests = rest_quadratic(films, at, scales.coloured)
+    precision, mean, _ = prior(films, at, level, scales)
+    rests = rest_quadratic(films, at)
     damping = 1e-4
 
     def cost(rows: list[Rows], shapes: list[Prediction], at_x: Array) -> float:
@@ -140,7 +142,7 @@ def _descend(
 
     for step_number in range(1, most + 1):
         rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
-        data = together([_markers(films, at, rows, x, scales), rests])
+        data = _data(films, at, rows, x, scales)
         hessian = data.information + precision
         slope = data.b - data.information @ x - precision @ (x - mean)
         diagonal, before = np.diag(hessian), cost(rows, now, x)

@@ -44,7 +44,7 @@ class Smoother:
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
         self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
         self._setting, self._start, self._habits = setting, start, habits
-        self._search = ScaleSearch(scales, LiveScales(0.7, 0.7, 0.7, 0.7, 1.2), np.full(5, 0.3))
+        self._search = ScaleSearch(scales, LiveScales(0.7, 0.7, 0.7, 0.7, 1.2, 1.2), np.full(6, 0.3))
         self._places: dict[float, Place] = {}
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0

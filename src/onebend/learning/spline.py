@@ -1,8 +1,9 @@
 """log k(s) as a cubic B-spline with a smoothness prior.
 
-The prior says that the second derivative of log k is white noise of size `tau` (an integrated Wiener process), on top
-of a broad prior for level and slope. `tau` is chosen by the evidence: rough data earn a rough k, and where nothing is
-seen the band opens as the prior does.
+The prior is a sum of three: a broad one for level and slope; a smooth part whose second derivative is white noise of
+size `tau` (an integrated Wiener process); and steps, whose first derivative is white noise of size `rho` (a Wiener
+process: glued pieces, joints). The evidence chooses both sizes: rough data earn a rough k, and where nothing is seen
+the band opens as the prior does.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from onebend.records import Array
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 _DEGREE = 3
+_PINNED = 0.01  # of the mean of the steps: the level has its own prior
 
 
 @dataclass(frozen=True)
@@ -37,25 +39,39 @@ class Spline:
         flat = np.clip(np.ravel(s), 0.0, 1.0)
         return np.asarray(BSpline.design_matrix(flat, self.knots, _DEGREE).toarray().reshape(*np.shape(s), self.count))
 
-    def precision(self, tau: float) -> Array:
-        """(count, count) of the coefficients' prior."""
-        return self._roughness / tau**2 + self._level_and_slope
+    def precision(self, tau: float, rho: float) -> Array:
+        """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
+        smooth = np.linalg.inv(self._bending / tau**2 + self._level_and_slope)
+        steps = np.linalg.inv(self._slopes / rho**2 + np.outer(self._level, self._level) / _PINNED**2)
+        return np.asarray(np.linalg.inv(smooth + steps))
 
     @cached_property
-    def _roughness(self) -> Array:
-        """`int b_i'' b_j'' ds`: linear pieces, exact with two Gauss points a piece."""
-        x, w = np.polynomial.legendre.leggauss(2)
+    def _bending(self) -> Array:
+        """`int b_i'' b_j'' ds`."""
+        return self._squares(2)
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """`int b_i' b_j' ds`."""
+        return self._squares(1)
+
+    def _squares(self, order: int) -> Array:
+        """(count, count) integrals of products of derivatives: exact with four Gauss points a piece."""
+        x, w = np.polynomial.legendre.leggauss(4)
         edges = np.linspace(0.0, 1.0, self.count - _DEGREE + 1)
         h = edges[1] - edges[0]
         nodes = (edges[:-1, None] + 0.5 * h * (x + 1.0)).ravel()
-        second = np.stack([BSpline(self.knots, e, _DEGREE).derivative(2)(nodes) for e in np.eye(self.count)], axis=1)
-        return np.asarray(second.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * second))
+        each = np.stack([BSpline(self.knots, e, _DEGREE).derivative(order)(nodes) for e in np.eye(self.count)], axis=1)
+        return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
+
+    @cached_property
+    def _level(self) -> Array:
+        """(count,) weights of the mean of log k."""
+        return np.asarray(self.basis(np.linspace(0.0, 1.0, 101)).mean(axis=0))
 
     @cached_property
     def _level_and_slope(self) -> Array:
         """Broad prior of mean and least-squares slope of log k."""
         s = np.linspace(0.0, 1.0, 101)
-        basis = self.basis(s)
-        level = basis.mean(axis=0)
-        slope = ((s - 0.5) @ basis) / np.sum((s - 0.5) ** 2)
-        return np.asarray(np.outer(level, level) / LEVEL_SD**2 + np.outer(slope, slope) / SLOPE_SD**2)
+        slope = ((s - 0.5) @ self.basis(s)) / np.sum((s - 0.5) ** 2)
+        return np.asarray(np.outer(self._level, self._level) / LEVEL_SD**2 + np.outer(slope, slope) / SLOPE_SD**2)

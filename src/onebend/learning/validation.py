@@ -7,8 +7,9 @@ import numpy as np
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, pose
 from onebend.beam.sensitivity import of_force, respond
-from onebend.beam.statics import Equilibrium, Resolution, pose
+from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import loads_of, push_places, usable_frames

@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.recording.noise import ForceNoise, first_guess, fit_noise, log_evidence
+from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth, outliers, step
-from onebend.records import Array, ClockOffset, ForceLog, Markers, Remark
+from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
@@ -121,7 +121,7 @@ def fit_clock(
     offset, sd = refined(best, rows, coarse, prior)
     if not sd < 0.5 * spread:
         text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); the written start time is used."
-        return ClockFit(unsettled, None, (Remark("warning", text),))
+        return ClockFit(unsettled, best.noise, (Remark("warning", text),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
     return ClockFit(clock, best.noise, remarks_on(clock, uncertainty, low, high))
 

@@ -12,9 +12,8 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.recording.noise import ForceNoise
 from onebend.recording.signals import at_times, low_pass, outliers, step
-from onebend.records import Array, BoolArray, CleanForce, ForceLog, Remark
+from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, Remark
 
 FEWEST_ROWS = 10
 
@@ -171,6 +170,7 @@ def clean_force(
         drift=drift,
         cutoff=cutoff,
         outliers=int(bad.sum()),
+        noise=noise,
         remarks=remarks,
     )
 

@@ -104,6 +104,11 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
     return out
 
 
+def low_pass_power(frequency: Array, cutoff: float) -> Array:
+    """Share of a signal's power that `low_pass` lets through at `frequency` [Hz]: the filter's gain runs twice."""
+    return np.asarray(1.0 / (1.0 + (frequency / cutoff) ** (2 * FILTER_ORDER)) ** 2)
+
+
 def at_times(time: Array, values: Array, at: Array, *, longest_gap: float) -> Array:
     """(T, c) `values` interpolated at `at`; NaN outside `time` and inside gaps longer than `longest_gap` [s]."""
     out = np.stack([np.interp(at, time, column) for column in values.T], axis=1)

@@ -11,13 +11,15 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile
-from onebend.errors import MechanicsError, ResultsError
+from onebend.beam.uncertain import UncertainStiffness
+from onebend.errors import LearningError, MechanicsError, ResultsError
 from onebend.learning.outcome import Learned
+from onebend.learning.workbench import Bench
 
 FORMAT = "onebend-model"
 VERSION = 1
 FILE_NAME = "model.json"
-KEYS = {"format", "version", "written_by", "beam", "origin"}
+KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench"}
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class StoredModel:
 
     beam: Beam
     origin: Origin | None
+    uncertain: UncertainStiffness | None = None  # k(s) with its band; None after a regression
+    bench: Bench | None = None  # what the recordings were made with, where the band is known
 
 
 def origin_of(learned: Learned) -> Origin:
@@ -58,11 +62,23 @@ def origin_of(learned: Learned) -> Origin:
     )
 
 
-def save_model(path: Path, beam: Beam, *, written_by: str, origin: Origin | None = None) -> None:
+def save_model(
+    path: Path,
+    beam: Beam,
+    *,
+    written_by: str,
+    origin: Origin | None = None,
+    uncertain: UncertainStiffness | None = None,
+    bench: Bench | None = None,
+) -> None:
     """Write `beam` to `path`, so that `load_model` gives back an equal one."""
     data = {"format": FORMAT, "version": VERSION, "written_by": written_by, "beam": beam.as_dict()}
     if origin is not None:
         data["origin"] = asdict(origin)
+    if uncertain is not None:
+        data["uncertain"] = uncertain.as_dict()
+    if bench is not None:
+        data["bench"] = bench.as_dict()
     try:
         path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except ValueError as error:
@@ -87,7 +103,12 @@ def read_model(path: Path | str) -> StoredModel:
     unknown = sorted(set(data) - KEYS)
     if unknown:
         raise ResultsError(f"{file}: key '{unknown[0]}' is not known. {_ADVICE}")
-    return StoredModel(_beam(file, data.get("beam")), _origin(file, data.get("origin")))
+    return StoredModel(
+        beam=_beam(file, data.get("beam")),
+        origin=_origin(file, data.get("origin")),
+        uncertain=_uncertain(file, data.get("uncertain")),
+        bench=_bench(file, data.get("bench")),
+    )
 
 
 _ADVICE = "The file is damaged or was edited; restore it, or learn the beam again with `onebend learn`"
@@ -132,6 +153,24 @@ def _origin(file: Path, data: Any) -> Origin | None:
         raise ResultsError(f"{file}: key 'origin' is not as onebend writes it. {_ADVICE}")
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
     return Origin(**values)
+
+
+def _uncertain(file: Path, data: Any) -> UncertainStiffness | None:
+    if data is None:
+        return None
+    try:
+        return UncertainStiffness.from_dict(data)
+    except (MechanicsError, KeyError, TypeError, ValueError) as error:
+        raise ResultsError(f"{file}: key 'uncertain' is not as onebend writes it ({error}). {_ADVICE}") from error
+
+
+def _bench(file: Path, data: Any) -> Bench | None:
+    if data is None:
+        return None
+    try:
+        return Bench.from_dict(data)
+    except LearningError as error:
+        raise ResultsError(f"{file}: key 'bench' {error}. {_ADVICE}") from error
 
 
 def _beam(file: Path, data: Any) -> Beam:

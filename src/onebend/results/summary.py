@@ -18,6 +18,7 @@ from onebend.results.model import StoredModel
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
+PLAN_FORMAT = "onebend-plan-1"
 
 
 def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:

@@ -1,0 +1,159 @@
+"""The sizes that the data choose: noise of the tags, noise of the force, roughness of log k.
+
+A film's noise comes from its residuals by expectation-maximisation. The rest are chosen by the evidence of the
+linearised model under broad log-normal priors, and what they leave open widens the covariance of the parameters: it is
+averaged over scales as probable as the evidence says (a cubature of degree three around its maximum).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from onebend.learning.forward import Film
+from onebend.learning.gauss_newton import (
+    FilmNoise,
+    Quadratic,
+    Rows,
+    Scales,
+    prior,
+    shrink,
+    split,
+)
+from onebend.learning.parameters import Layout
+from onebend.records import Array
+
+CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
+# One sd of their logs. Roughness and steps are known to a factor of three (from a ruler-drawn taper to a joint); the
+# coloured noise behind the filter to a factor of two in size and two and a half in correlation time (the clock search
+# takes part of the force for it); the walk, of which one push is one draw, to a factor of three.
+_SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
+_MOST = 4.0
+_CENTRE = 0.25  # share of the node in the middle
+
+
+@dataclass(frozen=True)
+class Known:
+    """All that the evidence for scales is computed from."""
+
+    data: Quadratic  # what tags and rests say
+    films: list[Film]
+    at: Layout
+    level: float  # prior mean of log k
+    expected: Scales
+
+    def solve(self, scales: Scales) -> tuple[Array, float, tuple[Array, bool]]:
+        """Most probable parameters, log evidence (but for a constant), and the factor of their precision (scipy's)."""
+        precision, mean, log_det = prior(self.films, self.at, self.level, scales)
+        data = self.data
+        factor = cho_factor(data.information + precision, lower=True)
+        right = data.b + precision @ mean
+        best = cho_solve(factor, right)
+        away = data.c - right @ best + mean @ precision @ mean
+        ratio = log_det - 2.0 * np.sum(np.log(np.diag(factor[0])))
+        return best, float(0.5 * ratio - 0.5 * away - data.log_noise), factor
+
+    def scaled(self, start: Scales, z: Array) -> Scales:
+        """Scales z (5,) sd from what was expected."""
+        logs = np.log(_chosen(self.expected)) + _SPREAD * np.clip(z, -_MOST, _MOST)
+        return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
+
+    def cost(self, start: Scales) -> Callable[[Array], float]:
+        """Minus log posterior of z."""
+
+        def of(z: Array) -> float:
+            try:
+                return 0.5 * float(z @ z) - self.solve(self.scaled(start, z))[1]
+            except np.linalg.LinAlgError:
+                return 1e12
+
+        return of
+
+    def place(self, scales: Scales) -> Array:
+        """(5,) sd of scales from what was expected."""
+        return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / _SPREAD)
+
+
+def _chosen(scales: Scales) -> Array:
+    return np.array([getattr(scales, name) for name in CHOSEN])
+
+
+def choose_scales(known: Known, start: Scales) -> Scales:
+    """Roughness and force-error sizes of greatest evidence."""
+    bounds = [(-_MOST, _MOST)] * len(CHOSEN)
+    options = {"maxfun": 100, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
+    found = minimize(known.cost(start), known.place(start), method="L-BFGS-B", bounds=bounds, options=options)
+    return known.scaled(start, found.x)
+
+
+def averaged_covariance(known: Known, scales: Scales) -> Array:
+    """(P, P) covariance around the optimum of `scales`, averaged over the scales that the evidence leaves open."""
+    middle, cost = known.place(scales), known.cost(scales)
+    values, vectors = np.linalg.eigh(_hessian(cost, middle, 0.3))
+    sd = 1.0 / np.sqrt(np.maximum(values, 0.5))  # the prior alone has curvature one
+    n = len(middle)
+    away = np.sqrt(n / (1.0 - _CENTRE))  # nodes and weights that are exact to degree three for a normal
+    offsets = away * np.concatenate([np.zeros((1, n)), (vectors * sd).T, -(vectors * sd).T])
+    points = [middle + one for one in offsets]
+    normal = 0.5 * away**2 * np.concatenate([[0.0], np.ones(2 * n)])
+    shares = np.array([_CENTRE, *[(1.0 - _CENTRE) / (2 * n)] * (2 * n)])
+    logs = np.log(shares) - np.array([cost(z) for z in points]) + normal
+    weights = np.exp(logs - np.max(logs))
+    weights /= np.sum(weights)
+    best = known.solve(scales)[0]
+    out = np.zeros((len(best), len(best)))
+    for weight, z in zip(weights, points, strict=True):
+        there, _, factor = known.solve(known.scaled(scales, z))
+        out += weight * (cho_solve(factor, np.eye(len(best))) + np.outer(there - best, there - best))
+    return 0.5 * (out + out.T)
+
+
+def _hessian(cost: Callable[[Array], float], at: Array, h: float) -> Array:
+    """Second derivatives by central differences."""
+    n, e = len(at), h * np.eye(len(at))
+    out = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            pairs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+            terms = [a * b * cost(at + a * e[i] + b * e[j]) for a, b in pairs]
+            out[i, j] = out[j, i] = sum(terms) / (4.0 * h**2)
+    return out
+
+
+def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
+    """Noise of a film from its residuals, by expectation-maximisation over the frames' own force errors.
+
+    `spent`: parameters that the fit spent on this film.
+    """
+    numbers = float(np.sum(rows.known))
+    share = max(1.0 - spent / max(numbers, 1.0), 0.3)
+    noise = before
+    for _ in range(30):
+        across, force = split(rows, rows.r, noise)
+        doubt = noise.marker**2 * shrink(rows, noise)  # (F, 2, 2) covariance left in each frame's force
+        explained = np.einsum("frd,fde,fre->", rows.a, doubt, rows.a, optimize=True)
+        marker = (float(np.sum(across**2)) + explained) / (numbers * share)
+        own = np.mean(np.sum(force**2, axis=1) + np.trace(doubt, axis1=1, axis2=2)) / 2.0
+        noise = FilmNoise(float(np.sqrt(marker)), float(np.sqrt(own)))
+    across, force = split(rows, rows.r, noise)
+    marker = noise.marker * np.sqrt(_correlation_time(across))
+    return FilmNoise(float(marker), noise.force * float(np.sqrt(_correlation_time(force))))
+
+
+def _correlation_time(r: Array) -> float:
+    """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, pooled."""
+    z = r - np.mean(r, axis=0)
+    spread = np.median(np.abs(z), axis=0) / 0.6745
+    z = np.clip(np.divide(z, spread, out=np.zeros_like(z), where=spread > 0.0), -3.0, 3.0)
+    power = float(np.sum(z**2))
+    total = 1.0
+    for lag in range(1, max(len(z) // 8, 2)):
+        rho = float(np.sum(z[:-lag] * z[lag:])) / max(power, 1e-12)
+        if rho < 0.05:
+            break
+        total += 2.0 * rho
+    return total
