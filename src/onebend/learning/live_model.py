@@ -6,18 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.continuation import follow, refine
+from onebend.beam.continuation import follow
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.modes import Modes
+from onebend.beam.newton import solve_batch
 from onebend.beam.problem import Problem
-from onebend.beam.sensitivity import Change, respond
-from onebend.beam.statics import Equilibrium
+from onebend.beam.statics import gradient, positive_definite, tangent
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
 
 ORDER, WIDEST = 12, 0.5
 REST_MODES = Modes(3)
+_MOST = 8  # Newton iterations before the search from rest
+_TRUST = 0.7  # rad: shapes that turn by more may have left the branch
+_TOLERANCE = 3e-7  # rad, of the last update: the error is its square
 
 
 @dataclass(frozen=True)
@@ -109,31 +112,53 @@ def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Ar
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any."""
     at = setting.at
     problem = _problem(setting, place, x, given)
-    solved = follow(problem) if start is None else refine(problem, start)
-    alpha = solved.alpha
-    turned_nodes, turn = _response(place, solved)
+    q, converged, matrices = _shapes(problem, start)
+    alpha = problem.alpha0 + q @ place.to_nodes.T
     cos, sin = np.cos(alpha), np.sin(alpha)
+    turned_nodes, turn = _response(place, problem, q, matrices, cos, sin)
     rows = setting.length * place.rows
     xy = np.stack([cos @ rows.T, sin @ rows.T], axis=-1)
     dxy = np.stack([rows @ (-sin[..., None] * turned_nodes), rows @ (cos[..., None] * turned_nodes)], axis=2)
-    angle = float(at.get(x, "clamp")[0]) + solved.q @ place.rows.T
+    angle = problem.alpha0 + q @ place.rows.T
     along, across = at.get(x, "along"), at.get(x, "across")
     c, s = np.cos(angle), np.sin(angle)
     scale = 1.0 + float(at.get(x, "scale")[0])
-    beam_xy = xy + np.stack([c * along - s * across, s * along + c * across], axis=-1)
     swing = np.stack([-s * along - c * across, c * along - s * across], axis=-1)
-    moved = scale * (dxy + swing[..., None] * turn[:, :, None, :])
-    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)
+    beam_xy = xy + np.stack([swing[..., 1], -swing[..., 0]], axis=-1)
+    mechanics = np.concatenate([scale * (dxy + swing[..., None] * turn[:, :, None, :]), turn[:, :, None, :]], axis=2)
     pose = np.concatenate([scale * beam_xy + at.get(x, "origin"), (angle + at.get(x, "turn"))[..., None]], axis=-1)
-    j = np.zeros((*pose.shape, at.size))
-    p = at.spline.count
+    j, p = np.zeros((*pose.shape, at.size)), at.spline.count
     a = mechanics[..., p + 4 :]
     j[..., :p] = mechanics[..., :p]
     _put(j, at, "curvature", mechanics[..., p : p + 3])
     _put(j, at, "clamp", mechanics[..., p + 3 : p + 4])
     _put(j, at, "clock", (a @ given.rate[:, None, :, None]))
     _put_tags(j, at, c, s, scale, beam_xy)
-    return Linear(solved.converged, solved.q, pose, j, a)
+    return Linear(converged, q, pose, j, a)
+
+
+def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Array]:
+    """Equilibria (B, Q), which of them were found, and their tangents (B, Q, Q).
+
+    Newton from `start`, its last tangent being good enough for derivatives; where it strays from a stable shape nearby,
+    or without a start, the shapes are sought from rest.
+    """
+    if start is not None:
+        q, moved = start.copy(), 0.0
+        for _ in range(_MOST):
+            matrices = tangent(problem, q)
+            update = solve_batch(matrices, gradient(problem, q))
+            q -= update
+            turn = float(np.max(np.abs(update @ problem.to_nodes.T)))
+            moved += turn
+            if not moved < _TRUST:
+                break
+            if turn < _TOLERANCE:
+                if np.all(positive_definite(matrices)):
+                    return q, np.ones(len(q), dtype=bool), matrices
+                break
+    solved = follow(problem)
+    return solved.q, solved.converged & solved.stable, tangent(problem, solved.q)
 
 
 def _problem(setting: Setting, place: Place, x: Array, given: Inputs) -> Problem:
@@ -156,22 +181,26 @@ def _problem(setting: Setting, place: Place, x: Array, given: Inputs) -> Problem
     )
 
 
-def _response(place: Place, solved: Equilibrium) -> tuple[Array, Array]:
-    """Turn of the nodes (B, Q, P) and of the beam under the markers (B, m, P).
+def _response(place: Place, problem: Problem, q: Array, matrices: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
+    """Turn of the nodes (B, Q, P) and of the beam under the markers (B, m, P) by the implicit function theorem.
 
     Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force.
     """
-    problem, p = solved.problem, place.on_nodes.shape[1]
-    nodes, count = len(place.weights), p + 6
-    elastic = np.zeros((len(solved.q), nodes, count))
-    elastic[..., :p] = ((solved.q - problem.q0) * problem.k)[..., None] * place.on_nodes
-    elastic[..., p : p + 3] = -problem.k[:, None] * place.rest_on_nodes
-    force = np.zeros((1, nodes, 2, count))
-    force[0, :, 0, p + 4] = force[0, :, 1, p + 5] = place.beyond
-    clamp = np.zeros(count)
+    p, b = place.on_nodes.shape[1], place.to_nodes
+    right = np.empty((*q.shape, p + 6))
+    stiff, pull = place.weights * problem.k, problem.length * place.weights
+    right[..., :p] = -(stiff * (q - problem.q0))[..., None] * place.on_nodes
+    right[..., p : p + 3] = stiff[:, None] * place.rest_on_nodes
+    right[..., p + 3] = -(pull * (problem.dead_force[..., 0] * cos + problem.dead_force[..., 1] * sin)) @ b
+    right[..., p + 4] = -(pull * place.beyond * sin) @ b
+    right[..., p + 5] = (pull * place.beyond * cos) @ b
+    try:
+        response = np.linalg.solve(matrices, right)
+    except np.linalg.LinAlgError:  # of a frame that was not found either
+        response = np.zeros_like(right)
+    clamp = np.zeros(p + 6)
     clamp[p + 3] = 1.0
-    q = respond(solved, Change(force, np.zeros((1, nodes, count)), elastic, clamp)).q
-    return place.to_nodes @ q + clamp, place.rows @ q + clamp
+    return b @ response + clamp, place.rows @ response + clamp
 
 
 def _put(j: Array, at: Layout, name: str, values: Array) -> None:

@@ -37,7 +37,7 @@ class OnlineSettings:
 
     functions: int = 16  # of the spline of log k
     key_frames: int = 30
-    renewed: int = 3  # key frames linearised anew with every other update
+    renewed: int = 2  # key frames linearised anew with every other update
     priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
     placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
     rest_unknown: bool = True  # the beam may be curved when free
