@@ -7,10 +7,14 @@ import onebend
 HERE = Path(__file__).parent / "linear-beam"
 
 observations = onebend.observe(HERE / "train")  # files --> markers [m] and forces [N] on one clock
-learned = onebend.learn(observations)  # --> k(s), with the whole (n, m) table
-beam = learned.beam
-print("k at base, middle and tip [N m]:", beam.stiffness([0.0, 0.5, 1.0]).round(4))
+learned = onebend.learn(observations)  # the paper's regression, with the whole (n, m) table
+found = onebend.fit([observations], learned.beam.stiffness)  # --> k(s) with a band, in the space of the markers
 
+band = found.band([0.0, 0.5, 1.0])
+print("k at base, middle and tip [N m]:", band.k.round(4))
+print("95 % band, from:", band.low.round(4), "to:", band.high.round(4), "identified:", band.identified)
+
+beam = found.beam
 check = onebend.validate(beam, onebend.observe(HERE / "fast"))
 print("RMS of the three markers on the fast push [mm]:", (1000 * check.rms).round(2))
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from PIL import Image
 
 import onebend
+from onebend.report.curves import stiffness
 from onebend.report.drawing import fit
-from onebend.report.figures import stiffness
 from onebend.report.style import png_of
 
 HERE = Path(__file__).parent
@@ -16,10 +16,16 @@ WIDTH = 1000  # px
 
 observations = onebend.observe(HERE / "linear-beam" / "train")
 learned = onebend.learn(observations)
+found = onebend.fit([observations], learned.beam.stiffness)
 
 figures = [
-    fit(learned.beam, learned.training, observations),
-    stiffness(learned.beam, marker_s=learned.training.marker_s),
+    fit(found.beam, onebend.validate(found.beam, observations), observations),
+    stiffness(
+        found.beam,
+        uncertain=found.stiffness,
+        regression=learned.beam.stiffness,
+        marker_s=observations.marker_s,
+    ),
 ]
 pictures = [Image.open(BytesIO(png_of(figure))).convert("RGB") for figure in figures if figure is not None]
 rows = [one.resize((WIDTH, round(one.height * WIDTH / one.width)), Image.Resampling.LANCZOS) for one in pictures]

@@ -4,13 +4,15 @@ tested on, without a video."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, View
 
 LENGTH = 0.15  # m
@@ -25,10 +27,14 @@ BEAM = Beam(LENGTH, GAUSSIANS)
 class MadeUp:
     """Fits `onebend.report.findings.Findings`."""
 
-    learned: Learned
-    observations: Observations
+    beam: Beam
+    learned: Learned | None
+    posterior: Posterior | None
+    recordings: tuple[Observations, ...]
+    trainings: tuple[Comparison, ...]
     validations: tuple[Comparison, ...] = ()
     validation_observations: tuple[Observations, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     stage_seconds: Mapping[str, float] = field(default_factory=lambda: {"observe": 4.2, "states": 0.4})
     video_seconds: float = 18.0
 
@@ -142,13 +148,25 @@ def learned(training: Comparison | None = None) -> Learned:
     )
 
 
-def findings(validations: int = 2) -> MadeUp:
+@cache
+def posterior() -> Posterior:
+    """A real fit to the made-up markers, without their errors and with the angles that belong to them."""
+    seen = observations(one=comparison(error_m=0.0))
+    seen = replace(seen, angle=BEAM.equilibrium(seen.force, seen.push_s).angle(MARKER_S))
+    return fit([seen], 0.03, settings=FitSettings(functions=8, most_frames=30))
+
+
+def findings(validations: int = 2, *, fitted: bool = True) -> MadeUp:
     """A whole run, with as many validation recordings as asked."""
     training = comparison()
     others = [comparison(f"other-{i + 1}", error_m=0.002 * (i + 1), largest=0.2) for i in range(validations)]
     return MadeUp(
+        beam=posterior().beam if fitted else BEAM,
         learned=learned(training),
-        observations=observations(one=training),
+        posterior=posterior() if fitted else None,
+        recordings=(observations(one=training),),
+        trainings=(training,),
+        remarks=learned(training).remarks,
         validations=tuple(others),
         validation_observations=tuple(observations(one.name, one) for one in others),
     )

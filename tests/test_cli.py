@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -36,9 +37,9 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """A pipeline that finds made-up things at once; what it was asked is listed."""
     asked: list[dict[str, Any]] = []
 
-    def learn_recording(folder: Path, **options: Any) -> made_up.MadeUp:
-        asked.append({"folder": folder, **options})
-        return made_up.findings(len(options["validate_on"]))
+    def learn_recording(*folders: Path, **options: Any) -> made_up.MadeUp:
+        asked.append({"folders": folders, **options})
+        return made_up.findings(len(options["validate_on"]), fitted=options["fitting"] is not None)
 
     def compare(_: Any, folders: list[Path], **options: Any) -> list[Any]:
         asked.append({"folders": folders, **options})
@@ -68,13 +69,24 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
     out = tmp_path / "out"
     result = run("learn", "REC", "-o", out, "--validate", "A", "--validate", "B")
     assert result.exit_code == 0, result.output
-    for words in ("chosen", "k(s) is not positive", "k(s) = EI / L", "other-2", "tag 3 was hidden", "together"):
+    for words in (
+        "chosen", "k(s) is not positive", "k(s) = EI / L", "other-2", "tag 3 was hidden", "together", "95 % band",
+        "the paper's k", "clamp angle", "sd before", "Hardly told apart", "1 % too stiff", "converged",
+    ):  # fmt: skip
         assert words in result.stdout, words
     assert result.stdout.splitlines()[-1] == f"report {out / 'report.html'}"
     written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
-    expected = {"model.json", "stiffness.csv", "selection.csv", "markers.csv", "validation.csv", "observations.parquet"}
+    expected = {
+        "nuisances.csv",
+        "model.json",
+        "stiffness.csv",
+        "selection.csv",
+        "markers.csv",
+        "validation.csv",
+        "observations.parquet",
+    }
     assert expected | {"summary.json", "report.html", "figures/stiffness.png"} <= written
-    assert load_model(out) == made_up.BEAM
+    assert load_model(out) == made_up.posterior().beam
     assert set(json.loads((out / "summary.json").read_text(encoding="utf-8"))["files"]) == written
     assert pipeline[0]["validate_on"] == [Path("A"), Path("B")]
 
@@ -86,6 +98,21 @@ def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, An
     chosen = (settings.method, settings.family, settings.width, settings.bic, settings.n, settings.m)
     assert chosen == ("paper", "powers", 0.2, "paper", 5, 3)
     assert (observing.threads, observing.pairing, observing.epsilon) == (2, "nearest", 0.01)
+
+
+def test_several_recordings_and_a_free_clamp_reach_the_fit(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    assert run("learn", "A", "B", "-o", tmp_path / "out", "--clamp-sd-deg", "1").exit_code == 0
+    assert pipeline[0]["folders"] == (Path("A"), Path("B"))
+    assert pipeline[0]["fitting"].priors.clamp == pytest.approx(np.deg2rad(1.0))
+    assert pipeline[0]["settings"].method == "regression"
+
+
+def test_the_regression_alone_shows_no_band(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
+    result = run("learn", "REC", "-o", tmp_path / "out", "--method", "regression")
+    assert pipeline[0]["fitting"] is None
+    assert "95 % band" not in result.stdout
+    assert not (tmp_path / "out" / "nuisances.csv").exists()
+    assert load_model(tmp_path / "out") == made_up.BEAM
 
 
 def test_results_go_beside_where_one_stands_by_default(
@@ -100,7 +127,8 @@ def test_results_go_beside_where_one_stands_by_default(
 def test_json_is_one_object_and_nothing_else(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
     result = run("learn", "REC", "-o", tmp_path / "out", "--validate", "A", "--json")
     data = json.loads(result.stdout, parse_constant=pytest.fail)
-    assert (data["chosen"]["n"], data["chosen"]["m"]) == (4, 3)
+    chosen = data["regression"]["chosen"]
+    assert (chosen["n"], chosen["m"]) == (4, 3)
     assert data["output"] == str(tmp_path / "out")
     assert "report" in data["stage_seconds"]
     result = run("validate", tmp_path / "out", "A", "--json")
@@ -138,7 +166,7 @@ def test_validate_shows_and_writes_tables(tmp_path: Path, pipeline: list[dict[st
 def test_a_validation_does_not_replace_what_was_learned(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
     assert run("learn", "REC", "-o", tmp_path / "out").exit_code == 0
     refused(run("validate", tmp_path / "out", "A", "-o", tmp_path / "out", "--force"), "--force does not")
-    assert load_model(tmp_path / "out") == made_up.BEAM
+    assert load_model(tmp_path / "out") == made_up.posterior().beam
     assert len(pipeline) == 1
 
 
@@ -195,6 +223,9 @@ def test_interrupted_before_anything_was_found(tmp_path: Path, monkeypatch: pyte
         ("learn", EXAMPLE, "-o", "out", "--n", "99"),
         ("learn",),
         ("learn", "REC", "--method", "magic"),
+        ("learn", EXAMPLE, EXAMPLE, "-o", "out"),
+        ("learn", EXAMPLE, EXAMPLE.parent / "fast", "-o", "out", "--method", "regression"),
+        ("learn", EXAMPLE, "-o", "out", "--clamp-sd-deg", "-1"),
         ("nonsense",),
     ],
 )
@@ -234,3 +265,8 @@ def test_show_draws_the_model(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "█" in result.stdout
     assert "length 150 mm" in result.stdout
+    fit = made_up.posterior()
+    save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
+    assert "95 % band" in run("show", tmp_path).stdout
+    shown = json.loads(run("show", tmp_path, "--json").stdout)
+    np.testing.assert_allclose(shown["stiffness"]["k_hi_N_m"], fit.band(np.linspace(0, 1, 11)).high)

@@ -21,7 +21,7 @@ from onebend.recording.entries import (
 )
 from onebend.recording.schema import keys_of
 from onebend.results.observed import save_observations
-from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
+from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from tests import made_up
 
 OPTION = re.compile(r"--[a-z][a-z-]*")
@@ -47,7 +47,8 @@ def test_every_option_is_documented_and_no_other() -> None:
 def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     one, learned = made_up.comparison(), made_up.learned()
-    write_stiffness(tmp_path / "a.csv", made_up.BEAM)
+    write_stiffness(tmp_path / "a.csv", made_up.BEAM, None)
+    write_nuisances(tmp_path / "e.csv", made_up.posterior().nuisances())
     write_selection(tmp_path / "b.csv", learned)
     write_markers(tmp_path / "c.csv", [one])
     write_validation(tmp_path / "d.csv", [one])

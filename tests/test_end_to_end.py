@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from onebend import cli, load_model, load_observations
+from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.results import kept
 
 ROOT = Path(__file__).parents[1]
@@ -64,10 +64,12 @@ def test_the_next_run_goes_on_and_leaves_whole_results(runs: Runs) -> None:
 def test_json_on_standard_output_agrees_with_the_files(runs: Runs) -> None:
     printed = json.loads(runs.finished.stdout)
     summary = json.loads((runs.out / "summary.json").read_text(encoding="utf-8"))
-    for key in ("chosen", "stiffness", "training", "validation", "clock", "force"):
+    for key in ("fit", "regression", "stiffness", "training", "validation", "observed"):
         assert printed[key] == summary[key]
-    table = np.genfromtxt(runs.out / "stiffness.csv", delimiter=",", names=True)
-    beam = load_model(runs.out)
+    table = np.genfromtxt(runs.out / "stiffness.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    beam, band = load_model(runs.out), load_uncertain(runs.out).band(table["s"])
+    np.testing.assert_allclose(table["k_lo_N_m"], band.low, rtol=1e-8)
+    assert ((table["identified"] == "yes") == band.identified).all()
     np.testing.assert_allclose(table["k_N_m"], beam.stiffness(table["s"]), rtol=1e-8)
     assert table["k_N_m"].min() > 0.0
 
@@ -75,12 +77,14 @@ def test_json_on_standard_output_agrees_with_the_files(runs: Runs) -> None:
 def test_the_learned_beam_follows_both_pushes(runs: Runs) -> None:
     """A sixth of the 0.12 m that the tip moves would be no fit; the log's drift alone moves it by some millimetres."""
     summary = json.loads((runs.out / "summary.json").read_text(encoding="utf-8"))
-    for one in (summary["training"], *summary["validation"]):
+    for one in (*summary["training"], *summary["validation"]):
         assert max(one["rms_m"]) < 0.02
         assert one["all_stable"]
     seen = load_observations(runs.out)
     assert np.isfinite(seen.xy).all(axis=-1).mean() > 0.99
-    assert summary["clock"]["found"]
+    assert summary["observed"][0]["clock"]["found"]
+    assert summary["fit"]["converged"]
+    assert max(summary["fit"]["fitted_rms_m"][0]) < 1e-4  # the fit itself, without the log's slow error
 
 
 def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path) -> None:
@@ -113,6 +117,7 @@ def test_the_example_runs_and_stands_in_the_readme() -> None:
     assert done.stderr == ""
     assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
         "k at base, middle and tip [N m]",
+        "95 % band, from",
         "RMS of the three markers on the fast push [mm]",
         "the tip would go to [mm]",
     ]

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from onebend import terminal
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import RecordingError
 from onebend.progress import track
 from onebend.report.overview import overview
+from onebend.terminal import bars, plots, tables
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "fast"
@@ -32,9 +32,9 @@ def shown(where: Console) -> str:
 
 def test_bars_show_count_rate_and_nested_stages() -> None:
     where = console(screen=True)
-    with terminal.Bars(where) as bars:
-        for _ in track(bars, "outer [m]", range(3), 3):
-            for _ in track(bars, "inner", range(2), None):
+    with bars.Bars(where) as shown_bars:
+        for _ in track(shown_bars, "outer [m]", range(3), 3):
+            for _ in track(shown_bars, "inner", range(2), None):
                 pass
     text = shown(where)
     assert "outer [m]" in text
@@ -45,8 +45,8 @@ def test_bars_show_count_rate_and_nested_stages() -> None:
 
 def test_bars_close_a_stage_that_is_left_early() -> None:
     where = console(screen=True)
-    with terminal.Bars(where) as bars:
-        for i in track(bars, "stage", range(10), 10):
+    with bars.Bars(where) as shown_bars:
+        for i in track(shown_bars, "stage", range(10), 10):
             if i == 4:
                 break
     assert "4/4" in shown(where)
@@ -55,47 +55,63 @@ def test_bars_close_a_stage_that_is_left_early() -> None:
 def test_a_pipe_gets_one_line_for_a_long_stage_and_none_for_a_short_one(monkeypatch: pytest.MonkeyPatch) -> None:
     where = console()
     ticks = iter([0.0, 0.1, 10.0, 13.4])
-    monkeypatch.setattr(terminal, "monotonic", lambda: next(ticks))
-    with terminal.Bars(where) as bars:
+    monkeypatch.setattr(bars, "monotonic", lambda: next(ticks))
+    with bars.Bars(where) as shown_bars:
         for stage in ("short", "long"):
-            bars.start(stage, 1)
-            bars.advance()
-            bars.done()
+            shown_bars.start(stage, 1)
+            shown_bars.advance()
+            shown_bars.done()
     assert shown(where) == "long: 3.4 s\n"
 
 
 def test_plot_is_as_high_as_k(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     where = console()
-    where.print(terminal.stiffness_plot(Beam(0.1, Powers((0.0, 0.08))), columns=32, rows=4))
+    where.print(plots.stiffness_plot(Beam(0.1, Powers((0.0, 0.08))), columns=32, rows=4))
     rows = [line[10:42] for line in shown(where).splitlines()[1:5]]
     eighths = np.array([[" ▁▂▃▄▅▆▇█".index(cell) for cell in row] for row in rows]).sum(axis=0)
     np.testing.assert_allclose(eighths, 32 * np.linspace(0, 1, 32), atol=0.51)
     assert "0.0400" in shown(where)
 
 
+def test_the_band_is_drawn_around_k_and_the_table_has_both() -> None:
+    fit = made_up.posterior()
+    where = console()
+    where.print(plots.band_plot(fit.stiffness, columns=41, rows=10))
+    rows = [line[10:51] for line in shown(where).splitlines()[1:11]]
+    k = fit.band(np.linspace(0, 1, 41)).k
+    lines = [next(i for i, row in enumerate(rows) if row[column] == "━") for column in range(41)]
+    assert np.corrcoef(lines, k)[0, 1] < -0.95  # the line is k(s), upside down as rows are counted
+    where = console()
+    where.print(tables.estimate_table(fit.stiffness, made_up.learned()))
+    cells = shown(where).splitlines()[6].split()
+    band = fit.band(np.array([0.5]))
+    expected = [0.5, band.k[0], band.low[0], band.high[0], made_up.BEAM.stiffness(0.5)]
+    np.testing.assert_allclose([float(c) for c in cells if c not in ("yes", "no")], expected, rtol=6e-3)
+
+
 @pytest.mark.parametrize("k", [0.0, -0.1])
 def test_plot_of_no_beam_is_empty_not_an_error(k: float) -> None:
     where = console()
-    where.print(terminal.stiffness_plot(Beam(0.1, Uniform(k))))
+    where.print(plots.stiffness_plot(Beam(0.1, Uniform(k))))
     assert "█" not in shown(where)
 
 
 def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
     where = console()
-    where.print(terminal.selection_table(made_up.learned()))
+    where.print(tables.selection_table(made_up.learned()))
     lines = shown(where).splitlines()
     assert [line.split()[:3] for line in lines if "➤" in line] == [["➤", "4", "3"]]
     assert any("k(s) is not positive" in line and " – " in line for line in lines)
     where = console()
-    where.print(terminal.validation_table(made_up.findings(2).validations))
+    where.print(tables.comparison_table(made_up.findings(2).validations, "Validation"))
     assert "1.67 (0.10)" in shown(where)
     assert "(–)" in shown(where)
 
 
 def test_nothing_odd_is_said_too() -> None:
     where = console()
-    where.print(terminal.remarks_list([]))
+    where.print(tables.remarks_list([]))
     assert "Nothing looked odd." in shown(where)
 
 

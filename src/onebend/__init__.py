@@ -25,7 +25,7 @@ from onebend.pipeline import learn_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.records import Observations
-from onebend.results.model import load_model, save_model
+from onebend.results.model import load_model, load_uncertain, save_model
 from onebend.results.observed import load_observations, save_observations
 
 __version__ = "0.1.0"
@@ -67,6 +67,7 @@ __all__ = [
     "learn_recording",
     "load_model",
     "load_observations",
+    "load_uncertain",
     "observe",
     "plan",
     "read_recording",

@@ -16,10 +16,11 @@ import typer
 from rich.console import Console
 
 import onebend
-from onebend import terminal
 from onebend.errors import OnebendError
 from onebend.learning.candidates import Limits
+from onebend.learning.parameters import Priors
 from onebend.learning.planning import PlanSettings
+from onebend.learning.posterior import FitSettings
 from onebend.learning.selection import Settings
 from onebend.pipeline import compare, learn_recording, plan_next
 from onebend.progress import Progress, Silent
@@ -40,6 +41,32 @@ from onebend.results.summary import (
     validation_summary,
 )
 from onebend.results.writing import learned_writer, validation_writer
+from onebend.terminal.bars import Bars
+from onebend.terminal.options import (
+    Bic,
+    ClampSd,
+    Count,
+    Epsilon,
+    Family,
+    Folder,
+    Functions,
+    Json,
+    MaxForce,
+    MaxTipAngle,
+    Method,
+    Model,
+    Modes,
+    Output,
+    Overwrite,
+    Quiet,
+    Recording,
+    Recordings,
+    Threads,
+    ValidateOn,
+    Width,
+)
+from onebend.terminal.plans import show_plan
+from onebend.terminal.screens import show_model, show_overview, show_run, show_validation
 
 BY = f"onebend {onebend.__version__}"
 
@@ -51,83 +78,36 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-# What the commands take. Their names and helps are the user's manual; docs/cli.md says more.
-Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
-Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Recordings of the same beam.")]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
-ValidateOn = Annotated[
-    list[Path] | None,
-    typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
-]
-Method = Annotated[
-    Literal["regression", "paper"], typer.Option(help="paper: its rows (17) to the letter, tags' positions only.")
-]
-Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
-Width = Annotated[
-    float | None,
-    typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
-]
-Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
-Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
-Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
-Epsilon = Annotated[
-    float | None,
-    typer.Option(
-        "--epsilon-s",
-        min=0.0,
-        metavar="SECONDS",
-        help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
-    ),
-]
-MaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=1e-6, metavar="N", help="Default: twice the largest so far.")
-]
-MaxTipAngle = Annotated[
-    float | None,
-    typer.Option(
-        "--max-tip-angle-deg",
-        min=1.0,
-        max=180.0,
-        metavar="DEG",
-        help="Default: 90, and at most 1.25 times the largest curvature so far.",
-    ),
-]
-Count = Annotated[int, typer.Option(min=1, metavar="N", help="How many proposals.")]
-Threads = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
-]
-Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
-
 
 @app.command()
 def learn(
-    recording: Recording,
+    recordings: Recordings,
     *,
     output: Output = None,
     validate_on: ValidateOn = None,
-    method: Method = "regression",
+    method: Method = "fit",
     family: Family = "gaussians",
     width: Width = None,
     bic: Bic = "textbook",
     n: Modes = None,
     m: Functions = None,
+    clamp_sd: ClampSd = None,
     epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn k(s) from the recording REC; results and a report go to OUT (default: the name of REC and -results)."""
-    out = output or Path(f"{recording.resolve().name}-results")
-    settings = Settings(method=method, family=family, width=width, bic=bic, n=n, m=m)
+    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
+    out = output or Path(f"{recordings[0].resolve().name}-results")
+    regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
+    settings = Settings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
+    fitting = _fitting(clamp_sd) if method == "fit" else None
     with _clean_errors(), _workplace(out, LEARN_FORMAT, overwrite) as place, _progress(quiet) as progress:
         run = learn_recording(
-            recording,
+            *recordings,
             settings=settings,
+            fitting=fitting,
             observing=_observing(threads, epsilon),
             validate_on=validate_on or (),
             detect=KeptDetections(place.partial, onebend.__version__).detect,
@@ -140,7 +120,7 @@ def learn(
     if as_json:
         _print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     else:
-        terminal.show_run(Console(), run, seconds, out)
+        show_run(Console(), run, seconds, out)
 
 
 @app.command()
@@ -171,7 +151,7 @@ def validate(
     if as_json:
         _print_json(validation_summary(str(model), pairs, written_by=BY))
     else:
-        terminal.show_validation(Console(), pairs, output)
+        show_validation(Console(), pairs, output)
 
 
 @app.command()
@@ -190,7 +170,7 @@ def check(recording: Recording, *, as_json: Json = False) -> None:
     if as_json:
         _print_json(found.as_dict())
     else:
-        terminal.show_overview(Console(), found)
+        show_overview(Console(), found)
 
 
 @app.command()
@@ -201,7 +181,7 @@ def show(model: Model, *, as_json: Json = False) -> None:
     if as_json:
         _print_json(model_summary(stored))
     else:
-        terminal.show_model(Console(), stored)
+        show_model(Console(), stored)
 
 
 @app.command()
@@ -222,13 +202,19 @@ def plan(
     if as_json:
         _print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})
     else:
-        terminal.show_plan(Console(), found)
+        show_plan(Console(), found)
 
 
 def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:
     if epsilon is None:
         return ObserveSettings(threads=threads)
     return ObserveSettings(threads=threads, pairing="nearest", epsilon=epsilon)
+
+
+def _fitting(clamp_sd: float | None) -> FitSettings:
+    if clamp_sd is None:
+        return FitSettings()
+    return FitSettings(priors=Priors(clamp=math.radians(clamp_sd)))
 
 
 def _say_version(asked: bool) -> None:
@@ -287,7 +273,7 @@ def _progress(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield Silent()
         return
-    with terminal.Bars(Console(stderr=True)) as bars:
+    with Bars(Console(stderr=True)) as bars:
         yield bars
 
 

@@ -1,4 +1,4 @@
-"""One recording learned, others used to check it: the paper's sections IV and V in order."""
+"""Recordings learned, others used to check the beam: the paper's sections IV and V in order, then the fit."""
 
 from __future__ import annotations
 
@@ -8,73 +8,180 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from onebend.beam.model import Beam
-from onebend.errors import ObservationError, ResultsError
+from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.planning import PlanSettings, plan
+from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.proposals import Plan
 from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
+from onebend.learning.start import start_of
 from onebend.learning.validation import validate
+from onebend.learning.verdict import fit_remarks, missed
 from onebend.progress import Progress, Silent
+from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
-from onebend.records import Observations
+from onebend.records import Observations, Remark
 from onebend.results.model import read_model
 
 SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
+SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
 
 
 @dataclass(frozen=True)
 class Run:
-    """Everything that came out of learning one recording and validating on others."""
+    """Everything that came out of learning from recordings and validating on others."""
 
-    learned: Learned
-    observations: Observations
+    beam: Beam  # what was learned: the fit's, where there is one
+    learned: Learned | None  # the paper's regression on the first recording; None where no (n, m) gave a beam
+    posterior: Posterior | None  # the fit over all recordings; None where only the regression was asked for
+    recordings: tuple[Observations, ...]  # learned from
+    trainings: tuple[Comparison, ...]  # the beam against each of them
     validations: tuple[Comparison, ...]
     validation_observations: tuple[Observations, ...]
+    remarks: tuple[Remark, ...]  # on the learning itself
     stage_seconds: dict[str, float]
     video_seconds: float  # length of all videos together, to compare the stages with
 
 
 def learn_recording(
     folder: Path | str,
-    *,
+    *more: Path | str,
     settings: Settings = Settings(),
+    fitting: FitSettings | None = FitSettings(),
     observing: ObserveSettings = ObserveSettings(),
     validate_on: Sequence[Path | str] = (),
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> Run:
-    """Learn k(s) from the recording in `folder`, then compare the learned beam with each of `validate_on`.
+    """Learn k(s) from the recording in `folder` (and `more` of the same beam), then compare it with `validate_on`.
 
-    `detect` finds the tags; one that keeps what it found spares a second search of the same video.
+    The paper's regression learns from the first recording; the fit begins there and uses all. `fitting` None: only the
+    regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video.
 
     Raises:
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
-    recording, *others = [read_recording(one) for one in (folder, *validate_on)]
-    trials(settings, len(recording.tags.on_beam))  # mistakes in files and settings come out before the work
+    folders, others = (folder, *more), tuple(validate_on)
+    wanted = [read_recording(one) for one in folders]
+    for one in others:
+        read_recording(one)
+    check_together(wanted, fitting)
+    trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        observations = observe(recording, settings=observing, detect=detect, progress=watch)
+        seen = tuple(observe(one, settings=observing, detect=detect, progress=watch) for one in wanted)
     with watch.whole("learn"):
-        learned = learn(observations, settings, progress=watch)
+        learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=watch)
+    posterior = None
+    if fitting is not None:
+        with watch.whole("fit"):
+            posterior, said = _fit(seen, learned, fitting, watch)
+        remarks += said
     with watch.whole("validate"):
-        pairs = compare(
-            learned.beam, [one.folder for one in others], observing=observing, detect=detect, progress=watch
-        )
-    seen = (observations, *(where for _, where in pairs))
+        beam, trainings = _result(seen, learned, posterior)
+        pairs = compare(beam, others, observing=observing, detect=detect, progress=watch)
+    films = (*seen, *(where for _, where in pairs))
     return Run(
+        beam=beam,
         learned=learned,
-        observations=observations,
+        posterior=posterior,
+        recordings=seen,
+        trainings=trainings,
         validations=tuple(one for one, _ in pairs),
-        validation_observations=seen[1:],
+        validation_observations=tuple(where for _, where in pairs),
+        remarks=remarks,
         stage_seconds=watch.seconds,
-        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in seen),
+        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films),
     )
+
+
+def check_together(wanted: Sequence[Recording], fitting: FitSettings | None) -> None:
+    """Raises `LearningError` where the recordings cannot be learned from together; read from their files alone."""
+    first = wanted[0]
+    if fitting is None and len(wanted) > 1:
+        raise LearningError("the regression learns from one recording; give one, or learn from all with the fit")
+    for i, one in enumerate(wanted[1:], start=1):
+        if any(one.folder.resolve() == other.folder.resolve() for other in wanted[:i]):
+            raise LearningError(f"{one.folder} is given twice: the same data would count as two pushes. Give it once")
+        if abs(one.beam.length - first.beam.length) > 1e-9 or _ids(one) != _ids(first):
+            raise LearningError(
+                f"{one.folder} is not of the beam of {first.folder}: {1000 * one.beam.length:.4g} mm with tags "
+                f"{_ids(one)}, against {1000 * first.beam.length:.4g} mm with tags {_ids(first)}. Learn from "
+                "recordings of one beam, or correct length_m and the tags"
+            )
+        for tag, same in zip(one.tags.on_beam, first.tags.on_beam, strict=True):
+            away = abs(tag.s - same.s) * first.beam.length
+            if away > SAME_PLACE * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
+                raise LearningError(
+                    f"tag {tag.id} is at s = {tag.s:.4g} in {one.folder} and at s = {same.s:.4g} in {first.folder}. "
+                    "Recordings that are learned from together need the same tags in the same places"
+                )
+
+
+def _ids(one: Recording) -> list[int]:
+    return [tag.id for tag in one.tags.on_beam]
+
+
+def _regression(
+    seen: Observations, settings: Settings, *, needed: bool, progress: Progress
+) -> tuple[Learned | None, tuple[Remark, ...]]:
+    """The paper's result; None, and a warning with the reason, where it finds no beam but is not needed."""
+    try:
+        learned = learn(seen, settings, progress=progress)
+    except LearningError as error:
+        if needed:
+            raise
+        return None, (Remark("warning", f"the paper's regression found no beam: {error}"),)
+    return learned, learned.remarks
+
+
+def _fit(
+    seen: Sequence[Observations], learned: Learned | None, fitting: FitSettings, progress: Progress
+) -> tuple[Posterior, tuple[Remark, ...]]:
+    """The fit over all recordings, and what is to be said of it.
+
+    All forces are taken to come from one sensor: its scale error is common, so more recordings do not average it out.
+    Raises `LearningError` where several recordings have no beam in common.
+    """
+    gain_sd = max(one.gain_sd for one in seen)
+    try:
+        posterior = fit(seen, start_of(seen, learned), settings=fitting, gain_sd=gain_sd, progress=progress)
+    except np.linalg.LinAlgError as error:
+        names = ", ".join(one.name for one in seen)
+        raise LearningError(
+            f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
+            "`onebend learn --method regression`"
+        ) from error
+    wrong = missed(posterior)
+    if len(seen) > 1 and wrong:
+        reasons = "; ".join(f"{name}: {text}" for name, text in wrong)
+        raise LearningError(
+            f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
+            "k(s) agree"
+        )
+    remarks = fit_remarks(posterior)
+    if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:
+        text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
+        remarks += (Remark("note", text),)
+    return posterior, remarks
+
+
+def _result(
+    seen: Sequence[Observations], learned: Learned | None, posterior: Posterior | None
+) -> tuple[Beam, tuple[Comparison, ...]]:
+    """The beam that is handed on, and how it follows the recordings that it was learned from."""
+    if posterior is not None:
+        beam = posterior.beam
+        return beam, tuple(validate(beam, one) for one in seen)
+    assert learned is not None  # where only the regression is asked for, it raises
+    return learned.beam, (learned.training,)
 
 
 def compare(

@@ -161,6 +161,7 @@ class Observations:
     rest: Rest
     clock: ClockOffset | None
     clean_force: CleanForce | None
+    gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %), as declared; 0 where it was not, or without a force
     view: View | None = None  # of the beam's plane and frame
     video: Path | None = None
     remarks: tuple[Remark, ...] = ()

@@ -105,12 +105,13 @@ def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
 
 def test_robot_and_rotation_are_undone() -> None:
     log = PUSHED.log()
-    entry = ForceEntry(Path("force.csv"), rotation=math.radians(30), acts_on="robot")
+    entry = ForceEntry(Path("force.csv"), rotation=math.radians(30), acts_on="robot", gain_sd=0.03)
     axes = np.array(
         [[math.cos(entry.rotation), math.sin(entry.rotation)], [-math.sin(entry.rotation), math.cos(entry.rotation)]]
     )
     found = observed(replace(log, force=-log.force @ axes.T), recording(force=entry))
     assert found.force == pytest.approx(plain().force, abs=0.003)
+    assert (found.gain_sd, plain().gain_sd) == (0.03, 0.0)  # 0 where it is not declared
 
 
 def test_no_overlap_names_both_spans() -> None:
@@ -159,6 +160,7 @@ def test_without_a_log_the_force_is_zero_and_nothing_is_loaded() -> None:
     assert np.isnan(found.push_s).all()
     assert not found.loaded.any()
     assert found.clean_force is None
+    assert found.gain_sd == 0.0
 
 
 def test_push_place_from_the_log() -> None:

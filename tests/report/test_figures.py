@@ -11,13 +11,15 @@ from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Uniform
-from onebend.report import figures
+from onebend.beam.uncertain import UncertainStiffness
+from onebend.report import curves, figures
 from onebend.report.simulated import centreline, largest_push, spread_of_pushes
 from onebend.report.style import png_of
 from tests import made_up
 
 ONE = made_up.comparison()
 SEEN = made_up.observations(one=ONE)
+FIT = made_up.posterior()
 IMAGE = np.full((500, 640, 3), 128, dtype=np.uint8)
 
 
@@ -25,7 +27,9 @@ def every_figure() -> dict[str, Figure]:
     learned = made_up.learned(ONE)
     assert SEEN.view is not None
     return {
-        "stiffness": figures.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
+        "stiffness": curves.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
+        "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
+        "nuisances": curves.nuisances(FIT.nuisances()),
         "fit": figures.fit_over_frame(IMAGE, SEEN.view, learned.beam, ONE, SEEN),
         "shapes": figures.shapes(learned.beam, ONE, SEEN),
         "markers": figures.markers(ONE),
@@ -59,13 +63,31 @@ def test_the_same_records_give_the_same_bytes() -> None:
 
 
 def test_stiffness_curve_is_the_beams() -> None:
-    axes = figures.stiffness(made_up.BEAM).axes[0]
+    axes = curves.stiffness(made_up.BEAM).axes[0]
     s, k = np.array(axes.lines[0].get_data(), dtype=float)
     np.testing.assert_allclose(k, made_up.BEAM.stiffness(s))
 
 
+def test_band_is_drawn_where_it_is_and_grey_where_the_data_are_blind() -> None:
+    sd = np.array([0.05, 0.05, 0.05, 0.05, 0.05, 1.0])
+    knots = np.concatenate([np.zeros(4), [1 / 3, 2 / 3], np.ones(4)])
+    uncertain = UncertainStiffness(knots, np.log(np.linspace(0.02, 0.05, 6)), np.diag(sd**2))
+    figure = curves.stiffness(Beam(0.1, uncertain.profile), uncertain=uncertain)
+    above, below = figure.axes[:2]
+    s = np.linspace(0, 1, 401)
+    blue, grey = (np.array(line.get_data(), dtype=float) for line in above.lines[:2])
+    known = uncertain.band(s).identified
+    assert 0 < known.sum() < 401
+    np.testing.assert_allclose(blue[1][known], uncertain.profile(s)[known])
+    assert np.isnan(blue[1][~known]).all()
+    np.testing.assert_allclose(grey[1][~known], uncertain.profile(s)[~known])
+    widest = np.array(above.collections[0].get_paths()[0].vertices, dtype=float)
+    np.testing.assert_allclose(np.max(widest[:, 1]), np.max(uncertain.band(s).high[known]), rtol=0.1)
+    assert below.get_ylabel() == "against k [%]"
+
+
 def test_stiffness_that_is_no_beam_is_marked() -> None:
-    axes = figures.stiffness(Beam(0.1, Powers((0.1, -0.2)))).axes[0]
+    axes = curves.stiffness(Beam(0.1, Powers((0.1, -0.2)))).axes[0]
     assert axes.get_ylim()[0] < -0.1
     legend = axes.get_legend()
     assert legend is not None

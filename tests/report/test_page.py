@@ -14,6 +14,7 @@ from onebend.records import ClockOffset, Remark
 from onebend.report.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, poor_fit
 from onebend.report.page import page
+from onebend.report.sureness import tradeoff_words, unidentified_words
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
 from tests import made_up
 
@@ -48,7 +49,7 @@ def drawn() -> dict[str, bytes]:
 
 
 def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
-    expected = {"stiffness", "shapes", "markers", "residuals", "selection", "force", "validation"}
+    expected = {"stiffness", "nuisances", "shapes", "markers", "residuals", "selection", "force", "validation"}
     expected |= {f"validation-{i}-{what}" for i in (1, 2) for what in ("shapes", "residuals")}
     assert set(drawn) == expected  # and no fit: there is no video
     links = Links(page(made_up.findings(2), drawn, version="1.2.3"))
@@ -66,12 +67,18 @@ def test_nothing_is_fetched_and_every_anchor_leads_somewhere() -> None:
 def test_page_says_the_figures() -> None:
     found = made_up.findings(2)
     text = Links(page(found, {}, version="1.2.3")).text
-    k = found.learned.beam.stiffness(np.linspace(0, 1, 201))
+    fit = made_up.posterior()
+    k = fit.beam.stiffness(np.linspace(0, 1, 201))[fit.band(np.linspace(0, 1, 201)).identified]
     for words in (
         "onebend 1.2.3",
         "n = 4 curvature modes",
         f"{significant(k.min())} … {significant(k.max())} N m",
-        worst_marker(found.learned.training),
+        worst_marker(found.trainings[0]),
+        "1 % too stiff",
+        "made-up: clamp angle",
+        fit.optimum.stopped,
+        *unidentified_words(fit.stiffness),
+        *tradeoff_words(fit),
         "k(s) is not positive",
         "other-2",
         "tag 3 was hidden for 2 frames",
@@ -84,33 +91,37 @@ def test_page_says_the_figures() -> None:
 def test_names_from_files_cannot_become_markup() -> None:
     found = made_up.findings(1)
     evil = "<script>alert(1)</script>"
-    seen = replace(found.observations, name=evil, remarks=(Remark("warning", evil),))
-    html = page(replace(found, observations=seen), {}, version="1.2.3")
+    seen = replace(found.recordings[0], name=evil, remarks=(Remark("warning", evil),))
+    html = page(replace(found, recordings=(seen,)), {}, version="1.2.3")
     assert "<script" not in html
     assert "&lt;script&gt;" in html
 
 
-def test_bare_findings_make_a_page_without_empty_sections() -> None:
-    found = made_up.findings(0)
-    seen = replace(found.observations, clean_force=None, clock=None, view=None, remarks=(), rest="unknown")
-    bare = replace(found, observations=seen, learned=replace(found.learned, remarks=()), video_seconds=float("nan"))
+@pytest.mark.parametrize("fitted", [True, False])
+def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
+    found = made_up.findings(0, fitted=fitted)
+    seen = replace(found.recordings[0], clean_force=None, clock=None, view=None, remarks=(), rest="unknown")
+    bare = replace(found, recordings=(seen,), remarks=(), video_seconds=float("nan"))
+    bare = replace(bare, learned=None) if fitted else bare  # the regression found no beam
     links = Links(page(bare, draw_all(bare), version="1.2.3"))
     assert "Validation" not in links.text
+    assert ("What else was fitted" in links.text) == fitted
+    assert ("how n and m were chosen" in links.text) != fitted
+    assert ("m g" in links.text) == fitted
     assert "Nothing looked odd" in links.text
     assert "nan" not in links.text.split()
 
 
 def test_a_fit_without_its_video_is_left_out(tmp_path: Path) -> None:
     found = made_up.findings(0)
-    training, beam = found.learned.training, found.learned.beam
-    assert fit(beam, training, replace(found.observations, video=tmp_path / "gone.mp4")) is None
-    assert fit(beam, training, replace(found.observations, view=None)) is None
+    training, beam = found.trainings[0], found.beam
+    assert fit(beam, training, replace(found.recordings[0], video=tmp_path / "gone.mp4")) is None
+    assert fit(beam, training, replace(found.recordings[0], view=None)) is None
 
 
 def test_remarks_come_once_and_warnings_first() -> None:
     found = made_up.findings(1)
-    again = replace(found.learned, remarks=found.observations.remarks)
-    remarks = all_remarks(replace(found, learned=again))
+    remarks = all_remarks(replace(found, remarks=found.recordings[0].remarks))
     assert [remark.level for _, remark in remarks] == sorted((r.level for _, r in remarks), key="warning note".index)
     assert (
         len(remarks) == len({(whose, remark.text) for whose, remark in remarks}) == 5
@@ -163,5 +174,5 @@ def test_gravity_and_uncalibrated_cameras_are_said() -> None:
     seen = made_up.observations()
     assert seen.view is not None
     heavy = replace(seen, gravity=seen.gravity - 9.81, view=replace(seen.view, calibrated=False))
-    assert "weight acts in the plane" in assumptions(replace(made_up.findings(0), observations=heavy))[0]
+    assert "weight acts in the plane" in assumptions(replace(made_up.findings(0), recordings=(heavy,)))[0]
     assert any("not calibrated" in text for _, text in inputs(heavy))

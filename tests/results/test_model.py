@@ -13,10 +13,12 @@ from hypothesis import strategies as st
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
+from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import ResultsError
-from onebend.results.model import load_model, origin_of, read_model, save_model
+from onebend.results.model import load_model, load_uncertain, origin_of, read_model, save_model
 from tests import made_up
 
+ORIGIN = origin_of(made_up.learned(), None, [made_up.learned().training])
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
 POSITIVE = st.floats(min_value=1e-6, max_value=1e6)
 
@@ -45,16 +47,38 @@ def test_round_trip_is_exact(
 )
 def test_every_family_comes_back(tmp_path: Path, profile: Profile) -> None:
     beam = Beam(0.15, profile, mass_per_length=profile)
-    save_model(tmp_path / "model.json", beam, written_by="a test", origin=origin_of(made_up.learned()))
+    save_model(tmp_path / "model.json", beam, written_by="a test", origin=ORIGIN)
     stored = read_model(tmp_path)  # the folder will do
     assert stored.beam == beam
-    assert stored.origin == origin_of(made_up.learned())
+    assert stored.origin == ORIGIN
+    assert stored.uncertain is None
 
 
 def test_origin_says_what_was_not_simulated() -> None:
-    origin = origin_of(made_up.learned())
-    assert (origin.n, origin.m, origin.push_s) == (4, 3, 1.0)
-    assert origin.training_rms_m == tuple(made_up.learned().training.rms)
+    assert (ORIGIN.method, ORIGIN.n, ORIGIN.m, ORIGIN.push_s) == ("regression", 4, 3, 1.0)
+    assert ORIGIN.training_rms_m == pytest.approx(tuple(made_up.learned().training.rms))
+    trainings = [made_up.comparison("a", error_m=0.003), made_up.comparison("b", error_m=0.004)]
+    both = origin_of(None, made_up.posterior(), trainings)
+    assert (both.recording, both.method, both.n, both.m) == ("a + b", "fit", None, 8)
+    expected = np.sqrt((trainings[0].rms ** 2 + trainings[1].rms ** 2) / 2)
+    assert both.training_rms_m == pytest.approx(tuple(expected))
+
+
+def test_the_band_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
+    s = np.linspace(0.0, 1.0, 33)
+    again, before = load_uncertain(tmp_path).band(s, 0.8), fit.band(s, 0.8)
+    for name in ("k", "low", "high", "identified"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(before, name))
+    assert load_model(tmp_path) == fit.beam
+
+
+def test_a_model_of_the_first_version_still_loads(tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text(change(GOOD, version=1), encoding="utf-8")
+    assert load_model(tmp_path) == made_up.BEAM
+    with pytest.raises(ResultsError, match="has no band"):
+        load_uncertain(tmp_path)
 
 
 def test_a_beam_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
@@ -67,7 +91,8 @@ def change(data: dict[str, Any], **changes: Any) -> str:
     return json.dumps(data | changes)
 
 
-GOOD: dict[str, Any] = {"format": "onebend-model", "version": 1, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+GOOD: dict[str, Any] = {"format": "onebend-model", "version": 2, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+BAND = UncertainStiffness(np.array([0.0, 0.0, 1.0, 1.0]), np.zeros(2), np.eye(2), degree=1).as_dict()
 UNIFORM = {"kind": "uniform", "value": 0.1}
 
 
@@ -80,7 +105,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=7), "version 7, but this onebend reads version 1"),
+        (change(GOOD, version=7), "version 7, but this onebend reads versions 1 and 2"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),
@@ -92,6 +117,12 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": [1.0, 2.0]}}), "beam"),
         (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": float("nan")}}), "no finite value"),
         (change(GOOD, origin={"recording": 3}), "key 'origin"),
+        (change(GOOD, uncertain=3), "key 'uncertain'"),
+        (change(GOOD, uncertain={"knots": [0, 1]}), "key 'uncertain'"),
+        (change(GOOD, uncertain=BAND | {"covariance": [[1.0]]}), "key 'uncertain'"),
+        (change(GOOD, uncertain=BAND | {"covariance": [[-1.0, 0.0], [0.0, -1.0]]}), "key 'uncertain'"),
+        (change(GOOD, uncertain=BAND | {"gain_sd": float("nan")}), "key 'uncertain'"),
+        (change(GOOD, uncertain=BAND), "not the band of the beam's stiffness"),
     ],
 )
 def test_a_damaged_file_is_named_with_what_to_do(tmp_path: Path, text: str, words: str) -> None:

@@ -18,7 +18,7 @@ from onebend.records import Detections, Observations, Remark
 from onebend.results.kept import KeptDetections, key_of
 from onebend.results.observed import load_observations, save_observations
 from onebend.results.summary import plain, summary_of, validation_summary, write_summary
-from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
+from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from tests import made_up
 
 
@@ -28,7 +28,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_stiffness_has_201_rows_and_no_invented_band(tmp_path: Path) -> None:
-    write_stiffness(tmp_path / "k.csv", made_up.BEAM)
+    write_stiffness(tmp_path / "k.csv", made_up.BEAM, None)
     table = rows(tmp_path / "k.csv")
     assert len(table) == 201
     s = np.array([float(row["s"]) for row in table])
@@ -36,6 +36,27 @@ def test_stiffness_has_201_rows_and_no_invented_band(tmp_path: Path) -> None:
     np.testing.assert_allclose(s, np.linspace(0, 1, 201), atol=1e-12)
     np.testing.assert_allclose(k, made_up.BEAM.stiffness(s), rtol=1e-8)
     assert {(row["k_lo_N_m"], row["k_hi_N_m"], row["identified"]) for row in table} == {("nan", "nan", "unknown")}
+
+
+def test_stiffness_with_a_band_says_where_it_is_identified(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    write_stiffness(tmp_path / "k.csv", fit.beam, fit.stiffness)
+    table = rows(tmp_path / "k.csv")
+    band = fit.band(np.linspace(0, 1, 201))
+    for name, values in (("k_N_m", band.k), ("k_lo_N_m", band.low), ("k_hi_N_m", band.high)):
+        np.testing.assert_allclose([float(row[name]) for row in table], values, rtol=1e-8)
+    assert [row["identified"] for row in table] == ["yes" if known else "no" for known in band.identified]
+
+
+def test_nuisances_come_with_their_unit_and_both_sds(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    write_nuisances(tmp_path / "n.csv", fit.nuisances())
+    table = {row["name"]: row for row in rows(tmp_path / "n.csv")}
+    for one in fit.nuisances():
+        row = table[one.name]
+        assert row["unit"] == one.unit
+        found = [float(row[name]) for name in ("value", "sd", "prior_sd")]
+        np.testing.assert_allclose(found, [one.value, one.sd, one.prior_sd], rtol=1e-8)
 
 
 def test_selection_marks_the_chosen_row_and_says_why_others_are_out(tmp_path: Path) -> None:
@@ -87,7 +108,7 @@ def same(a: Any, b: Any) -> bool:
 @pytest.mark.parametrize("bare", [False, True])
 def test_observations_come_back_to_the_last_bit(tmp_path: Path, bare: bool) -> None:
     before = made_up.observations()
-    before = replace(before, force_sd=np.array([np.inf, 1 / 3]), video=tmp_path / "video.mp4")
+    before = replace(before, gain_sd=0.02, force_sd=np.array([np.inf, 1 / 3]), video=tmp_path / "video.mp4")
     if bare:
         before = replace(before, view=None, clock=None, video=None, remarks=())
     save_observations(tmp_path / "observations.parquet", before)
@@ -112,7 +133,11 @@ def test_observations_that_are_not_ours_are_named(tmp_path: Path) -> None:
         load_observations(file)
     save_observations(file, made_up.observations())
     table = pq.read_table(file)
-    rest = json.loads(table.schema.metadata[b"onebend"]) | {"version": 9}
+    rest = json.loads(table.schema.metadata[b"onebend"])
+    del rest["gain_sd"]  # as files were before there was one
+    pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
+    assert load_observations(file).gain_sd == 0.0
+    rest["version"] = 9
     pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
     with pytest.raises(ResultsError, match="version 9"):
         load_observations(file)
@@ -123,9 +148,17 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
     write_summary(tmp_path / "summary.json", summary, ["model.json"])
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert read["files"] == ["model.json", "summary.json"]
-    assert (read["chosen"]["n"], read["chosen"]["m"]) == (4, 3)
-    assert read["training"]["sensor_rms_m"] == [0.0001, 0.0004, None]
-    assert read["force"]["drift_N_s"] == [0.001, None]
+    chosen = read["regression"]["chosen"]
+    assert (chosen["n"], chosen["m"]) == (4, 3)
+    assert read["training"][0]["sensor_rms_m"] == [0.0001, 0.0004, None]
+    assert read["observed"][0]["force"]["drift_N_s"] == [0.001, None]
+    fit, band = read["fit"], made_up.posterior().band(np.linspace(0, 1, 11))
+    assert read["method"] == "fit"
+    np.testing.assert_allclose(read["stiffness"]["k_lo_N_m"], band.low)
+    assert read["stiffness"]["identified"] == band.identified.tolist()
+    assert fit["converged"] is True
+    assert {"name", "unit", "value", "sd", "prior_sd"} == set(fit["nuisances"][0])
+    assert len(fit["scales"]["films"]) == 1
     assert read["validation"][1]["recording"] == "other-2"
     assert read["remarks"][0]["level"] == "warning"
     texts = [(remark["recording"], remark["text"]) for remark in read["remarks"]]
@@ -134,10 +167,11 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
 
 def test_summary_without_force_or_clock() -> None:
     found = made_up.findings(0)
-    bare = replace(found, observations=replace(found.observations, clean_force=None, clock=None))
-    summary = summary_of(bare, written_by="a test")
-    assert summary["force"] is None
-    assert summary["clock"] is None
+    seen = replace(found.recordings[0], clean_force=None, clock=None)
+    summary = summary_of(replace(found, recordings=(seen,), posterior=None), written_by="a test")
+    assert summary["observed"][0]["force"] is None
+    assert summary["observed"][0]["clock"] is None
+    assert (summary["method"], summary["fit"]) == ("regression", None)
     assert validation_summary("m", (), written_by="a test")["validation"] == []
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.continuation import follow
-from onebend.beam.loads import Loads
+from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
 from onebend.beam.sensitivity import of_force, respond
@@ -14,7 +14,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import loads_of, push_places, usable_frames
 from onebend.learning.outcome import Comparison
-from onebend.learning.rest import AtRest, at_rest
+from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
 
 RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
@@ -31,18 +31,19 @@ def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
 def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = None) -> Comparison:
     """Measured markers against the beam's own under the measured forces, in every usable frame.
 
-    The tags' mounting errors, as seen at rest, ride on the simulated beam too: what is compared is the bending.
+    The tags' mounting errors, as seen at rest, ride on the simulated beam too: what is compared is the bending. They
+    are taken from `rest`, or else against the beam's own shape at rest.
 
     Raises:
         LearningError: no usable frame.
         MechanicsError: k(s) is not positive somewhere.
     """
-    rest = at_rest(observations) if rest is None else rest
     frames = usable_frames(observations)
     if not np.any(frames):
         raise LearningError(f"{observations.name}: no frame has a load, a force and a tag; nothing to compare")
     solved = simulate(beam, loads_of(observations, frames))
-    predicted = np.concatenate([_tags(one, observations.marker_s, rest) for one in solved])
+    offset = mounting(beam, observations) if rest is None else rest.offset
+    predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
     stable = np.concatenate([one.stable for one in solved])
     measured = observations.xy[frames]
     return Comparison(
@@ -62,11 +63,20 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     )
 
 
-def _tags(solved: Equilibrium, s: Array, rest: AtRest) -> Array:
+def mounting(beam: Beam, observations: Observations) -> Array:
+    """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen."""
+    solved = simulate(beam, push(np.zeros((1, 2))))[0]
+    alpha, away = solved.angle(observations.marker_s)[0], observations.rest_xy - solved.xy(observations.marker_s)[0]
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
+    return np.where(np.isfinite(offset).all(axis=1)[:, None], offset, 0.0)
+
+
+def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
     """(T, m, 2) where the tags of the simulated beam are. NaN where the branch of equilibria ended before the load."""
     angle = solved.angle(s)
     cos, sin = np.cos(angle), np.sin(angle)
-    dx, dy = rest.offset[:, 0], rest.offset[:, 1]
+    dx, dy = offset[:, 0], offset[:, 1]
     out = solved.xy(s) + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
     return np.asarray(np.where(solved.converged[:, None, None], out, np.nan))
 

@@ -45,7 +45,8 @@ class ForceDoubt:
 
     def covariance(self, lag: Array) -> Array:
         """N^2 of the coloured part at `lag` [s], behind the low-pass."""
-        different, back = np.unique(np.round(np.abs(lag), 9), return_inverse=True)
+        size: Array = np.round(np.abs(lag), 9).astype(np.float64)
+        different, back = np.unique(size, return_inverse=True)
         behind = filtered(different, np.inf if self.cutoff is None else self.cutoff)
         return np.asarray(behind.covariance(self.coloured, self.tau)[back].reshape(np.shape(lag)))
 
@@ -160,6 +161,11 @@ def bench_of(posterior: Posterior) -> Bench:
         shared_slope=slope,
         shared_covariance=left,
     )
+
+
+def bench_if_pushed(posterior: Posterior) -> Bench | None:
+    """`bench_of`, or None where no recording has a force log with a push."""
+    return bench_of(posterior) if any(len(f.error.knots) for f in posterior.films) else None
 
 
 def push_of(observations: Observations) -> Push:

@@ -121,6 +121,7 @@ def assemble(
         rest=rec.beam.rest,
         clock=fit.clock,
         clean_force=clean,
+        gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
         view=seen.view,
         video=rec.video.file if rec.video else None,
         remarks=(

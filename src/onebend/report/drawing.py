@@ -15,7 +15,7 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.records import Observations
-from onebend.report import figures
+from onebend.report import curves, figures
 from onebend.report.findings import Findings
 from onebend.report.simulated import largest_push
 from onebend.report.style import png_of
@@ -25,22 +25,39 @@ Draw = Callable[[], Figure | None]
 
 def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, bytes]:
     """PNGs of every figure that the findings allow, in the order of the page."""
-    learned, seen = findings.learned, findings.observations
-    beam, training = learned.beam, learned.training
-    pushed = training.push_s[np.isfinite(training.push_s)]
-    push_s = float(pushed.max()) if pushed.size else None
-    wanted: dict[str, Draw] = {
-        "stiffness": partial(figures.stiffness, beam, marker_s=training.marker_s, push_s=push_s),
+    beam, learned, posterior = findings.beam, findings.learned, findings.posterior
+    training, seen = findings.trainings[0], findings.recordings[0]
+    wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
+    if posterior is not None:
+        wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
+    wanted |= {
         "fit": partial(fit, beam, training, seen),
         "shapes": partial(figures.shapes, beam, training, seen),
         "markers": partial(figures.markers, training),
         "residuals": partial(figures.residuals, training),
-        "selection": partial(figures.selection, learned),
-        "force": partial(figures.force, seen),
     }
+    for i, (one, where) in enumerate(list(zip(findings.trainings, findings.recordings, strict=True))[1:], start=2):
+        wanted[f"learned-{i}-shapes"] = partial(figures.shapes, beam, one, where)
+        wanted[f"learned-{i}-residuals"] = partial(figures.residuals, one)
+    if learned is not None:
+        wanted["selection"] = partial(figures.selection, learned)
+    wanted["force"] = partial(figures.force, seen)
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
-    wanted |= validation_figures(beam, pairs, training)
+    wanted |= validation_figures(beam, pairs, *findings.trainings)
     return draw(wanted, progress)
+
+
+def _stiffness(findings: Findings) -> Figure:
+    """k(s) with its band, and the regression's beside it where it is not the result itself."""
+    posterior, learned = findings.posterior, findings.learned
+    pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in findings.trainings])
+    return curves.stiffness(
+        findings.beam,
+        uncertain=None if posterior is None else posterior.stiffness,
+        regression=None if posterior is None or learned is None else learned.beam.stiffness,
+        marker_s=findings.trainings[0].marker_s,
+        push_s=float(pushed.max()) if pushed.size else None,
+    )
 
 
 def validation_figures(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,39 +18,12 @@ from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.recording.lens import project
 from onebend.records import Array, Observations, View
 from onebend.report.simulated import centreline, largest_push, spread_of_pushes
-from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
+from onebend.report.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
 from onebend.report.wording import millimetres
 
 MM = 1000.0
 # What is drawn over a photo keeps a white edge, to be seen on any background.
 _EDGED: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
-
-
-@styled
-def stiffness(beam: Beam, *, marker_s: Array | Sequence[float] = (), push_s: float | None = None) -> Figure:
-    """k(s) along the beam, with the places of the tags and, hatched, what no push reached."""
-    figure, (axes,) = blank(3.1)
-    length = MM * beam.length
-    s = np.linspace(0.0, 1.0, 401)
-    k = beam.stiffness(s)
-    axes.plot(s, k, color=BLUE)
-    axes.fill_between(s, 0.0, k, color=BLUE, alpha=0.08, linewidth=0)
-    axes.set(xlim=(0, 1), xlabel="place along the beam s", ylabel="bending stiffness k = EI / L [N m]")
-    axes.set_ylim(min(0.0, 1.15 * float(k.min())), 1.15 * max(float(k.max()), 0.0) or None)
-    if k.min() <= 0.0:
-        axes.fill_between(s, 0.0, k, where=k <= 0.0, color=ORANGE, alpha=0.35, label="not positive: no beam")
-        axes.legend(loc="upper right")
-    for i, place in enumerate(marker_s):
-        axes.plot(place, 0.0, marker=shape(i), color=colour(i), markersize=7, clip_on=False, zorder=5)
-        axes.annotate(
-            f"M{i + 1}", (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=colour(i), fontsize=8.5
-        )
-    if push_s is not None and push_s < 0.999:
-        axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
-        axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
-    top = axes.secondary_xaxis("top", functions=(partial(np.multiply, length), partial(np.multiply, 1.0 / length)))
-    top.set_xlabel("distance from the clamp [mm]", color=MUTED)
-    return figure
 
 
 @styled

@@ -7,18 +7,29 @@ from typing import Protocol
 
 import numpy as np
 
+from onebend.beam.model import Beam
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.posterior import Posterior
 from onebend.records import Observations, Remark
 
 
 class Findings(Protocol):
-    """One learned recording, and the recordings it was validated on."""
+    """A beam, what it was learned from and how, and the recordings it was validated on."""
 
     @property
-    def learned(self) -> Learned: ...
+    def beam(self) -> Beam: ...
 
     @property
-    def observations(self) -> Observations: ...
+    def learned(self) -> Learned | None: ...
+
+    @property
+    def posterior(self) -> Posterior | None: ...
+
+    @property
+    def recordings(self) -> tuple[Observations, ...]: ...
+
+    @property
+    def trainings(self) -> tuple[Comparison, ...]: ...
 
     @property
     def validations(self) -> tuple[Comparison, ...]: ...
@@ -27,10 +38,18 @@ class Findings(Protocol):
     def validation_observations(self) -> tuple[Observations, ...]: ...
 
     @property
+    def remarks(self) -> tuple[Remark, ...]: ...
+
+    @property
     def stage_seconds(self) -> Mapping[str, float]: ...
 
     @property
     def video_seconds(self) -> float: ...
+
+
+def name_of(findings: Findings) -> str:
+    """The recordings that were learned from, in one line."""
+    return " + ".join(one.name for one in findings.recordings)
 
 
 POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
@@ -53,12 +72,13 @@ def poor_fit(one: Comparison) -> list[Remark]:
 def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
     """Every remark once, with the name of the recording it belongs to; warnings first."""
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
-    name = findings.observations.name
-    learned = findings.learned
-    own = [*learned.remarks, *pair_remarks(learned.training, findings.observations)]
-    others = zip(findings.validation_observations, findings.validations, strict=True)
-    groups = [(name, own)]
-    groups += [(comparison.name, pair_remarks(comparison, seen)) for seen, comparison in others]
+    groups = [(name_of(findings), list(findings.remarks))]
+    every = zip(
+        (*findings.recordings, *findings.validation_observations),
+        (*findings.trainings, *findings.validations),
+        strict=True,
+    )
+    groups += [(comparison.name, pair_remarks(comparison, seen)) for seen, comparison in every]
     for whose, remarks in groups:
         for remark in remarks:
             found.setdefault((whose, remark.text), (whose, remark))

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from onebend.learning.outcome import Comparison, Trial
+from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.posterior import Posterior
+from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
-from onebend.report.findings import Findings, all_remarks
+from onebend.report.cards import cards
+from onebend.report.findings import Findings, all_remarks, name_of
+from onebend.report.sureness import gain_words, nuisance_rows, stop_words, tradeoff_words, unidentified_words
 from onebend.report.wording import (
     assumptions,
-    cards,
     files_described,
     inputs,
     millimetres,
@@ -38,24 +41,29 @@ def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> s
 
 
 def _content(findings: Findings) -> dict[str, Any]:
-    learned, seen = findings.learned, findings.observations
+    learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)]
+    pairs = list(zip(findings.trainings, findings.recordings, strict=True))
     return {
-        "name": seen.name,
-        "length": f"{1000 * seen.length:.4g} mm",
-        "frames": _frames(seen),
-        "method": METHODS.get(learned.method, learned.method),
-        "family": FAMILIES.get(learned.family, learned.family),
-        "chosen": learned.trials[learned.chosen],
+        "name": name_of(findings),
+        "several": len(findings.recordings) > 1,
+        "length": f"{1000 * first.length:.4g} mm",
+        "frames": ", ".join(_frames(one) for one in findings.recordings),
+        "method": "" if learned is None else METHODS.get(learned.method, learned.method),
+        "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
+        "chosen": None if learned is None else learned.trials[learned.chosen],
         "cards": cards(findings),
         "warnings": [row for row in remarks if row["level"] == "warning"],
         "remarks": remarks,
+        "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
         "k_rows": _stiffness_rows(findings),
-        "tags": [f"M{i + 1}" for i in range(len(seen.tag_id))],
-        "trials": [_trial_row(trial, i == learned.chosen) for i, trial in enumerate(learned.trials)],
-        "validations": [_validation_row(one) for one in findings.validations],
-        "validation_figures": _validation_captions(findings),
-        "inputs": inputs(seen),
+        "tags": [f"M{i + 1}" for i in range(len(first.tag_id))],
+        "trainings": [_comparison_row(one) for one, _ in pairs],
+        "learned_figures": _captions("learned", [one for one, _ in pairs])[2:],
+        "trials": [] if learned is None else _trials(learned),
+        "validations": [_comparison_row(one) for one in findings.validations],
+        "validation_figures": _captions("validation", findings.validations),
+        "inputs": [(one.name, inputs(one)) for one in findings.recordings],
         "assumptions": assumptions(findings),
         "files": files_described(findings),
         "stages": _stage_rows(findings),
@@ -67,13 +75,39 @@ def _frames(seen: Observations) -> str:
     return f"{int(seen.loaded.sum())} loaded frames out of {len(seen.time)}"
 
 
-def _stiffness_rows(findings: Findings) -> list[dict[str, str]]:
-    beam = findings.learned.beam
+def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
+    """What the page says of the fit."""
+    forced = any(one.clean_force is not None for one in recordings)
+    rms = zip(recordings, fitted_rms(posterior), strict=True)
+    return {
+        "blind": unidentified_words(posterior.stiffness, len(recordings)),
+        "gain": gain_words(posterior.gain_sd, forced=forced),
+        "stopped": stop_words(posterior),
+        "nuisances": nuisance_rows(posterior.nuisances()),
+        "tradeoffs": tradeoff_words(posterior),
+        "fitted": [{"name": one.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
+    }
+
+
+def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
+    beam, posterior = findings.beam, findings.posterior
     s = np.linspace(0.0, 1.0, 11)
-    return [
-        {"s": f"{place:.1f}", "k": significant(k), "ei": significant(1e6 * k * beam.length)}
+    rows: list[dict[str, Any]] = [
+        {"s": f"{place:.1f}", "k": significant(k), "ei": significant(1e6 * k * beam.length), "known": True}
         for place, k in zip(s, beam.stiffness(s), strict=True)
     ]
+    if posterior is not None:
+        band = posterior.band(s)
+        for row, low, high, known in zip(rows, band.low, band.high, band.identified, strict=True):
+            row |= {"low": significant(low), "high": significant(high), "known": bool(known)}
+    if posterior is not None and findings.learned is not None:
+        for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
+            row["regression"] = significant(k)
+    return rows
+
+
+def _trials(learned: Learned) -> list[dict[str, Any]]:
+    return [_trial_row(trial, i == learned.chosen) for i, trial in enumerate(learned.trials)]
 
 
 def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
@@ -89,17 +123,17 @@ def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
     }
 
 
-def _validation_row(one: Comparison) -> dict[str, Any]:
+def _comparison_row(one: Comparison) -> dict[str, Any]:
     pairs = zip(one.rms, one.sensor_rms, strict=True)
     cells = [{"rms": millimetres(rms), "sensor": millimetres(sensor)} for rms, sensor in pairs]
     return {"name": one.name, "frames": len(one.frame), "cells": cells}
 
 
-def _validation_captions(findings: Findings) -> list[tuple[str, str]]:
+def _captions(kind: str, comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
     captions = []
-    for i, one in enumerate(findings.validations, start=1):
-        captions.append((f"validation-{i}-shapes", f"{one.name}: simulated beam and measured markers."))
-        captions.append((f"validation-{i}-residuals", f"{one.name}: distance between measured and simulated markers."))
+    for i, one in enumerate(comparisons, start=1):
+        captions.append((f"{kind}-{i}-shapes", f"{one.name}: simulated beam and measured markers."))
+        captions.append((f"{kind}-{i}-residuals", f"{one.name}: distance between measured and simulated markers."))
     return captions
 
 

@@ -16,7 +16,8 @@ NOT_WORTH_A_ROW = 0.005  # s
 
 FILES = {
     "model.json": "the learned beam; load_model reads it",
-    "stiffness.csv": "k(s) at 201 places",
+    "stiffness.csv": "k(s) at 201 places, with its 95 % band",
+    "nuisances.csv": "what else was fitted, before and after the data",
     "selection.csv": "the (n, m) table",
     "markers.csv": "measured and simulated markers, every frame and recording",
     "validation.csv": "Tables IV to VI",
@@ -51,34 +52,6 @@ def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
     """The stages that took any time worth a row, and their sum."""
     rows = [(name, value) for name, value in seconds.items() if value >= NOT_WORTH_A_ROW]
     return [*rows, ("together", sum(seconds.values()))]
-
-
-def cards(findings: Findings) -> list[dict[str, str]]:
-    """The headline figures."""
-    learned, seen = findings.learned, findings.observations
-    k = learned.beam.stiffness(np.linspace(0.0, 1.0, 201))
-    found = [
-        {
-            "what": "bending stiffness k(s)",
-            "value": f"{significant(k.min())} … {significant(k.max())} N m",
-            "note": f"EI {significant(1e6 * seen.length * k.min())} … {significant(1e6 * seen.length * k.max())} N mm²",
-        },
-        {
-            "what": "fit, worst marker",
-            "value": worst_marker(learned.training),
-            "note": f"RMS over {len(learned.training.frame)} frames it was learned from",
-        },
-    ]
-    if findings.validations:
-        worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
-        note = f"RMS, worst of {len(findings.validations)} other recordings ({worst.name})"
-        found.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
-    if seen.clean_force is not None:
-        size = np.linalg.norm(seen.force[seen.loaded], axis=1)
-        noise = 1000.0 * float(np.max(seen.clean_force.noise_sd))
-        note = f"noise left in it: {significant(noise, 2)} mN (sd)"
-        found.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
-    return found
 
 
 def worst_marker(one: Comparison) -> str:
@@ -130,7 +103,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
 
 def assumptions(findings: Findings) -> list[str]:
     """What the result rests on, in plain words."""
-    seen = findings.observations
+    seen = findings.recordings[0]
     rest = "straight when nothing pushes it" if seen.rest == "straight" else "of unknown shape at rest"
     weight = "its weight acts in the plane of bending and is simulated" if np.any(seen.gravity != 0.0) else (
         "gravity acts across the plane of bending, so its weight does not bend it"
@@ -140,11 +113,16 @@ def assumptions(findings: Findings) -> list[str]:
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
         f"Each tag sits at its written s to {millimetres(seen.placement_sd)} mm (sd).",
-        "What the force sensor reads at rest is taken off; an error that it has only under load is not seen, and "
-        "goes into k.",
+        "What the force sensor reads at rest is taken off; a scale error, which it has only under load, is not seen, "
+        "and goes into k.",
     ]
 
 
 def files_described(findings: Findings) -> list[tuple[str, str]]:
     """Every file of a results folder with what it is."""
-    return [(name, what) for name, what in FILES.items() if name != "validation.csv" or findings.validations]
+    absent = {
+        "validation.csv": not findings.validations,
+        "nuisances.csv": findings.posterior is None,
+        "selection.csv": findings.learned is None,
+    }
+    return [(name, what) for name, what in FILES.items() if not absent.get(name, False)]

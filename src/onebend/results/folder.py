@@ -17,7 +17,15 @@ from onebend.errors import ResultsError
 
 SUMMARY = "summary.json"
 COMPLETE = "results"  # in the workplace: new results, all written, not yet in place
-FIXED_NAMES = ("model.json", "stiffness.csv", "selection.csv", "markers.csv", "validation.csv", "report.html")
+FIXED_NAMES = (
+    "model.json",
+    "stiffness.csv",
+    "nuisances.csv",
+    "selection.csv",
+    "markers.csv",
+    "validation.csv",
+    "report.html",
+)
 
 
 @dataclass(frozen=True)

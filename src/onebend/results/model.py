@@ -1,8 +1,9 @@
-"""`model.json`: the learned beam, with all that is needed to simulate it, and where it comes from."""
+"""`model.json`: the learned beam, all that is needed to simulate it, how sure its k(s) is, and where it comes from."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,14 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.learning.outcome import Learned
+from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.posterior import Posterior
 from onebend.learning.workbench import Bench
+from onebend.records import Array
 
 FORMAT = "onebend-model"
-VERSION = 1
+VERSION = 2
+READABLE = (1, 2)  # 1 had no `uncertain`
 FILE_NAME = "model.json"
 KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench"}
 
@@ -26,10 +30,10 @@ KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench
 class Origin:
     """How a model came about. Informative: nothing is computed from it."""
 
-    recording: str
+    recording: str  # several: with " + " between them
     method: str
     family: str
-    n: int  # curvature modes
+    n: int | None  # curvature modes; None where none were used
     m: int  # stiffness functions
     marker_s: tuple[float, ...]  # places of the tags
     push_s: float | None  # furthest place pushed; what lies beyond was not loaded
@@ -42,24 +46,34 @@ class StoredModel:
 
     beam: Beam
     origin: Origin | None
-    uncertain: UncertainStiffness | None = None  # k(s) with its band; None after a regression
+    uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
     bench: Bench | None = None  # what the recordings were made with, where the band is known
 
 
-def origin_of(learned: Learned) -> Origin:
-    """The provenance written beside a learned beam."""
-    trial, training = learned.trials[learned.chosen], learned.training
-    pushed = training.push_s[np.isfinite(training.push_s)]
+def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
+    """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
+    pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in trainings])
+    squared, count = _squares(trainings)
+    rms = np.sqrt(np.divide(squared, count, out=np.full(len(count), np.nan), where=count > 0))
+    if posterior is not None:
+        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, len(posterior.stiffness.mean))
+    else:
+        assert learned is not None
+        trial = learned.trials[learned.chosen]
+        made = (learned.method, learned.family, trial.n, trial.m)
     return Origin(
-        recording=training.name,
-        method=learned.method,
-        family=learned.family,
-        n=trial.n,
-        m=trial.m,
-        marker_s=tuple(float(s) for s in training.marker_s),
+        " + ".join(one.name for one in trainings),
+        *made,
+        marker_s=tuple(float(s) for s in trainings[0].marker_s),
         push_s=float(pushed.max()) if pushed.size else None,
-        training_rms_m=tuple(float(r) if np.isfinite(r) else None for r in training.rms),
+        training_rms_m=tuple(float(r) if np.isfinite(r) else None for r in rms),
     )
+
+
+def _squares(trainings: Sequence[Comparison]) -> tuple[Array, Array]:
+    """Sum and count of the squared distances, per tag."""
+    squared = np.concatenate([np.sum((one.measured - one.predicted) ** 2, axis=-1) for one in trainings])
+    return np.nansum(squared, axis=0), np.sum(np.isfinite(squared), axis=0)
 
 
 def save_model(
@@ -71,12 +85,15 @@ def save_model(
     uncertain: UncertainStiffness | None = None,
     bench: Bench | None = None,
 ) -> None:
-    """Write `beam` to `path`, so that `load_model` gives back an equal one."""
+    """Write `beam` to `path`, so that `load_model` gives back an equal one.
+
+    `uncertain`: its k(s) with the band; `bench`: what the recordings were made with.
+    """
     data = {"format": FORMAT, "version": VERSION, "written_by": written_by, "beam": beam.as_dict()}
-    if origin is not None:
-        data["origin"] = asdict(origin)
     if uncertain is not None:
         data["uncertain"] = uncertain.as_dict()
+    if origin is not None:
+        data["origin"] = asdict(origin)
     if bench is not None:
         data["bench"] = bench.as_dict()
     try:
@@ -93,8 +110,22 @@ def load_model(path: Path | str) -> Beam:
     return read_model(path).beam
 
 
+def load_uncertain(path: Path | str) -> UncertainStiffness:
+    """k(s) with its band from `path`, a `model.json` or the results folder that holds one.
+
+    Raises `ResultsError` as `load_model` does, and where the model was learned without a band.
+    """
+    stored = read_model(path)
+    if stored.uncertain is None:
+        raise ResultsError(
+            f"{path}: this model has no band: it was learned by the regression alone, or by an earlier onebend. "
+            "Learn it again with `onebend learn`"
+        )
+    return stored.uncertain
+
+
 def read_model(path: Path | str) -> StoredModel:
-    """As `load_model`, with the model's origin."""
+    """As `load_model`, with the band and the model's origin."""
     file = Path(path)
     if file.is_dir():
         file = file / FILE_NAME
@@ -103,14 +134,16 @@ def read_model(path: Path | str) -> StoredModel:
     unknown = sorted(set(data) - KEYS)
     if unknown:
         raise ResultsError(f"{file}: key '{unknown[0]}' is not known. {_ADVICE}")
+    beam = _beam(file, data.get("beam"))
     return StoredModel(
-        beam=_beam(file, data.get("beam")),
+        beam=beam,
         origin=_origin(file, data.get("origin")),
-        uncertain=_uncertain(file, data.get("uncertain")),
+        uncertain=_uncertain(file, data.get("uncertain"), beam),
         bench=_bench(file, data.get("bench")),
     )
 
 
+_VERSIONS = " and ".join(map(str, READABLE))
 _ADVICE = "The file is damaged or was edited; restore it, or learn the beam again with `onebend learn`"
 
 
@@ -139,9 +172,9 @@ def _json_object(file: Path) -> dict[str, Any]:
 def _check_kind(file: Path, data: dict[str, Any]) -> None:
     if data.get("format") != FORMAT:
         raise ResultsError(f"{file}: not a onebend model (key 'format' is {data.get('format')!r}, not {FORMAT!r})")
-    if data.get("version") != VERSION:
+    if data.get("version") not in READABLE:
         raise ResultsError(
-            f"{file}: model version {data.get('version')!r}, but this onebend reads version {VERSION}. "
+            f"{file}: model version {data.get('version')!r}, but this onebend reads versions {_VERSIONS}. "
             "Use the onebend that wrote it, or learn the beam again with this one"
         )
 
@@ -153,15 +186,6 @@ def _origin(file: Path, data: Any) -> Origin | None:
         raise ResultsError(f"{file}: key 'origin' is not as onebend writes it. {_ADVICE}")
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
     return Origin(**values)
-
-
-def _uncertain(file: Path, data: Any) -> UncertainStiffness | None:
-    if data is None:
-        return None
-    try:
-        return UncertainStiffness.from_dict(data)
-    except (MechanicsError, KeyError, TypeError, ValueError) as error:
-        raise ResultsError(f"{file}: key 'uncertain' is not as onebend writes it ({error}). {_ADVICE}") from error
 
 
 def _bench(file: Path, data: Any) -> Bench | None:
@@ -185,6 +209,23 @@ def _beam(file: Path, data: Any) -> Beam:
     except (MechanicsError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise ResultsError(f"{file}: describes no beam ({error}). {_ADVICE}") from error
     return beam
+
+
+def _uncertain(file: Path, data: Any, beam: Beam) -> UncertainStiffness | None:
+    if data is None:
+        return None
+    s = np.linspace(0.0, 1.0, 21)
+    try:
+        found = UncertainStiffness.from_dict(data)
+        spread = np.linalg.eigvalsh(found.covariance)
+        if spread[0] < -1e-9 * spread[-1] or not np.allclose(found.covariance, found.covariance.T):
+            raise MechanicsError("its covariance is none")
+        fits = np.allclose(found.band(s).k, beam.stiffness(s), rtol=1e-9)
+    except (MechanicsError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise ResultsError(f"{file}: key 'uncertain' describes no stiffness ({error!r}). {_ADVICE}") from error
+    if not fits:
+        raise ResultsError(f"{file}: key 'uncertain' is not the band of the beam's stiffness. {_ADVICE}")
+    return found
 
 
 def _check_profile(where: str, profile: Profile) -> None:

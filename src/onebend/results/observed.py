@@ -22,7 +22,7 @@ FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
 _VERSION = 1
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
-_SCALARS = ("name", "length", "mass", "placement_sd", "rest")
+_SCALARS = ("name", "length", "mass", "placement_sd", "rest", "gain_sd")
 
 
 def save_observations(path: Path, observations: Observations) -> None:
@@ -60,7 +60,7 @@ def load_observations(path: Path | str) -> Observations:
         raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
     try:
         table = pq.read_table(file)
-        rest = json.loads(table.schema.metadata[_KEY])
+        rest = {"gain_sd": 0.0} | json.loads(table.schema.metadata[_KEY])  # earlier files lack it
         if rest["version"] != _VERSION:
             raise ResultsError(f"{file}: version {rest['version']!r}, but this onebend reads version {_VERSION}")
         return _observations(table, rest)

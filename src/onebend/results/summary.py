@@ -11,9 +11,14 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.posterior import Posterior
+from onebend.learning.tradeoffs import tradeoffs, with_level
+from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.findings import Findings, all_remarks, pair_remarks
+from onebend.report.sureness import identified_ranges
 from onebend.results.model import StoredModel
 
 LEARN_FORMAT = "onebend-learn-1"
@@ -23,22 +28,19 @@ PLAN_FORMAT = "onebend-plan-1"
 
 def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
     """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
-    learned, observed = findings.learned, findings.observations
+    learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
     return {
         "format": LEARN_FORMAT,
         "written_by": written_by,
-        "recording": observed.name,
-        "length_m": observed.length,
-        "method": learned.method,
-        "family": learned.family,
-        "chosen": _trial(learned, learned.chosen),
-        "trials": len(learned.trials),
-        "stiffness": _stiffness(learned.beam),
-        "training": comparison_summary(learned.training),
+        "recordings": [one.name for one in findings.recordings],
+        "length_m": first.length,
+        "method": "fit" if posterior is not None or learned is None else learned.method,
+        "stiffness": _stiffness(findings.beam, None if posterior is None else posterior.stiffness),
+        "fit": None if posterior is None else _fit(posterior),
+        "regression": None if learned is None else _regression(learned),
+        "training": [comparison_summary(one) for one in findings.trainings],
         "validation": [comparison_summary(one) for one in findings.validations],
-        "frames": {"all": len(observed.time), "loaded": int(observed.loaded.sum())},
-        "force": _force(observed),
-        "clock": _clock(observed),
+        "observed": [_observed(one) for one in findings.recordings],
         "remarks": [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)],
         "stage_seconds": dict(findings.stage_seconds),
         "video_seconds": findings.video_seconds,
@@ -59,7 +61,7 @@ def validation_summary(
 def model_summary(stored: StoredModel) -> dict[str, Any]:
     """What `onebend show --json` prints."""
     origin = None if stored.origin is None else asdict(stored.origin)
-    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": _stiffness(stored.beam)}
+    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": _stiffness(stored.beam, stored.uncertain)}
 
 
 def comparison_summary(one: Comparison) -> dict[str, Any]:
@@ -99,6 +101,46 @@ def to_json(data: Any) -> str:
     return json.dumps(plain(data), indent=2, allow_nan=False, ensure_ascii=False)
 
 
+def _fit(posterior: Posterior) -> dict[str, Any]:
+    """The marker-space fit: nuisances, what trades off, scales, why it stopped."""
+    optimum, uncertain = posterior.optimum, posterior.stiffness
+    return {
+        "identified": identified_ranges(uncertain),
+        "gain_sd": uncertain.gain_sd,
+        "nuisances": [asdict(one) for one in posterior.nuisances()],
+        "tradeoffs": [asdict(one) for one in tradeoffs(posterior)],
+        "tradeoffs_with_level": [asdict(one) for one in with_level(posterior)],
+        "scales": asdict(optimum.scales),
+        "fitted_rms_m": list(fitted_rms(posterior)),
+        "log_evidence": optimum.log_evidence,
+        "steps": optimum.steps,
+        "converged": optimum.converged,
+        "stopped": optimum.stopped,
+    }
+
+
+def _regression(learned: Learned) -> dict[str, Any]:
+    """The paper's result on the first recording."""
+    return {
+        "method": learned.method,
+        "family": learned.family,
+        "chosen": _trial(learned, learned.chosen),
+        "trials": len(learned.trials),
+        "stiffness": _stiffness(learned.beam, None),
+        "training": comparison_summary(learned.training),
+    }
+
+
+def _observed(seen: Observations) -> dict[str, Any]:
+    """What one recording said."""
+    return {
+        "recording": seen.name,
+        "frames": {"all": len(seen.time), "loaded": int(seen.loaded.sum())},
+        "force": _force(seen),
+        "clock": _clock(seen),
+    }
+
+
 def _trial(learned: Learned, index: int) -> dict[str, Any]:
     trial = learned.trials[index]
     return {
@@ -113,9 +155,14 @@ def _trial(learned: Learned, index: int) -> dict[str, Any]:
     }
 
 
-def _stiffness(beam: Beam) -> dict[str, Any]:
+def _stiffness(beam: Beam, uncertain: UncertainStiffness | None) -> dict[str, Any]:
+    """k at eleven places; with its 95 % band where one was learned."""
     s = np.linspace(0.0, 1.0, 11)
-    return {"s": s.round(3), "k_N_m": beam.stiffness(s)}
+    found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
+    if uncertain is not None:
+        band = uncertain.band(s)
+        found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
+    return found
 
 
 def _force(observed: Observations) -> dict[str, Any] | None:

@@ -13,22 +13,34 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.posterior import Nuisance
 
 PLACES = 201  # rows of stiffness.csv: s = 0, 0.005, ..., 1
 
 
-def write_stiffness(path: Path, beam: Beam) -> None:
-    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`.
+def write_stiffness(path: Path, beam: Beam, uncertain: UncertainStiffness | None) -> None:
+    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`: k(s), its 95 % band, and `yes` or `no`.
 
-    A regression gives neither a band nor a word on where the data are blind: `k_lo_N_m` and `k_hi_N_m` are `nan` and
-    `identified` is `unknown` in every row. (Not "no": that would be a finding.)
+    A regression (`uncertain` None) gives neither a band nor a word on where the data are blind: `k_lo_N_m` and
+    `k_hi_N_m` are `nan` and `identified` is `unknown` in every row. (Not "no": that would be a finding.)
     """
     s = np.linspace(0.0, 1.0, PLACES)
-    rows = (
-        [f"{place:.3f}", _number(k), "nan", "nan", "unknown"] for place, k in zip(s, beam.stiffness(s), strict=True)
-    )
+    low = high = np.full(PLACES, np.nan)
+    said = ["unknown"] * PLACES
+    if uncertain is not None:
+        band = uncertain.band(s)
+        low, high, said = band.low, band.high, ["yes" if known else "no" for known in band.identified]
+    columns = zip(s, beam.stiffness(s), low, high, said, strict=True)
+    rows = ([f"{place:.3f}", *map(_number, values), word] for place, *values, word in columns)
     _write(path, ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], rows)
+
+
+def write_nuisances(path: Path, nuisances: Sequence[Nuisance]) -> None:
+    """One row a parameter of the fit that is not k(s): its value, and one sd before and after the data, in `unit`."""
+    rows = ([n.name, n.unit, _number(n.value), _number(n.sd), _number(n.prior_sd)] for n in nuisances)
+    _write(path, ["name", "unit", "value", "sd", "prior_sd"], rows)
 
 
 def write_selection(path: Path, learned: Learned) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from onebend.learning.outcome import Comparison
+from onebend.learning.workbench import bench_if_pushed
 from onebend.records import Observations
 from onebend.report.findings import Findings
 from onebend.report.page import page
@@ -14,7 +15,13 @@ from onebend.results.folder import files_in
 from onebend.results.model import FILE_NAME, origin_of, save_model
 from onebend.results.observed import save_observations
 from onebend.results.summary import write_summary
-from onebend.results.tables import write_markers, write_selection, write_stiffness, write_validation
+from onebend.results.tables import (
+    write_markers,
+    write_nuisances,
+    write_selection,
+    write_stiffness,
+    write_validation,
+)
 
 
 def learned_writer(
@@ -23,14 +30,22 @@ def learned_writer(
     """What `publish` needs to fill a folder with the results of learning."""
 
     def write(folder: Path) -> None:
-        learned, comparisons = findings.learned, (findings.learned.training, *findings.validations)
-        save_model(folder / FILE_NAME, learned.beam, written_by=f"onebend {version}", origin=origin_of(learned))
-        write_stiffness(folder / "stiffness.csv", learned.beam)
-        write_selection(folder / "selection.csv", learned)
-        write_markers(folder / "markers.csv", comparisons)
+        learned, posterior = findings.learned, findings.posterior
+        uncertain = None if posterior is None else posterior.stiffness
+        origin = origin_of(learned, posterior, findings.trainings)
+        bench = None if posterior is None else bench_if_pushed(posterior)
+        by = f"onebend {version}"
+        save_model(folder / FILE_NAME, findings.beam, written_by=by, origin=origin, uncertain=uncertain, bench=bench)
+        write_stiffness(folder / "stiffness.csv", findings.beam, uncertain)
+        if learned is not None:
+            write_selection(folder / "selection.csv", learned)
+        if posterior is not None:
+            write_nuisances(folder / "nuisances.csv", posterior.nuisances())
+        write_markers(folder / "markers.csv", (*findings.trainings, *findings.validations))
         if findings.validations:
             write_validation(folder / "validation.csv", findings.validations)
-        save_observations(folder / "observations.parquet", findings.observations)
+        for i, seen in enumerate(findings.recordings, start=1):
+            save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", seen)
         (folder / "report.html").write_text(page(findings, figures, version=version), encoding="utf-8")
         _write_figures(folder, figures)
         write_summary(folder / "summary.json", summary, files_in(folder))

@@ -1,0 +1,98 @@
+"""What the data cannot tell apart: the largest correlations of the posterior.
+
+Two quantities that are strongly correlated trade off: the data fix a combination of them, and what one is depends on
+the prior of the other. The quantities are the nuisances, the mean error of each force log and axis, and the mean level
+of log k over the places where k(s) is identified.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.learning.parameters import Block
+from onebend.learning.posterior import Posterior
+from onebend.records import Array
+
+LEVEL = "level of k(s)"
+_PLACES = 201
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Two quantities that the data hardly tell apart."""
+
+    first: str
+    second: str
+    correlation: float  # of the posterior, in [-1, 1]
+
+
+def tradeoffs(posterior: Posterior, *, most: int = 5, least: float = 0.5) -> tuple[Tradeoff, ...]:
+    """The strongest pairs, strongest first: at most `most`, none weaker than `least`.
+
+    Every quantity is named once, with what it trades off against most.
+    """
+    names, correlation = correlations(posterior)
+    first, second = np.triu_indices(len(names), k=1)
+    strength = np.abs(correlation[first, second])
+    found: list[Tradeoff] = []
+    named: set[int] = set()
+    for i in np.argsort(-strength, kind="stable"):
+        if strength[i] < least or len(found) == most:
+            break
+        if not named & {int(first[i]), int(second[i])}:
+            found.append(Tradeoff(names[first[i]], names[second[i]], float(correlation[first[i], second[i]])))
+            named |= {int(first[i]), int(second[i])}
+    return tuple(found)
+
+
+def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tuple[Tradeoff, ...]:
+    """What the level of k(s) itself trades off against, strongest first."""
+    names, correlation = correlations(posterior)
+    order = [i for i in np.argsort(-np.abs(correlation[0, 1:])) + 1 if abs(correlation[0, i]) >= least][:most]
+    return tuple(Tradeoff(LEVEL, names[i], float(correlation[0, i])) for i in order)
+
+
+def correlations(posterior: Posterior) -> tuple[list[str], Array]:
+    """Names (N,) and correlations (N, N) of the quantities; the level of k(s) comes first."""
+    names, rows = [LEVEL], [_level(posterior)]
+    for block in posterior.at.blocks:
+        if block.start < 0 or block.name == "stiffness":
+            continue
+        if block.name == "force":
+            labels, weights = _mean_error(block)
+        else:
+            labels, weights = list(block.labels), np.eye(len(block.labels))
+        names += labels
+        rows += list(_wide(weights, block, posterior.at.size))
+    functionals = np.stack(rows)
+    covariance = functionals @ posterior.covariance @ functionals.T
+    sd = np.sqrt(np.diag(covariance))
+    return names, np.asarray(covariance / np.outer(sd, sd))
+
+
+def _level(posterior: Posterior) -> Array:
+    """(P,) weights of the mean of log k, over the identified places if there are any."""
+    s = np.linspace(0.0, 1.0, _PLACES)
+    identified = posterior.band(s).identified
+    basis = posterior.stiffness.basis(s[identified] if np.any(identified) else s)
+    out = np.zeros(posterior.at.size)
+    out[posterior.at.index["stiffness", -1].where] = np.mean(basis, axis=0)
+    return out
+
+
+def _mean_error(block: Block) -> tuple[list[str], Array]:
+    """The mean over time of a force log's error, per axis; its knots come as x, y, x, y, ..."""
+    knots = len(block.labels) // 2
+    weights = np.zeros((2, len(block.labels)))
+    weights[0, 0::2], weights[1, 1::2] = 1.0 / knots, 1.0 / knots
+    whose = block.labels[0].rpartition(": ")[0]
+    return [f"{whose}: mean force error {axis}" for axis in "xy"], weights
+
+
+def _wide(weights: Array, block: Block, size: int) -> Array:
+    """Weights of a block's parameters among all."""
+    out = np.zeros((len(weights), size))
+    out[:, block.where] = weights
+    return out

@@ -1,0 +1,101 @@
+"""What a person should know of a marker-space fit: how near it comes to the tags, and what is odd about it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.learning.parameters import Priors
+from onebend.learning.posterior import Posterior
+from onebend.records import Array, Remark
+
+_FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
+_MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
+_LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
+
+
+def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
+    """(m,) m of each recording: distance of the tags from the fit, its nuisances (force error, ...) applied.
+
+    NaN for a tag that was never seen. Unlike the RMS of a `Comparison`, errors of the force log are taken off here.
+    """
+    out = []
+    for seen, fitted in zip(posterior.films, posterior.optimum.predictions, strict=True):
+        squared = np.sum((seen.measured - fitted.pose)[..., :2] ** 2, axis=-1)
+        count = np.sum(np.isfinite(squared), axis=0)
+        total = np.nansum(squared, axis=0)
+        out.append(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+    return tuple(out)
+
+
+def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
+    """Name and reason of each recording that the fit cannot explain, its nuisances applied; empty as a rule."""
+    out = []
+    for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
+        xy = seen.measured[..., :2]
+        motion = np.linalg.norm(np.fmax.reduce(xy) - np.fmin.reduce(xy), axis=-1)
+        worst = int(np.argmax(np.nan_to_num(rms / motion)))
+        if rms[worst] > _MISS * motion[worst]:
+            text = (
+                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.1f} mm RMS where it "
+                f"moves by {1000 * motion[worst]:.0f} mm"
+            )
+            out.append((seen.observations.name, text))
+    return tuple(out)
+
+
+def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
+    """Warnings and notes on the fit itself."""
+    wrong = [
+        Remark("warning", f"{_whose(posterior, name)}{text}: k(s) and its band are not to be relied on")
+        for name, text in missed(posterior)
+    ]
+    return (*wrong, *_search(posterior), *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+
+
+def _search(posterior: Posterior) -> list[Remark]:
+    if posterior.optimum.converged:
+        return []
+    text = f"the fit did not converge ({posterior.optimum.stopped}): k(s) and its band are not to be relied on"
+    return [Remark("warning", text)]
+
+
+def _clamp(posterior: Posterior) -> list[Remark]:
+    usual = Priors().clamp
+    sd = max((float(b.prior_sd[0]) for b in posterior.at.blocks if b.name == "clamp"), default=usual)
+    if sd <= 1.001 * usual:
+        return []
+    text = (
+        f"the clamp's direction was left free to {np.rad2deg(sd):.2g} deg (sd; usual: {np.rad2deg(usual):.2g} deg). A "
+        "turned clamp looks like a softer beam near it, so this can cost what the data say of k there; see the band"
+    )
+    return [Remark("warning", text)]
+
+
+def _nuisances(posterior: Posterior) -> list[Remark]:
+    far = [n for n in posterior.nuisances() if abs(n.value) > _FAR * n.prior_sd]
+    return [
+        Remark(
+            "warning",
+            f"{n.name} came out {abs(n.value) / n.prior_sd:.1f} times as far off as recording.toml and the priors "
+            "allow (one sd): something is not as it is written there",
+        )
+        for n in far
+    ]
+
+
+def _noise(posterior: Posterior) -> list[Remark]:
+    out = []
+    for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
+        if noise.marker > _LOUD:
+            whose = _whose(posterior, seen.observations.name)
+            text = (
+                f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
+                f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
+            )
+            out.append(Remark("note", text))
+    return out
+
+
+def _whose(posterior: Posterior, name: str) -> str:
+    """The recording that a remark is on, where there are several."""
+    return f"{name}: " if len(posterior.films) > 1 else ""

@@ -1,0 +1,63 @@
+"""The headline figures of a report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.beam.uncertain import UncertainStiffness
+from onebend.learning.verdict import fitted_rms
+from onebend.report.findings import Findings
+from onebend.report.sureness import identified_ranges
+from onebend.report.wording import millimetres, significant, worst_marker
+
+
+def cards(findings: Findings) -> list[dict[str, str]]:
+    """What it is, its value, and a note, one a card."""
+    seen, training = findings.recordings[0], findings.trainings[0]
+    found = [_stiffness_card(findings)]
+    if findings.posterior is not None:
+        found.append(sureness_card(findings.posterior.stiffness))
+    note = f"RMS over {len(training.frame)} frames it was learned from, under the force as logged"
+    if findings.posterior is not None:
+        fitted = max(float(np.nanmax(one)) for one in fitted_rms(findings.posterior))
+        note += f"; {millimetres(fitted)} mm with the force's fitted error taken off"
+    found.append({"what": "learned recording, worst marker", "value": worst_marker(training), "note": note})
+    if findings.validations:
+        worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
+        note = f"RMS, worst of {len(findings.validations)} other recordings ({worst.name})"
+        found.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
+    if seen.clean_force is not None:
+        size = np.linalg.norm(seen.force[seen.loaded], axis=1)
+        noise = 1000.0 * float(np.max(seen.clean_force.noise_sd))
+        note = f"noise left in it: {significant(noise, 2)} mN (sd)"
+        found.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
+    return found
+
+
+def _stiffness_card(findings: Findings) -> dict[str, str]:
+    s = np.linspace(0.0, 1.0, 201)
+    k = findings.beam.stiffness(s)
+    if findings.posterior is not None:
+        known = findings.posterior.band(s).identified
+        k = k[known] if known.any() else k
+    length = findings.beam.length
+    return {
+        "what": "bending stiffness k(s)",
+        "value": f"{significant(k.min())} … {significant(k.max())} N m",
+        "note": f"EI {significant(1e6 * length * k.min())} … {significant(1e6 * length * k.max())} N mm²",
+    }
+
+
+def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
+    """How narrow the band is, and over which part of the beam."""
+    ranges = identified_ranges(uncertain)
+    if not ranges:
+        return {"what": "k(s) is known to", "value": "not identified", "note": "at no place to a factor of 1.5"}
+    s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
+    sd = np.hypot(uncertain.log_at(s)[1], uncertain.gain_sd)
+    where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
+    return {
+        "what": "k(s) is known to",
+        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %",
+        "note": f"95 %, median over the identified s = {where}",
+    }

@@ -1,0 +1,107 @@
+"""How sure the fit is, in words and rows: where k(s) is identified, the nuisances, and what trades off with what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.learning.posterior import Nuisance, Posterior
+from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
+from onebend.report.wording import significant
+
+FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
+_PLACES = 401
+_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms"), "1": (1e2, "%")}
+
+
+@dataclass(frozen=True)
+class NuisanceRow:
+    """One nuisance as people read it."""
+
+    name: str
+    value: str
+    before: str  # one sd before the data
+    after: str  # one sd after
+    unit: str
+    moved: float  # |value| in sds before the data
+    learned: float  # 1 - after / before: 0 where the data said nothing
+
+
+def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
+    """First and last s of every stretch where k(s) is identified, to 1/400."""
+    s = np.linspace(0.0, 1.0, _PLACES)
+    known = uncertain.band(s).identified
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    return [(float(s[a]), float(s[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
+    """Sentences on where the data are blind; empty where they are not."""
+    found = identified_ranges(uncertain)
+    whose = "this recording says" if recordings == 1 else "these recordings say"
+    if not found:
+        return [f"At no place {whose} enough: k(s) is not known to a factor of {FACTOR:.1f} (95 %) anywhere."]
+    rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
+    words = []
+    if found[0][0] > 0.0:
+        words.append(f"Nearer to the clamp than s = {np.ceil(100 * found[0][0]) / 100:.2f} {whose} {rest}")
+    words += [f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(found)]
+    if found[-1][1] < 1.0:
+        words.append(f"Beyond s = {found[-1][1]:.2f} {whose} {rest}")
+    return words
+
+
+def gain_words(gain_sd: float, *, forced: bool = True) -> str:
+    """What the scale error of the force does to k(s), apart from the band's shape."""
+    if not forced:
+        return "No force was logged: the scale of k(s) is that of the beam's weight, m g."
+    if gain_sd > 0.0:
+        return (
+            f"The force's scale is declared to {100 * gain_sd:.3g} % (sd): it moves all of k(s) alike, by as much, "
+            "and is in the band."
+        )
+    return (
+        "The force's scale error is not declared (gain_sd in [force]) and not in the band: a sensor that reads 1 % too "
+        "much makes all of k(s) 1 % too stiff."
+    )
+
+
+def stop_words(posterior: Posterior) -> str:
+    """Whether and why the search ended."""
+    end = "converged" if posterior.optimum.converged else "did not converge"
+    return f"{end} after {posterior.optimum.steps} steps: {posterior.optimum.stopped}"
+
+
+def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
+    """Nuisances in mm, degrees, ms and %."""
+    rows = []
+    for n in nuisances:
+        factor, unit = _SHOWN.get(n.unit, (1.0, n.unit))
+        rows.append(
+            NuisanceRow(
+                name=n.name,
+                value=f"{significant(factor * n.value, 2)}",
+                before=significant(factor * n.prior_sd, 2),
+                after=significant(factor * n.sd, 2),
+                unit=unit,
+                moved=abs(n.value) / n.prior_sd,
+                learned=max(1.0 - n.sd / n.prior_sd, 0.0),
+            )
+        )
+    return rows
+
+
+def tradeoff_words(posterior: Posterior) -> list[str]:
+    """The strongest pairs, one sentence each; first what the level of k(s) itself depends on."""
+    level = with_level(posterior)
+    words = [f"{_pair(one)}" for one in level]
+    return words + [_pair(one) for one in tradeoffs(posterior) if one not in level]
+
+
+def _pair(one: Tradeoff) -> str:
+    how = "rise and fall together" if one.correlation > 0.0 else "go against each other"
+    return f"{one.first} and {one.second} {how} (correlation {one.correlation:+.2f})"

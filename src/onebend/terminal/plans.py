@@ -1,0 +1,44 @@
+"""What `onebend plan` says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from onebend.learning.proposals import Plan, Proposal, direction_words, identified_words, width_words
+from onebend.report.wording import significant
+
+
+def plan_table(plan: Plan) -> Table:
+    """The proposals of a plan, best first."""
+    table = Table(title="What to do next, by what it would leave of the band", title_justify="left", box=None)
+    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "band after"):
+        table.add_column(name, justify="left" if name in ("force", "needs") else "right")
+    for i, one in enumerate(plan.proposals):
+        needs = one.needs or ("the same once more" if one.repeats else "nothing new")
+        cells = (f"{one.push.at_s:.2f}", direction_words(one.push.direction), significant(one.push.largest))
+        table.add_row(str(i + 1), *cells, f"{1e3 * one.tip_moves:.0f}", needs, width_words(one.after.mean_width))
+    return table
+
+
+def show_plan(console: Console, plan: Plan) -> None:
+    """All that `onebend plan` says."""
+    before = plan.before
+    console.print(
+        f"Now the 95 % band of k is {width_words(before.mean_width)} wide on average, at worst "
+        f"{width_words(before.worst_width)} at s = {before.worst_s:.2f}; {identified_words(before)}.\n",
+        highlight=False,
+    )
+    console.print(plan_table(plan))
+    console.print("\n[bold]best[/]", Text(plan.proposals[0].text))
+    console.print("[bold]best two with what there is[/]", Text(_pair(plan.pair)))
+    for one in plan.left_out:
+        console.print(f"[yellow]![/] {escape(one)}")
+
+
+def _pair(pair: Sequence[Proposal]) -> str:
+    return "; then ".join(one.text for one in pair)

@@ -1,0 +1,131 @@
+"""What each command says in the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console, RenderableType
+from rich.markup import escape
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from onebend.learning.outcome import Comparison
+from onebend.learning.posterior import Posterior
+from onebend.learning.verdict import fitted_rms
+from onebend.records import Observations
+from onebend.report.cards import sureness_card
+from onebend.report.findings import Findings, all_remarks, pair_remarks
+from onebend.report.overview import Overview
+from onebend.report.sureness import gain_words, stop_words, tradeoff_words, unidentified_words
+from onebend.report.wording import millimetres, significant, worst_marker
+from onebend.results.model import StoredModel
+from onebend.terminal.plots import band_plot, stiffness_plot
+from onebend.terminal.tables import (
+    comparison_table,
+    estimate_table,
+    nuisance_table,
+    remarks_list,
+    selection_table,
+    stages_table,
+)
+
+
+def headline(run: Findings) -> Panel:
+    """The result in a few lines."""
+    k = run.beam.stiffness(np.linspace(0.0, 1.0, 201))
+    lines = [f"[bold]k(s)[/] from {significant(k.min())} to {significant(k.max())} N m"]
+    if run.posterior is not None:
+        card = sureness_card(run.posterior.stiffness)
+        lines[0] += f", known to {card['value']} ({card['note']})"
+        lines.append(f"[bold]fit[/] {stop_words(run.posterior)}")
+    elif run.learned is not None:
+        trial = run.learned.trials[run.learned.chosen]
+        how = f"m = {trial.m} {run.learned.family}, {run.learned.method}"
+        lines.append(f"[bold]model[/] n = {trial.n} curvature modes, {how}")
+    for i, one in enumerate(run.trainings):
+        lines.append(f"[bold]{escape(one.name)}[/] worst marker {worst_marker(one)} RMS under the force as logged")
+        if run.posterior is not None:
+            rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
+            lines[-1] += f"; {millimetres(rms)} mm with its fitted error taken off"
+    return Panel("\n".join(lines), expand=False, border_style="green")
+
+
+def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out: Path) -> None:
+    """All that `onebend learn` says in the end."""
+    parts: list[RenderableType] = []
+    if run.learned is not None:
+        parts.append(selection_table(run.learned))
+    parts += [stiffness_plot(run.beam)] if run.posterior is None else _fit(run, run.posterior)
+    parts.append(comparison_table(run.trainings, "Learned from"))
+    if run.validations:
+        parts.append(comparison_table(run.validations, "Validation"))
+    parts += [remarks_list(all_remarks(run)), stages_table(seconds, run.video_seconds), headline(run)]
+    for part in parts:
+        console.print(part)
+        console.print()
+    say_path(console, "report", out / "report.html")
+
+
+def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
+    """The estimate beside the paper's, where it is blind, and what else was fitted."""
+    uncertain = posterior.stiffness
+    forced = any(one.clean_force is not None for one in run.recordings)
+    blind = unidentified_words(uncertain, len(run.recordings))
+    found: list[RenderableType] = [band_plot(uncertain), estimate_table(uncertain, run.learned)]
+    found.append(_sentences([*blind, gain_words(posterior.gain_sd, forced=forced)]))
+    found.append(nuisance_table(posterior.nuisances()))
+    words = tradeoff_words(posterior)
+    return [*found, _sentences(["Hardly told apart:", *words])] if words else found
+
+
+def _sentences(words: Sequence[str]) -> Text:
+    return Text("\n".join(words))
+
+
+def say_path(console: Console, what: str, path: Path) -> None:
+    """Where something is, on one line whatever the width, so that it can be copied."""
+    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True, highlight=False)
+
+
+def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
+    """All that `onebend validate` says."""
+    console.print(comparison_table([one for one, _ in pairs], "Validation"))
+    console.print()
+    console.print(remarks_list([(one.name, remark) for one, seen in pairs for remark in pair_remarks(one, seen)]))
+    if out is not None:
+        say_path(console, "\ntables and figures", out)
+
+
+def show_overview(console: Console, found: Overview) -> None:
+    """What `onebend check` understood."""
+    table = Table(title=found.name, title_justify="left", box=None, show_header=False)
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column(overflow="fold")
+    for what, understood in found.rows:
+        table.add_row(what, escape(understood))
+    console.print(table)
+    console.print()
+    console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+
+
+def show_model(console: Console, stored: StoredModel) -> None:
+    """What `onebend show` draws."""
+    beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
+    if uncertain is None:
+        console.print(stiffness_plot(beam))
+    else:
+        console.print(band_plot(uncertain))
+        console.print(estimate_table(uncertain, None))
+        for text in unidentified_words(uncertain):
+            console.print(text, markup=False, highlight=False)
+    lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
+    if lowest <= 0.0:
+        console.print(f"[yellow]k(s) falls to {significant(lowest)} N m: this is no beam and cannot be simulated.[/]")
+    console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
+    if origin is not None:
+        modes = "" if origin.n is None else f"n = {origin.n}, "
+        text = f"learned from {origin.recording} by {origin.method}: {modes}m = {origin.m} {origin.family}"
+        console.print(text, markup=False, highlight=False)

@@ -1,0 +1,182 @@
+"""What stands around the fit: its start, what it cannot tell apart, what is said of it, one beam in many recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend import pipeline
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Uniform
+from onebend.errors import LearningError
+from onebend.learning.learn import learn
+from onebend.learning.parameters import Priors
+from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.start import start_of
+from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
+from onebend.learning.validation import mounting, validate
+from onebend.learning.verdict import fit_remarks, fitted_rms, missed
+from onebend.recording.folder import read_recording
+from onebend.records import Observations
+from tests.learning.bench import MARKERS, SOFT, forces, observed
+
+NOISE = (2e-5, 1e-3)
+EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-beam"
+
+
+@cache
+def made(seed: int = 0) -> Observations:
+    return observed(SOFT, forces(30), noise=NOISE, seed=seed)
+
+
+@cache
+def fitted(clamp: float = 3e-3) -> Posterior:
+    return fit([made()], 0.02, settings=FitSettings(functions=8, priors=Priors(clamp=clamp)))
+
+
+@pytest.mark.parametrize("k", [0.003, 0.03, 3.0])
+def test_without_a_regression_the_start_is_the_nearest_uniform_beam(k: float) -> None:
+    beam = Beam(0.15, Uniform(k))
+    start = start_of([observed(beam, forces(20, most=k / 0.15))], None)
+    assert float(start(0.5)) == pytest.approx(k, rel=0.25)  # the grid's step
+
+
+def test_the_start_is_the_regressions_unless_a_uniform_beam_is_nearer() -> None:
+    learned = learn(made())
+    assert start_of([made()], learned) is learned.beam.stiffness
+    soft = replace(learned, beam=Beam(0.15, Uniform(1e-5)))
+    assert 0.02 < float(start_of([made()], soft)(0.5)) < 0.08
+
+
+def test_a_recording_without_a_load_gives_no_start() -> None:
+    idle = replace(made(), loaded=np.zeros(30, dtype=bool))
+    with pytest.raises(LearningError, match="made: no frame has a load"):
+        start_of([idle], None)
+    heavy = replace(made(), gravity=np.full((30, 2), -9.81))
+    with pytest.raises(LearningError, match="mass_kg"):
+        start_of([heavy], None)
+
+
+def test_correlations_are_those_of_draws_from_the_posterior() -> None:
+    one = fitted()
+    names, found = correlations(one)
+    np.testing.assert_allclose(np.diag(found), 1.0)
+    draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance, 40_000, method="cholesky")
+    s = np.linspace(0, 1, 201)
+    known = one.band(s).identified
+    level = np.mean(draws[:, :8] @ one.stiffness.basis(s[known]).T, axis=1)
+    for name in ("tag 1 along", "made: clamp angle", "made: mean force error y"):
+        block = next(b for b in one.at.blocks if any(label.startswith(name.split(" error")[0]) for label in b.labels)
+                     or (b.name == "force" and "force" in name))  # fmt: skip
+        own = draws[:, block.where]
+        value = own[:, 1::2].mean(axis=1) if block.name == "force" else own[:, block.labels.index(name)]
+        assert found[0, names.index(name)] == pytest.approx(np.corrcoef(level, value)[0, 1], abs=0.02), name
+
+
+def test_tradeoffs_come_strongest_first_and_name_a_quantity_once() -> None:
+    found = tradeoffs(fitted(), most=4, least=0.3)
+    strength = [abs(one.correlation) for one in found]
+    assert found
+    assert strength == sorted(strength, reverse=True)
+    assert min(strength) >= 0.3
+    names = [name for one in found for name in (one.first, one.second)]
+    assert len(names) == len(set(names))
+    level = with_level(fitted())
+    assert {one.first for one in level} == {LEVEL}
+
+
+def test_a_clamp_left_free_is_warned_of() -> None:
+    assert fit_remarks(fitted()) == ()
+    free = fitted(0.05)
+    assert [remark.level for remark in fit_remarks(free) if "clamp" in remark.text] == ["warning"]
+
+
+def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -> None:
+    one = fitted()
+    unfinished = replace(one, optimum=replace(one.optimum, converged=False))
+    assert "did not converge" in fit_remarks(unfinished)[0].text
+    away = np.array([[0.0, 0.0], [4e-3, 0.0], [0.0, 0.0]])
+    moved = replace(made(), xy=np.add(made().xy, away), rest_xy=np.add(made().rest_xy, away))
+    texts = [remark.text for remark in fit_remarks(fit([moved], 0.02, settings=FitSettings(functions=8)))]
+    assert any(text.startswith("tag 2 along came out") for text in texts)
+
+
+def test_the_fit_comes_as_near_to_the_tags_as_their_noise() -> None:
+    (rms,) = fitted_rms(fitted())
+    np.testing.assert_allclose(rms, NOISE[0] * np.sqrt(2.0), rtol=0.35)
+
+
+def test_a_curved_beam_is_compared_from_its_own_shape_at_rest() -> None:
+    beam = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
+    seen = replace(observed(beam, forces(10)), rest="unknown")
+    np.testing.assert_allclose(mounting(beam, seen), 0.0, atol=1e-9)
+    assert np.max(validate(beam, seen).rms) < 1e-7
+    hidden = replace(seen, rest_xy=np.where(np.arange(3)[:, None] == 1, np.nan, seen.rest_xy))
+    assert np.isfinite(mounting(beam, hidden)).all()
+    assert len(MARKERS) == len(mounting(beam, hidden))
+
+
+def test_recordings_of_two_beams_are_refused_before_any_work() -> None:
+    train, fast = read_recording(EXAMPLE / "train"), read_recording(EXAMPLE / "fast")
+    pipeline.check_together([train, fast], FitSettings())
+    longer = replace(fast, beam=replace(fast.beam, length=0.2))
+    other = replace(fast, tags=replace(fast.tags, on_beam=fast.tags.on_beam[:2]))
+    moved = replace(
+        fast, tags=replace(fast.tags, on_beam=(replace(fast.tags.on_beam[0], s=0.5), *fast.tags.on_beam[1:]))
+    )
+    for wrong, words in (
+        (longer, "200 mm"), (other, r"\[1, 2\], against"), (moved, "tag 1 is at s = 0.5"), (train, "given twice"),
+    ):  # fmt: skip
+        with pytest.raises(LearningError, match=words):
+            pipeline.check_together([train, wrong], FitSettings())
+    with pytest.raises(LearningError, match="learns from one"):
+        pipeline.check_together([train, fast], None)
+
+
+def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: object, **__: object) -> None:
+        raise LearningError("no (n, m) gave a beam")
+
+    monkeypatch.setattr(pipeline, "learn", none)
+    monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
+    run = pipeline.learn_recording(EXAMPLE / "train", fitting=FitSettings(functions=8))
+    assert run.learned is None
+    assert run.posterior is not None
+    assert run.remarks[0].level == "warning"
+    assert "no (n, m) gave a beam" in run.remarks[0].text
+    s = np.linspace(0.05, 0.9, 30)
+    np.testing.assert_allclose(run.beam.stiffness(s), SOFT.stiffness(s), rtol=0.15)
+    with pytest.raises(LearningError, match="gave a beam"):
+        pipeline.learn_recording(EXAMPLE / "train", fitting=None)
+
+
+def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = iter([replace(made(), gain_sd=0.02), replace(made(1), name="again", gain_sd=0.05)])
+    monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
+    run = pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
+    assert run.posterior is not None
+    assert run.posterior.stiffness.gain_sd == 0.05
+    assert [one.name for one in run.trainings] == ["made", "again"]
+
+
+def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(pipeline, "fit", singular)
+    monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
+    with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
+        pipeline.learn_recording(EXAMPLE / "train")
+
+
+def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = replace(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
+    assert missed(fitted()) == ()
+    seen = iter([made(), other])
+    monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
+    with pytest.raises(LearningError, match=r"do not agree on one beam\. .*misses tag"):
+        pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
