@@ -13,9 +13,11 @@ from onebend.errors import (
 )
 from onebend.learning.identifiability import information, information_along
 from onebend.learning.learn import learn
+from onebend.learning.online import OnlineLearner, OnlineSettings, Update
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.planning import PlanSettings, plan
 from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.replay import replay
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.learning.workbench import Bench, Push, bench_of
@@ -42,6 +44,8 @@ __all__ = [
     "ObservationError",
     "Observations",
     "OnebendError",
+    "OnlineLearner",
+    "OnlineSettings",
     "PlanSettings",
     "Posterior",
     "Powers",
@@ -54,6 +58,7 @@ __all__ = [
     "Table",
     "UncertainStiffness",
     "Uniform",
+    "Update",
     "bench_of",
     "fit",
     "information",
@@ -66,6 +71,7 @@ __all__ = [
     "observe",
     "plan",
     "read_recording",
+    "replay",
     "save_model",
     "save_observations",
     "validate",

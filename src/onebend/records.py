@@ -90,6 +90,7 @@ class ForceNoise:
     coloured: float  # N, sd
     tau: float  # s, correlation time of the coloured part
     walk: float  # N / sqrt(s)
+    spacing: float = 0.0  # s, of the samples that `white` is one of
 
     def covariance(self, time: Array) -> Array:
         """(N, N) N^2, the walk started at zero at the first time."""

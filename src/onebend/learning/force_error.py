@@ -1,8 +1,8 @@
 """The error that is left in a force log: slow, correlated, about zero after the tare.
 
 The log's noise is known in kind and about in size from the clock search: a coloured part (Ornstein-Uhlenbeck) and a
-random walk (`records.ForceNoise`). After the zero-phase low-pass the coloured part keeps what its spectrum holds below
-the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
+random walk (`records.ForceNoise`), beside white noise. After the zero-phase low-pass these keep what their spectra hold
+below the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
 coefficients is that process, its sizes and correlation time times factors that the data choose, and a level that a
 tare may have missed. What is faster than the knots counts as noise of each frame. In the rests the true force is zero,
 so there the log shows its error itself.
@@ -34,11 +34,11 @@ class Filtered:
     weight: Array  # (N,) Hz, quadrature times what the filter lets through
     cosine: Array  # (K, N)
 
-    def covariance(self, sd: float, tau: float) -> Array:
-        """(K,) of a process of that sd and correlation time [s]."""
+    def covariance(self, sd: float, tau: float, white: float = 0.0) -> Array:
+        """(K,) of a process of that sd and correlation time [s], and of white noise of density `white` [N^2 / Hz]."""
         if not len(self.frequency):
             return np.asarray(sd**2 * np.exp(-self.lag / tau))
-        density = 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * self.frequency * tau) ** 2)
+        density = white + 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * self.frequency * tau) ** 2)
         return np.asarray(self.cosine @ (self.weight * density))
 
 
@@ -69,16 +69,19 @@ class ForceError:
     @property
     def size(self) -> float:
         """N, expected sd of the coloured part; next to nothing where no force was logged."""
-        return (
-            float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau)[0]))
-            if len(self.knots)
-            else 1e-9
-        )
+        if not len(self.knots):
+            return 1e-9
+        return float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau, self.white)[0]))
+
+    @property
+    def white(self) -> float:
+        """N^2 / Hz, one-sided density of the log's white noise."""
+        return 2.0 * self.noise.white**2 * self.noise.spacing
 
     def covariance(self, coloured: float, memory: float, walk: float) -> Array:
         """(K, K) N^2 of one axis: sd of the coloured part, its correlation time and the walk as factors of what was
         expected."""
-        short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau)
+        short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         since = self.knots - self.knots[0]
         out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
         out[np.diag_indices(len(out))] += _GRAIN * short[0]

@@ -17,7 +17,7 @@ sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force lea
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -203,7 +203,7 @@ def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Sear
     """
     noise = first_guess(rows.force, rows.width)
     span = max(rows.time[-1] - rows.time[0], 1.0)
-    wander = ForceNoise(noise.white, noise.coloured, noise.tau, rows.largest / np.sqrt(span))
+    wander = replace(noise, walk=rows.largest / float(np.sqrt(span)))
     chance = np.full(len(offset), -np.inf)
     plain: dict[bytes, float] = {}
     for _ in range(2):

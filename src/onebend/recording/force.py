@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from onebend.errors import RecordingError
+from onebend.recording.noise import first_guess
 from onebend.recording.signals import at_times, low_pass, outliers, step
 from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, Remark
 
@@ -170,9 +171,15 @@ def clean_force(
         drift=drift,
         cutoff=cutoff,
         outliers=int(bad.sum()),
-        noise=noise,
+        noise=None if noise is None else _with_white(noise, log.time, force),
         remarks=remarks,
     )
+
+
+def _with_white(noise: ForceNoise, time: Array, force: Array) -> ForceNoise:
+    """`noise` with its white part as the log's own samples show it: there it stands out from all that is slower."""
+    spacing = step(time)
+    return replace(noise, white=first_guess(force, spacing).white, spacing=spacing)
 
 
 def to_beam(rotation: float) -> Array:

@@ -7,6 +7,8 @@ a random walk.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
@@ -36,7 +38,7 @@ def first_guess(values: Array, spacing: float) -> ForceNoise:
     jumps = np.diff(values, n=2, axis=0)
     white = float(np.median(np.abs(jumps))) * 1.4826 / np.sqrt(6) if len(jumps) else 0.0
     size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
-    return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size)
+    return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
 
 
 def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> ForceNoise:
@@ -49,10 +51,16 @@ def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> F
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
     def unlikely(z: Array) -> float:
-        noise = ForceNoise(*np.exp(centre + spread * z))
+        noise = _sized(start, centre + spread * z)
         return 0.5 * float(z @ z) - log_evidence(noise.root(time), design, values)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
     found = minimize(unlikely, np.zeros(4), method="Nelder-Mead", options=options)
-    return ForceNoise(*np.exp(centre + spread * found.x))
+    return _sized(start, centre + spread * found.x)
+
+
+def _sized(start: ForceNoise, logs: Array) -> ForceNoise:
+    """`start` with white, coloured, tau and walk of these logarithms."""
+    white, coloured, tau, walk = np.exp(logs).tolist()
+    return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)

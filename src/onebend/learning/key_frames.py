@@ -1,0 +1,226 @@
+"""A bounded set of frames that stand for all that was seen: averaged where alike, folded away where old.
+
+A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
+measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
+present estimate leaves of both, put on its prediction under the mean force, is as if measured there. A frame that can
+be averaged with none is folded into the past: a quadratic in x and one slow force error, which stays as linearised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from onebend.learning.force_process import Spans
+from onebend.records import Array, BoolArray, IntArray
+
+_SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
+_SAME_GRAVITY = 0.5  # m/s^2
+_SAME_FORCE = 0.15  # of the largest force
+AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
+_REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
+
+
+@dataclass
+class KeyFrames:
+    """K + 2 places, `used` of them taken, in order of time."""
+
+    used: int
+    begin: Array  # (K + 2,) s
+    end: Array
+    frames: Array  # how many were averaged
+    rest: BoolArray  # nothing pushes
+    push_s: Array
+    force: Array  # (K + 2, 2) N, as logged
+    rate: Array  # (K + 2, 2) N/s
+    gravity: Array  # (K + 2, 2)
+    measured: Array  # (K + 2, m, 3)
+    information: Array  # (K + 2, m, 3, 3) of `measured`; zero where a tag was not seen
+    root: Array  # (K + 2, m, 3, 3) R with R' R = information
+    weight: Array  # (K + 2, m) robust
+    error: Array  # (K + 2, 2) N, the force's, as last estimated
+    left: Array  # (K + 2, m, 3) measured less predicted, where it was linearised
+    zeta: Array  # (K + 2, m, 3)
+    j: Array  # (K + 2, m, 3, n)
+    a: Array  # (K + 2, m, 3, 2)
+    q: Array  # (K + 2, Q) rad, the shape to start from
+    nodes: IntArray  # (K + 2,) how many of these are used
+    age: Array  # (K + 2,) updates since linearised; infinite where it must be done anew
+    rows_j: Array  # (K + 2, 3 m, n) whitened
+    rows_a: Array  # (K + 2, 3 m, 2)
+    rows_z: Array  # (K + 2, 3 m)
+
+    @property
+    def spans(self) -> Spans:
+        """Stretches of time of the frames in use."""
+        part = slice(0, self.used)
+        return Spans(self.begin[part], self.end[part], self.frames[part], np.zeros(self.used))
+
+    def arrays(self) -> list[Array]:
+        """All that is kept of every frame."""
+        return [getattr(self, field.name) for field in fields(self) if field.name != "used"]
+
+    def drop(self, i: int) -> None:
+        """Take frame i out."""
+        for values in self.arrays():
+            values[i : self.used - 1] = values[i + 1 : self.used]
+        self.used -= 1
+
+    def set_linear(self, i: IntArray, x: Array, pose: Array, j: Array, a: Array) -> None:
+        """Linearise B frames at parameters x and their force errors.
+
+        `pose` (B, m, 3) and its derivatives: `j` (B, m, 3, n) with x, `a` (B, m, 3, 2) with the force.
+        """
+        turns = np.round((self.measured[i, :, 2] - pose[..., 2]) / (2.0 * np.pi))
+        self.measured[i, :, 2] -= 2.0 * np.pi * turns
+        a = a * ~self.rest[i][:, None, None, None]
+        left = self.measured[i] - pose
+        self.j[i], self.a[i], self.left[i], self.age[i] = j, a, left, 0.0
+        self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
+        self.whiten(i)
+
+    def quadratic(self, i: int, marker: float, white: float) -> tuple[Array, Array]:
+        """Information (n + 2, n + 2) and right side of frame i in x and its force error, at given noise."""
+        root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
+        rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i]], axis=1)
+        information, b = rows.T @ rows, rows.T @ (root[:, 0] * self.rows_z[i])
+        if self.rest[i]:
+            certain = self.frames[i] / (AT_REST * white) ** 2
+            information[[-2, -1], [-2, -1]] += certain
+            b[-2:] += certain * self.force[i]
+        return information, b
+
+    def set_information(self, i: int, information: Array) -> None:
+        """(m, 3, 3) of the measured poses of frame i; zero where a tag is not seen."""
+        self.information[i], self.root[i] = information, _roots(information)
+
+    def whiten(self, i: IntArray) -> None:
+        """Renew the whitened rows of B frames."""
+        count, root = len(i), self.root[i]
+        self.rows_j[i] = (root @ self.j[i]).reshape(count, -1, self.j.shape[-1])
+        self.rows_a[i] = (root @ self.a[i]).reshape(count, -1, 2)
+        self.rows_z[i] = (root @ self.zeta[i][..., None]).reshape(count, -1)
+
+
+@dataclass
+class Past:
+    """Folded frames: `x' H x - 2 b' x + c` in the parameters and the slow force error (2,) at `time`."""
+
+    information: Array  # (n + 2, n + 2)
+    b: Array  # (n + 2,)
+    time: float  # s; NaN while nothing is folded
+
+    def add(self, information: Array, b: Array, time: float, *, walk: float, fast: float) -> None:
+        """One more frame's say in x and its own force error; the slow error of all the past is moved to its time.
+
+        `walk`: N per root second, of the slow error; `fast`: N^2, variance of what the frame's error has besides.
+        """
+        if np.isfinite(self.time):
+            variance = walk**2 * max(time - self.time, 0.0)
+            self.information, self.b = loosened(self.information, self.b, variance)
+        own, right = loosened(information, b, fast)
+        self.information, self.b, self.time = self.information + own, self.b + right, time
+
+
+def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
+    """Room for `most` key frames, the one that has just come, and an average that is being made."""
+    count = most + 2
+
+    def room(*shape: int) -> Array:
+        return np.zeros((count, *shape))
+
+    return KeyFrames(
+        used=0,
+        begin=room(),
+        end=room(),
+        frames=room(),
+        rest=np.zeros(count, dtype=bool),
+        push_s=room(),
+        force=room(2),
+        rate=room(2),
+        gravity=room(2),
+        measured=room(tags, 3),
+        information=room(tags, 3, 3),
+        root=room(tags, 3, 3),
+        weight=room(tags),
+        error=room(2),
+        left=room(tags, 3),
+        zeta=room(tags, 3),
+        j=room(tags, 3, parameters),
+        a=room(tags, 3, 2),
+        q=room(nodes),
+        nodes=np.zeros(count, dtype=np.int64),
+        age=room(),
+        rows_j=room(3 * tags, parameters),
+        rows_a=room(3 * tags, 2),
+        rows_z=room(3 * tags),
+    )
+
+
+def _roots(information: Array) -> Array:
+    """R (m, 3, 3) with R' R = information; zero where that is zero."""
+    seen = information[:, 0, 0] > 0.0
+    safe = np.where(seen[:, None, None], information, np.eye(3))
+    return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
+
+
+def closest_pair(keys: KeyFrames, count: int, largest: float) -> int | None:
+    """The neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares).
+
+    None where none are alike.
+    """
+    part, rear = slice(0, count - 1), slice(1, count)
+    force = np.linalg.norm(keys.force[rear] - keys.force[part], axis=1) / max(largest, 1e-300)
+    rest = keys.rest[part]
+    force = np.where(rest, 0.0, force)
+    centre = 0.5 * (keys.begin + keys.end)
+    time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
+    alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
+    alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
+    alike &= np.linalg.norm(keys.gravity[rear] - keys.gravity[part], axis=1) <= _SAME_GRAVITY
+    if not np.any(alike):
+        return None
+    n = keys.frames
+    cost = n[part] * n[rear] / (n[part] + n[rear]) * (force**2 + time**2) * np.where(rest, _REST_SHARE, 1.0)
+    return int(np.argmin(np.where(alike, cost, np.inf)))
+
+
+def propose_average(keys: KeyFrames, i: int, at: int) -> None:
+    """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
+    k = i + 1
+    share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
+    for values in (keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
+        values[at] = (1.0 - share) * values[i] + share * values[k]
+    keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
+    keys.rest[at] = keys.rest[i]
+    keys.nodes[at] = keys.nodes[i] if keys.nodes[i] == keys.nodes[k] else 0
+    keys.measured[at], keys.root[at] = 0.0, 0.0
+
+
+def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
+    """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
+    k = i + 1
+    share = keys.frames[k] / keys.frames[at]
+    # An average counts as one frame: what tags are read wrong by hardly changes from frame to frame.
+    says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in ((i, 1.0 - share), (k, share))]
+    total = says[0] + says[1]
+    seen = total[:, 0, 0] > 0.0
+    inverse = np.linalg.inv(np.where(seen[:, None, None], total, np.eye(3))) * seen[:, None, None]
+    left = (inverse @ (says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]))[..., 0]
+    pose = keys.measured[at] - keys.left[at]
+    keys.set_information(at, total)
+    keys.weight[at] = seen
+    keys.measured[at], keys.left[at] = pose + left, left
+    keys.zeta[at] = left + keys.j[at] @ x - keys.a[at] @ keys.error[at]
+    keys.whiten(np.array([at]))
+    for values in keys.arrays():
+        values[i] = values[at]
+    keys.drop(k)
+
+
+def loosened(information: Array, b: Array, variance: float) -> tuple[Array, Array]:
+    """The last two unknowns, e, replaced by c with e = c + d, d normal of that variance: d is integrated out."""
+    edge = information[:, -2:]
+    shrink = variance * np.linalg.inv(np.eye(2) + variance * information[-2:, -2:])
+    return information - edge @ shrink @ edge.T, b - edge @ shrink @ b[-2:]

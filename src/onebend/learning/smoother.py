@@ -1,0 +1,195 @@
+"""The moving parts of the live learner: key frames, their posterior, and the search for the sizes of noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.learning.force_process import ForceProcess, fast_variance
+from onebend.learning.frame_input import Frame
+from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
+from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
+from onebend.learning.live_solve import LiveScales, ScaleSearch, Solution, Start, Sums, gather, robust_weights, solve
+from onebend.records import Array, BoolArray
+
+_PLACES = 64  # of pushes, whose grids are kept
+_LEAST_MARKER = 10.0**-0.5  # noise of tags: an average is never worth more than ten independent frames
+_LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
+
+
+@dataclass(frozen=True)
+class Habits:
+    """How the smoother works."""
+
+    key_frames: int
+    renewed: int  # key frames linearised anew with every frame
+    zero: float  # N, sd of the log's zero
+    least_zero: float  # N
+    memory: float  # s, of the coloured force error
+    adapt: bool
+    bulk: float  # sd
+    gate: float  # sd
+    patience: int  # frames
+    step: float  # of log k
+
+
+class Smoother:
+    """All state of a live learner; its size is fixed when it is made."""
+
+    def __init__(self, setting: Setting, start: Start, x: Array, scales: LiveScales, habits: Habits) -> None:
+        tags, n = len(setting.marker_s), setting.at.size
+        self.x = x  # (n,) the estimate, at which frames are linearised
+        self.scales = scales
+        self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
+        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
+        self._setting, self._start, self._habits = setting, start, habits
+        self._search = ScaleSearch(scales, LiveScales(0.7, 0.7, 0.7, 0.7, 1.2, 1.2), np.full(6, 0.3))
+        self._places: dict[float, Place] = {}
+        self._away = np.zeros(tags, dtype=np.int64)
+        self._largest = 0.0
+        self._turn = False  # key frames are linearised anew and scales tried in turn, to spread the work
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
+        self.solution: Solution = solve(gather(self.keys, self.past), start, scales, self._process(scales))
+
+    def enter(self, frame: Frame, rate: Array) -> bool:
+        """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
+
+        In the same stroke the key frames that have waited longest are linearised anew, and room is made.
+        """
+        keys = self.keys
+        i = self._write(frame, rate)
+        pair = closest_pair(keys, i, self._largest) if keys.used > self._habits.key_frames else None
+        fresh = [i]
+        if pair is not None:
+            propose_average(keys, pair, keys.used)
+            fresh += [pair, pair + 1, keys.used]
+        keys.age[:i] += 1.0
+        here = self._push_s(i)
+        waiting = [k for k in np.argsort(-keys.age[:i], kind="stable").tolist() if k not in fresh]
+        waiting = waiting[: self._habits.renewed if pair is None or not self._turn else 0]
+        near = [k for k in waiting if self._push_s(k) == here]
+        solved = self.linearise([*fresh, *(near or waiting[:1])])
+        if i not in solved:
+            keys.used -= 1
+            return False
+        if frame.loaded:
+            self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
+        if pair is not None and solved.issuperset(fresh):
+            accept_average(keys, pair, keys.used, self.x)
+        elif keys.used > self._habits.key_frames:
+            self._fold_oldest()
+        return True
+
+    def linearise(self, chosen: list[int]) -> set[int]:
+        """Key frames at the present estimate; those that have a shape there. The others stay as they were."""
+        solved: set[int] = set()
+        for push_s in dict.fromkeys(self._push_s(i) for i in chosen):
+            solved |= self._linearise_at(self._place(push_s), [i for i in chosen if self._push_s(i) == push_s])
+        return solved
+
+    def _linearise_at(self, place: Place, chosen: list[int]) -> set[int]:
+        keys, nodes = self.keys, len(place.weights)
+        loaded = ~keys.rest[chosen][:, None]
+        force = (keys.force[chosen] - keys.error[chosen]) * loaded
+        given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen])
+        start = keys.q[chosen][:, :nodes] if np.all(keys.nodes[chosen] == nodes) else None
+        there = linearise(self._setting, place, self.x, given, start)
+        good = there.converged
+        solved = np.asarray(chosen)[good]
+        keys.q[solved, :nodes], keys.nodes[solved] = there.q[good], nodes
+        keys.set_linear(solved, self.x, there.pose[good], there.j[good], there.a[good])
+        return set(solved.tolist())
+
+    def _write(self, frame: Frame, rate: Array) -> int:
+        """The frame in the place behind the key frames in use, which is returned."""
+        keys = self.keys
+        i = keys.used
+        keys.begin[i] = keys.end[i] = frame.time
+        keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
+        keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
+        keys.measured[i], keys.weight[i] = frame.measured, frame.seen
+        keys.set_information(i, frame.information)
+        self._expected = self.solution.error_at(frame.time)
+        keys.error[i] = self._expected[0]
+        keys.nodes[i] = 0
+        if i > 0:
+            keys.q[i], keys.nodes[i] = keys.q[i - 1], keys.nodes[i - 1]
+        keys.used += 1
+        return i
+
+    def gate(self, frame: Frame) -> tuple[Array, Array, BoolArray]:
+        """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
+
+        Tags too far from where they were expected get no weight, unless they stay away.
+        """
+        keys, i = self.keys, self.keys.used - 1
+        tags, n = len(frame.seen), len(self.x)
+        _, rows, own = self._expected
+        j, a = keys.j[i].reshape(-1, n), keys.a[i].reshape(-1, 2)
+        innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
+        by_errors = -a[:, None, :] * rows[None, :, None]
+        expected = self.solution.spread(np.concatenate([j, by_errors.reshape(len(j), -1)], axis=1)) + own * a @ a.T
+        blocks = np.stack([expected[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(tags)])
+        solved = np.linalg.solve(blocks + self.scales.marker**2 * frame.covariance, innovation[..., None])[..., 0]
+        distance = np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
+        far = frame.seen & (distance > self._habits.gate)
+        self._away = np.where(far, self._away + 1, np.where(frame.seen, 0, self._away))
+        used = np.asarray(frame.seen & (~far | (self._away >= self._habits.patience)))
+        keys.weight[i] = used
+        if not np.array_equal(used, frame.seen):
+            keys.set_information(i, keys.information[i] * used[:, None, None])
+            keys.whiten(np.array([i]))
+        unseen = ~frame.seen
+        innovation[unseen], distance[unseen] = np.nan, np.nan
+        return innovation, distance, used
+
+    def renew(self) -> None:
+        """Solve with what is linearised now, move the estimate, weigh the tags anew, every other time try a scale."""
+        keys, habits = self.keys, self._habits
+        sums = gather(keys, self.past)
+        self.solution = solution = solve(sums, self._start, self.scales, self._process(self.scales))
+        step = solution.x - self.x
+        largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
+        self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
+        keys.error[: keys.used] = solution.e[len(solution.e) - keys.used :]
+        keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
+        if habits.adapt and self._turn:
+            self._try_scale(sums)
+        self._turn = not self._turn
+
+    def _try_scale(self, sums: Sums) -> None:
+        tried = self._search.proposal(self.scales)
+        try:
+            there = solve(sums, self._start, tried, self._process(tried)).minus_log + self._search.cost(tried)
+        except np.linalg.LinAlgError:
+            there = np.inf
+        better = there < self.solution.minus_log + self._search.cost(self.scales)
+        kept = better and tried.marker >= _LEAST_MARKER
+        self._search.learn(kept)
+        if kept:
+            self.scales = tried
+
+    def _fold_oldest(self) -> None:
+        """The oldest key frame becomes part of the past."""
+        keys, process = self.keys, self._process(self.scales)
+        information, b = keys.quadratic(0, self.scales.marker, process.white)
+        fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
+        self.past.add(information, b, float(keys.end[0]), walk=process.walk, fast=fast)
+        keys.drop(0)
+
+    def _push_s(self, i: int) -> float:
+        """Where the force acts on key frame i, to a thousandth."""
+        return round(float(self.keys.push_s[i]), 3)
+
+    def _place(self, push_s: float) -> Place:
+        """Grids are kept for the places met last."""
+        if push_s not in self._places:
+            if len(self._places) >= _PLACES:
+                del self._places[next(iter(self._places))]
+            self._places[push_s] = place_at(self._setting, push_s)
+        return self._places[push_s]
+
+    def _process(self, scales: LiveScales) -> ForceProcess:
+        level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
+        return ForceProcess(level, scales.walk, scales.coloured, self._habits.memory, scales.white)
