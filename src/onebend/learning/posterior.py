@@ -28,14 +28,14 @@ from onebend.learning.spline import Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
-TAU, RHO = 8.0, 0.15  # expected roughness and steps of log k; their prior spans a factor of ten either way
+TAU, RHO = 8.0, 0.3  # expected roughness and steps of log k; their prior spans a factor of ten either way
 
 
 @dataclass(frozen=True)
 class FitSettings:
     """How the marker-space fit runs."""
 
-    functions: int = 16  # of the spline of log k
+    functions: int = 24  # of the spline of log k
     most_frames: int = 500  # of each recording, evenly chosen
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
