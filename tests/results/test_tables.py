@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.records import Detections, Observations, Remark
+from onebend.records import Detections, ForceNoise, Observations, Remark
 from onebend.results.kept import KeptDetections, key_of
 from onebend.results.observed import load_observations, save_observations
 from onebend.results.summary import plain, summary_of, validation_summary, write_summary
@@ -118,7 +118,28 @@ def test_observations_come_back_to_the_last_bit(tmp_path: Path, bare: bool) -> N
             assert all(same(getattr(before.view, k), v) for k, v in vars(after.view).items())
         elif field.name != "clean_force":
             assert same(getattr(before, field.name), getattr(after, field.name)), field.name
-    assert after.clean_force is None
+    clean, again = before.clean_force, after.clean_force
+    assert clean is not None
+    assert again is not None
+    for name in ("noise_sd", "tare", "drift", "cutoff", "outliers", "noise", "remarks"):
+        assert same(getattr(clean, name), getattr(again, name)), name
+    assert np.all(np.isin(again.time, clean.time))
+
+
+def test_a_filtered_force_log_comes_back_as_exact_as_its_filter_leaves_it(tmp_path: Path) -> None:
+    made = made_up.observations()
+    assert made.clean_force is not None
+    time = np.arange(0.0, 12.0, 0.001)
+    wave = np.stack([np.sin(2.0 * np.pi * 0.7 * time), np.cos(2.0 * np.pi * 0.5 * time)], axis=1)
+    noise = ForceNoise(0.03, 0.01, 0.2, 0.004, spacing=0.001)
+    clean = replace(made.clean_force, time=time, force=wave, push_s=None, cutoff=0.7, noise=noise)
+    save_observations(tmp_path / "observations.parquet", replace(made, clean_force=clean))
+    again = load_observations(tmp_path).clean_force
+    assert again is not None
+    assert len(again.time) < 500
+    assert again.noise == noise
+    back = np.stack([np.interp(time, again.time, again.force[:, i]) for i in range(2)], axis=1)
+    assert np.max(np.abs(back - wave)) < 2.5e-3
 
 
 def test_observations_that_are_not_ours_are_named(tmp_path: Path) -> None:
@@ -134,9 +155,10 @@ def test_observations_that_are_not_ours_are_named(tmp_path: Path) -> None:
     save_observations(file, made_up.observations())
     table = pq.read_table(file)
     rest = json.loads(table.schema.metadata[b"onebend"])
-    del rest["gain_sd"]  # as files were before there was one
+    del rest["gain_sd"], rest["clean_force"]  # as files were before there were such
     pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
     assert load_observations(file).gain_sd == 0.0
+    assert load_observations(file).clean_force is None
     rest["version"] = 9
     pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
     with pytest.raises(ResultsError, match="version 9"):

@@ -1,7 +1,8 @@
 """`observations.parquet`: what a recording said, so that it can be learned from again without its video.
 
 One row a frame, one column a quantity, units in the names. What is not a table (length, rests, clock, view) stands as
-JSON in the file's metadata under `onebend`.
+JSON in the file's metadata under `onebend`; so does the force log behind its filter, with as many rows as the filter
+leaves it something to say.
 """
 
 from __future__ import annotations
@@ -16,17 +17,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
-from onebend.records import Array, ClockOffset, Observations, Remark, View
+from onebend.records import Array, CleanForce, ClockOffset, ForceNoise, Observations, Remark, View
 
 FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
 _VERSION = 1
+_ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of what the filter passes
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
 _SCALARS = ("name", "length", "mass", "placement_sd", "rest", "gain_sd")
 
 
 def save_observations(path: Path, observations: Observations) -> None:
-    """Write everything but `clean_force` (the whole force log, which is not on the frames' clock)."""
+    """Write everything; of the force log every row that a straight line between its neighbours would miss."""
     o = observations
     columns: dict[str, Any] = {
         "time_s": o.time,
@@ -49,7 +51,7 @@ def save_observations(path: Path, observations: Observations) -> None:
 
 
 def load_observations(path: Path | str) -> Observations:
-    """What `save_observations` wrote (a file, or the results folder that holds it); `clean_force` is None.
+    """What `save_observations` wrote (a file, or the results folder that holds it).
 
     Raises `ResultsError` where the file is missing, damaged, or was not written by onebend.
     """
@@ -60,7 +62,7 @@ def load_observations(path: Path | str) -> Observations:
         raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
     try:
         table = pq.read_table(file)
-        rest = {"gain_sd": 0.0} | json.loads(table.schema.metadata[_KEY])  # earlier files lack it
+        rest = {"gain_sd": 0.0, "clean_force": None} | json.loads(table.schema.metadata[_KEY])  # earlier files lack it
         if rest["version"] != _VERSION:
             raise ResultsError(f"{file}: version {rest['version']!r}, but this onebend reads version {_VERSION}")
         return _observations(table, rest)
@@ -78,6 +80,7 @@ def _rest_of(o: Observations) -> dict[str, Any]:
     return rest | {
         "version": _VERSION,
         "clock": None if o.clock is None else asdict(o.clock),
+        "clean_force": None if o.clean_force is None else _force_of(o.clean_force),
         "view": view,
         "video": None if o.video is None else str(o.video),
         "remarks": [[remark.level, remark.text] for remark in o.remarks],
@@ -110,10 +113,42 @@ def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
         loaded=np.asarray(table["loaded"].to_numpy(), dtype=bool),
         gravity=np.stack([column("gravity_x_m_s2"), column("gravity_y_m_s2")], axis=-1),
         clock=None if rest["clock"] is None else ClockOffset(**rest["clock"]),
-        clean_force=None,
+        clean_force=_clean_force(rest["clean_force"]),
         view=_view(rest["view"]),
         video=None if rest["video"] is None else Path(rest["video"]),
         remarks=tuple(Remark(level, text) for level, text in rest["remarks"]),
+    )
+
+
+def _force_of(clean: CleanForce) -> dict[str, Any]:
+    step = float(np.median(np.diff(clean.time)))
+    every = max(int(1.0 / (_ROWS_A_PERIOD * clean.cutoff * step)), 1) if np.isfinite(clean.cutoff) else 1
+    rows = np.unique(np.append(np.arange(0, len(clean.time), every), len(clean.time) - 1))
+    return {
+        "time": clean.time[rows].tolist(),
+        "force": clean.force[rows].tolist(),
+        "push_s": None if clean.push_s is None else clean.push_s[rows].tolist(),
+        "noise_sd": clean.noise_sd.tolist(),
+        "tare": clean.tare.tolist(),
+        "drift": clean.drift.tolist(),
+        "cutoff": clean.cutoff,
+        "outliers": clean.outliers,
+        "noise": None if clean.noise is None else asdict(clean.noise),
+        "remarks": [[remark.level, remark.text] for remark in clean.remarks],
+    }
+
+
+def _clean_force(data: dict[str, Any] | None) -> CleanForce | None:
+    if data is None:
+        return None
+    arrays = {name: np.asarray(data[name], dtype=float) for name in ("time", "force", "noise_sd", "tare", "drift")}
+    return CleanForce(
+        **arrays,
+        push_s=None if data["push_s"] is None else np.asarray(data["push_s"], dtype=float),
+        cutoff=float(data["cutoff"]),
+        outliers=int(data["outliers"]),
+        noise=None if data["noise"] is None else ForceNoise(**data["noise"]),
+        remarks=tuple(Remark(level, text) for level, text in data["remarks"]),
     )
 
 
