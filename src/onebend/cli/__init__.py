@@ -1,0 +1,44 @@
+"""The command line. Results go to standard output, progress and errors to standard error.
+
+Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from onebend.cli.common import BY
+from onebend.cli.learning import learn, plan, validate
+from onebend.cli.looking import check, new, show
+
+COMMANDS = (learn, validate, plan, new, check, show)
+
+app = typer.Typer(
+    help="Learn how stiff a soft slender object is along its length from one filmed push.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for _command in COMMANDS:
+    app.command()(_command)
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        typer.echo(BY)
+        raise typer.Exit
+
+
+@app.callback()
+def _all_commands(
+    *, version: Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")] = False
+) -> None:
+    pass
+
+
+def main() -> None:
+    """The entry point of `onebend`."""
+    app()
