@@ -51,12 +51,12 @@ def clamp(
     """The clamp's lower part with the foot's pocket, and its cap with the base tag's seat."""
     depth, wall = MM * design.depth, MM * settings.wall
     foot, neck = foot_stations(design, settings), beam_stations(design, settings)[:2]
-    back, half = foot[0, 0] - wall, foot[0, 1] + BESIDE
+    reach = 0.5 * seat.recess
+    back, half = foot[0, 0] - wall, max(foot[0, 1], reach + LIP) + BESIDE
     pocket = strip(foot, foot, 0.0, depth + 1.0)
     opening = np.vstack([neck[0], [1.0, neck[1, 1]]])
     pocket += strip(opening, opening, 0.0, depth + 1.0)
     lower = box((back, -half, -FLOOR), (0.0, half, depth)) - pocket
-    reach = 0.5 * seat.recess
     cap = box((back, -half, depth), (0.0, half, depth + CAP))
     cap += box((-reach - LIP, -reach - LIP, depth + FREE), (reach + LIP, reach + LIP, depth + CAP))
     pressed = foot + np.array([[LOOSE, -LOOSE], [-LOOSE, -LOOSE]])

@@ -89,11 +89,11 @@ def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
     body = cast_body(design, settings)
     grown = body.scale((1.0 / (1.0 - settings.shrinkage),) * 3)
     tray = _block(grown, settings) - _through(grown)
-    if settings.kind == "open":
-        parts = (PrintedPart("mould", mesh_of(tray)),)
-    else:
-        left, right = _fastened(*tray.split_by_plane((0.0, 1.0, 0.0), 0.0), grown)
-        parts = (PrintedPart("mould-left", mesh_of(left)), PrintedPart("mould-right", mesh_of(right)))
+    solids = {"mould": tray}
+    if settings.kind == "halves":
+        left, right = tray.split_by_plane((0.0, 1.0, 0.0), 0.0)
+        solids = dict(zip(("mould-left", "mould-right"), _fastened(left, right, grown), strict=True))
+    parts = tuple(PrintedPart(name, mesh_of(solid)) for name, solid in solids.items())
     return Mould(design, settings, parts, mesh_of(body))
 
 
@@ -154,7 +154,7 @@ def _through(cavity: Manifold) -> Manifold:
 def _fastened(left: Manifold, right: Manifold, cavity: Manifold) -> tuple[Manifold, Manifold]:
     """Pegs on the left half, their holes in the right one, and a screw through both at either end."""
     low_x, _, _, high_x, _, top = cavity.bounding_box()
-    reach = 0.5 * (left + right).bounding_box()[4] * 4.0
+    reach = 2.0 * left.bounding_box()[4]
     for x in (low_x - 0.5 * END, high_x + 0.5 * END):
         peg, screw = 0.25 * top, 0.75 * top
         left += across(x, peg, -PEG_LENGTH, 0.5, PEG)

@@ -87,4 +87,5 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MechanicsError(f"{path}: parts are written as {' or '.join(MESH_SUFFIXES)}. Name the file so.")
     mesh.units = "mm"
-    path.write_bytes(mesh.export(file_type=path.suffix.lower()[1:]))
+    data = mesh.export(file_type=path.suffix.lower()[1:])
+    path.write_bytes(data if isinstance(data, bytes) else str(data).encode())
