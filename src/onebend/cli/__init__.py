@@ -12,8 +12,9 @@ import typer
 from onebend.cli.common import BY
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
+from onebend.cli.making import design, mould, tags
 
-COMMANDS = (learn, validate, plan, new, check, show)
+COMMANDS = (learn, validate, plan, new, check, show, design, mould, tags)
 
 app = typer.Typer(
     help="Learn how stiff a soft slender object is along its length from one filmed push.",

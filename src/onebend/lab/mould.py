@@ -146,7 +146,7 @@ def _through(cavity: Manifold) -> Manifold:
     """The cavity, with its upper face carried on beyond the tray's, so that no skin is left on it."""
     top = cavity.bounding_box()[5]
     lid = (
-        cavity.trim_by_plane((0.0, 0.0, 1.0), top - 1e-3).scale((1.0, 1.0, 1e3)).translate((0.0, 0.0, top * (1 - 1e3)))
+        cavity.trim_by_plane((0.0, 0.0, 1.0), top - 1e-3).scale((1.0, 1.0, 1e3)).translate((0.0, 0.0, 0.5 - 999.0 * top))
     )
     return cavity + lid
 
