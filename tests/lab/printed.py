@@ -47,7 +47,7 @@ def width_at(mesh: trimesh.Trimesh, x: float, z: float) -> Array:
     """Sorted y [mm] where a line along y at (x, z) goes through the surface."""
     lines = trimesh.intersections.mesh_plane(mesh, plane_normal=[1.0, 0.0, 0.0], plane_origin=[x, 0.0, 0.0])
     (y0, z0), (y1, z1) = lines[:, 0, 1:].T, lines[:, 1, 1:].T
-    crossing = (z0 - z) * (z1 - z) < 0.0
+    crossing = (z0 <= z) != (z1 <= z)
     share = (z - z0[crossing]) / (z1[crossing] - z0[crossing])
     found: Array = np.sort(y0[crossing] + share * (y1[crossing] - y0[crossing]))
     return found

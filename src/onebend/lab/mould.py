@@ -24,6 +24,8 @@ STATIONS = 301  # along the beam
 PEG, PEG_LENGTH, PEG_PLAY = 4.0, 4.0, 0.3  # mm, diameter and length of the halves' pegs; holes are wider by the play
 SCREW = 4.3  # mm, a hole for M4
 END = 13.0  # mm of solid beyond the cavity where pegs and screws sit
+ROOM = 4.0  # times the lean: how far from an end stations are moved along with it
+OVER = 1.0  # mm, by which the cavity is cut through the tray's upper face
 GROOVE_WIDE, GROOVE_DEEP = 0.4, 0.2  # mm, in the cast, at the tags' places
 
 
@@ -86,9 +88,9 @@ def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
     Raises:
         MechanicsError: a draft that closes the cavity, or walls too thin to be a solid.
     """
-    body = cast_body(design, settings)
-    grown = body.scale((1.0 / (1.0 - settings.shrinkage),) * 3)
-    tray = _block(grown, settings) - _through(grown)
+    body, grow = cast_body(design, settings), (1.0 / (1.0 - settings.shrinkage),) * 3
+    grown = body.scale(grow)
+    tray = _block(grown, settings) - cast_body(design, settings, over=OVER).scale(grow)
     solids = {"mould": tray}
     if settings.kind == "halves":
         left, right = tray.split_by_plane((0.0, 1.0, 0.0), 0.0)
@@ -97,13 +99,16 @@ def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
     return Mould(design, settings, parts, mesh_of(body))
 
 
-def cast_body(design: Design, settings: MouldSettings = MouldSettings()) -> Manifold:
-    """What is cast and cured: the beam from x = 0 to L, behind it the neck and the foot."""
+def cast_body(design: Design, settings: MouldSettings = MouldSettings(), over: float = 0.0) -> Manifold:
+    """What is cast and cured: the beam from x = 0 to L, behind it the neck and the foot.
+
+    `over`: mm by which it goes on above its upper face, to cut a mould open there.
+    """
     depth = MM * design.depth
-    lean = 0.5 * depth * math.tan(settings.draft)  # mm by which a wall leans out from half the depth to the top
-    beam, foot = beam_stations(design, settings), foot_stations(design, settings)
-    bodies = [strip(_leaning(stations, -lean), _leaning(stations, lean), 0.0, depth) for stations in (beam, foot)]
-    solid = bodies[0] + bodies[1]
+    low, high = (height * math.tan(settings.draft) for height in (-0.5 * depth, 0.5 * depth + over))
+    solid = Manifold()
+    for stations in (beam_stations(design, settings), foot_stations(design, settings)):
+        solid += strip(_leaning(stations, low), _leaning(stations, high), 0.0, depth + over)
     for s in settings.tag_places:
         if s < 1.0:
             x, half = MM * design.length * s, MM * float(design.width(s))
@@ -126,12 +131,10 @@ def foot_stations(design: Design, settings: MouldSettings) -> Array:
 
 
 def _leaning(stations: Array, out: float) -> Array:
-    """The stations where all walls stand `out` mm further out."""
-    moved = stations.copy()
-    moved[:, 1] += out
-    moved[0, 0] -= out
-    moved[-1, 0] += out
-    return moved
+    """The stations where all walls stand `out` mm further out; those near an end make room for it."""
+    x, half = stations.T
+    near = np.maximum(0.0, 1.0 - np.stack([x - x[0], x[-1] - x]) / (ROOM * max(abs(out), 1e-9)))
+    return np.column_stack([x + out * (near[1] - near[0]), half + out])
 
 
 def _block(cavity: Manifold, settings: MouldSettings) -> Manifold:
@@ -140,15 +143,6 @@ def _block(cavity: Manifold, settings: MouldSettings) -> Manifold:
     wall = MM * settings.wall
     end = max(wall, END) if settings.kind == "halves" else wall
     return box((low_x - end, low_y - wall, -wall), (high_x + end, high_y + wall, top))
-
-
-def _through(cavity: Manifold) -> Manifold:
-    """The cavity, with its upper face carried on beyond the tray's, so that no skin is left on it."""
-    top = cavity.bounding_box()[5]
-    lid = (
-        cavity.trim_by_plane((0.0, 0.0, 1.0), top - 1e-3).scale((1.0, 1.0, 1e3)).translate((0.0, 0.0, 0.5 - 999.0 * top))
-    )
-    return cavity + lid
 
 
 def _fastened(left: Manifold, right: Manifold, cavity: Manifold) -> tuple[Manifold, Manifold]:

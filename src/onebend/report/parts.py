@@ -15,7 +15,7 @@ from onebend.report.style import BLUE, INK, blank, styled
 
 MM = 1e3
 S = np.linspace(0.0, 1.0, 401)
-PIXELS = 900  # of a part's longer side
+PIXELS = 420  # of a part's longer side
 VIEW = np.array([-0.45, -0.62, 0.64])  # towards the eye
 LIGHT = np.array([-0.2, -0.55, 0.81])
 
