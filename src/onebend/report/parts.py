@@ -84,7 +84,8 @@ def rendered(part: PrintedPart, pixels: int = PIXELS) -> NDArray[np.uint8]:
 def _fill(triangle: Array, grey: float, depth: Array, level: Array) -> None:
     """Draw one triangle (3, 3) where it is nearer than what is drawn."""
     (x0, y0), (x1, y1) = np.floor(triangle[:, :2].min(axis=0)), np.ceil(triangle[:, :2].max(axis=0))
-    x, y = np.meshgrid(np.arange(int(x0), int(x1) + 1), np.arange(int(y0), int(y1) + 1))
+    rows, columns = slice(int(y0), int(y1) + 1), slice(int(x0), int(x1) + 1)
+    x, y = np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop)[:, None]
     edges = triangle[1:] - triangle[0]
     area = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
     if area == 0.0:
@@ -94,5 +95,6 @@ def _fill(triangle: Array, grey: float, depth: Array, level: Array) -> None:
     v = (dy * edges[0, 0] - dx * edges[0, 1]) / area
     z = triangle[0, 2] + u * edges[0, 2] + v * edges[1, 2]
     inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
-    shown = inside & (z > depth[y, x])
-    depth[y[shown], x[shown]], level[y[shown], x[shown]] = z[shown], grey
+    shown = inside & (z > depth[rows, columns])
+    depth[rows, columns] = np.where(shown, z, depth[rows, columns])
+    level[rows, columns] = np.where(shown, grey, level[rows, columns])
