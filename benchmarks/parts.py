@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pypdfium2
@@ -48,7 +49,8 @@ def cavity(walls: list[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 def widths(mesh: trimesh.Trimesh, x: float, z: float) -> Array:
     """mm between the surfaces that a line along y at (x, z) meets."""
-    lines = trimesh.intersections.mesh_plane(mesh, plane_normal=[1.0, 0.0, 0.0], plane_origin=[x, 0.0, 0.0])
+    section: Any = trimesh.intersections.mesh_plane  # trimesh declares no types for it
+    lines = section(mesh, plane_normal=[1.0, 0.0, 0.0], plane_origin=[x, 0.0, 0.0])
     (y0, z0), (y1, z1) = lines[:, 0, 1:].T, lines[:, 1, 1:].T
     hit = (z0 <= z) != (z1 <= z)
     y = np.sort(y0[hit] + (z - z0[hit]) / (z1[hit] - z0[hit]) * (y1[hit] - y0[hit]))

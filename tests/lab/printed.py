@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pypdfium2
@@ -45,7 +46,8 @@ def black_run(image: np.ndarray, row: float, start: float, end: float) -> tuple[
 
 def width_at(mesh: trimesh.Trimesh, x: float, z: float) -> Array:
     """Sorted y [mm] where a line along y at (x, z) goes through the surface."""
-    lines = trimesh.intersections.mesh_plane(mesh, plane_normal=[1.0, 0.0, 0.0], plane_origin=[x, 0.0, 0.0])
+    section: Any = trimesh.intersections.mesh_plane  # trimesh declares no types for it
+    lines = section(mesh, plane_normal=[1.0, 0.0, 0.0], plane_origin=[x, 0.0, 0.0])
     (y0, z0), (y1, z1) = lines[:, 0, 1:].T, lines[:, 1, 1:].T
     crossing = (z0 <= z) != (z1 <= z)
     share = (z - z0[crossing]) / (z1[crossing] - z0[crossing])
