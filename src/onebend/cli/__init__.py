@@ -5,6 +5,7 @@ Exit codes: 0 done; 2 the input or the request cannot be used, with one message 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -14,7 +15,7 @@ from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
