@@ -63,6 +63,7 @@ class Posterior:
     optimum: Optimum
     prior_covariance: Array  # (P, P)
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
+    level: float  # prior mean of log k
 
     @property
     def mean(self) -> Array:
@@ -147,7 +148,7 @@ def fit(
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)
-    return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
+    return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd, level)
 
 
 def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:

@@ -34,6 +34,9 @@ CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
 _SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
 _MOST = 4.0
 _CENTRE = 0.25  # share of the node in the middle
+# Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
+# below this the solver's own error (1e-8 L) would have to be fitted.
+_LEAST = 0.02
 
 
 @dataclass(frozen=True)
@@ -138,13 +141,13 @@ def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
         explained = np.einsum("frd,fde,fre->", rows.a, doubt, rows.a, optimize=True)
         marker = (float(np.sum(across**2)) + explained) / (numbers * share)
         own = np.mean(np.sum(force**2, axis=1) + np.trace(doubt, axis1=1, axis2=2)) / 2.0
-        noise = FilmNoise(float(np.sqrt(marker)), float(np.sqrt(own)))
+        noise = FilmNoise(max(float(np.sqrt(marker)), _LEAST), float(np.sqrt(own)))
     across, force = split(rows, rows.r, noise)
-    marker = noise.marker * np.sqrt(_correlation_time(across))
-    return FilmNoise(float(marker), noise.force * float(np.sqrt(_correlation_time(force))))
+    marker = noise.marker * np.sqrt(correlation_time(across))
+    return FilmNoise(float(marker), noise.force * float(np.sqrt(correlation_time(force))))
 
 
-def _correlation_time(r: Array) -> float:
+def correlation_time(r: Array) -> float:
     """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, pooled."""
     z = r - np.mean(r, axis=0)
     spread = np.median(np.abs(z), axis=0) / 0.6745
