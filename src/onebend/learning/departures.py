@@ -13,24 +13,44 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.grid import apply
-from onebend.beam.problem import Problem
-from onebend.beam.sensitivity import Change, of_clamp_angle, of_moment, of_rest_curvature, respond
+from onebend.beam.sensitivity import Change, Changes, of_clamp_angle, of_moment, of_rest_curvature, respond
 from onebend.beam.statics import Equilibrium
 from onebend.learning.forward import REST_MODES, Film, Prediction, tag_places
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 
-Kind = Literal["trend", "prior", "mechanics", "change"]
+Kind = Literal["prior", "mechanics", "change", "trend"]
+
+UNITS = {  # of what the beam and the push may do otherwise
+    "stretch": "1/N",
+    "shear": "1/N",
+    "length": "1",
+    "push place": "1",
+    "push beside": "m",
+    "force direction": "rad",
+    "weight": "N",
+    "viscous": "N m s",
+    "clamp gives": "rad/(N m)",
+    "rest shape": "rad",
+}
+AXES = ("x", "y", "angle")
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """What may be otherwise than the model takes it to be."""
+
+    kind: Kind
+    name: str
+    tag: int = -1  # its id; -1: no tag's own
+    recording: str = ""  # empty: of the beam, alike in all recordings
 
 
 @dataclass(frozen=True)
 class Departure:
     """n numbers that the model takes to be zero, and what they do to one film's tags."""
 
-    key: str  # which test; the same in all films where `recording` is empty
-    kind: Kind
-    what: str  # "tag 2 along", "stretch", ...
-    unit: str  # of b; "" where several units stand together
+    suspect: Suspect
     pattern: Array  # (F, m, 3, n) m, m, rad per unit
 
 
@@ -60,115 +80,117 @@ def course(seen: Film, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def departures(seen: Film, at: Layout, x: Array, now: Prediction, several: bool) -> list[Departure]:
+def departures(seen: Film, at: Layout, x: Array, now: Prediction) -> list[Departure]:
     """All that are tested on one film."""
-    run = course(seen, now)
-    whose = f"{seen.observations.name}: " if several else ""
-    stiff, gives = _mechanics(seen, at, x, now, run)
-    return [
-        *stiff,
-        *_changes(seen, at, x, run, gives, whose),
-        *_trends(seen, run, whose),
-    ]
+    run, found = course(seen, now), mechanics(seen, at, x, now)
+    pliant = found["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
+    wanted = {name: found[name] for name in UNITS if name in found} | {"clamp gives": pliant}
+    if at.index["curvature", -1].start >= 0:
+        del wanted["rest shape"]
+    stiff = [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+    return [*stiff, *_changes(seen, run, found), *_trends(seen, run)]
 
 
-def _mechanics(
-    seen: Film, at: Layout, x: Array, now: Prediction, run: Course
-) -> tuple[list[Departure], tuple[Array, Array]]:
-    """What the beam and the push may do otherwise; and the patterns of clamp angle (1) and rest shape (3)."""
+def mechanics(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+    """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
+    changes = _entering(seen, now)
+    carried = _carried(seen, at, x, now)
+    everything = Changes(tuple(changes.values()))
+    response = respond(now.solved, everything).poses(tag_places(seen, at, x)[0])
+    found, start = {}, 0
+    for name, change in changes.items():
+        part = response[..., start : start + len(change.clamp)].copy()
+        if name in carried:
+            part[:, :, :2] += carried[name][..., None]
+        found[name] = _ridden(seen, at, x, now.solved, part)
+        start += len(change.clamp)
+    return found
+
+
+def _entering(seen: Film, now: Prediction) -> dict[str, Change]:
+    """How the departures enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
+
+    A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
+    """
     solved, problem = now.solved, now.solved.problem
     u, n = _tangents(solved)
     force = problem.dead_force
-    pulled, across = np.sum(force * u, axis=-1), np.sum(force * n, axis=-1)
-    length = problem.length[..., None]
-    stretch, shear = _path(seen, at, x, solved, length * pulled[..., None] * u), None
-    shear = _path(seen, at, x, solved, length * across[..., None] * n)
-    longer = solved.xy(tag_places(seen, at, x)[0])[..., None]
-    none = np.zeros_like(longer)
+    product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
     pushed = seen.beyond[..., None] * now.force[:, None, :]
     turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
-    angle = np.take_along_axis(solved.angle(seen.push_s[:, None]), np.zeros((len(force), 1), dtype=int), axis=1)[:, 0]
-    along_push = now.force[:, 0] * np.cos(angle) + now.force[:, 1] * np.sin(angle)
-    across_push = now.force[:, 1] * np.cos(angle) - now.force[:, 0] * np.sin(angle)
+    angle = solved.angle(seen.push_s[:, None])[:, 0]
+    cos, sin = np.cos(angle), np.sin(angle)
+    along, across = (now.force[:, 0] * a + now.force[:, 1] * b for a, b in ((cos, sin), (-sin, cos)))
     lever = of_moment(problem, seen.push_s).moment
     assert lever is not None
-    shift = float(problem.length) * across_push[:, None, None] * lever
-    loaded = (1.0 - run.resting)[:, None]
-    sag = (loaded * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
-    viscous = _rate(seen, solved)
-    changes = {
-        "stretch": (_force((pulled * across)[..., None] * n), stretch),
-        "shear": (_force(-(pulled * across)[..., None] * n), shear),
-        "length": (_force(force), longer),
-        "push place": (Change(None, shift, None, np.zeros(1)), none),
-        "push beside the axis": (Change(None, -along_push[:, None, None] * lever, None, np.zeros(1)), none),
-        "force direction": (_force(turned), none),
-        "weight": (Change(sag, None, None, np.zeros(2)), np.repeat(none, 2, axis=-1)),
-        "viscous": (Change(None, None, viscous[..., None], np.zeros(1)), none),
-        "clamp": (of_clamp_angle(problem), none),
-        "rest": (of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)), np.repeat(none, 3, axis=-1)),
+    loaded = (np.arange(len(force)) < int(np.sum(seen.frames))).astype(float)
+    sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
+    return {
+        "stretch": _force(product),
+        "shear": _force(-product),
+        "length": _force(force),
+        "push place": Change(None, float(problem.length) * across[:, None, None] * lever, None, np.zeros(1)),
+        "push beside": Change(None, -along[:, None, None] * lever, None, np.zeros(1)),
+        "force direction": _force(turned),
+        "weight": Change(sag, None, None, np.zeros(2)),
+        "viscous": Change(None, None, _rate(seen, solved)[..., None], np.zeros(1)),
+        "clamp": of_clamp_angle(problem),
+        "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
     }
-    total = None
-    for change, _ in changes.values():
-        total = change if total is None else total + change
-    assert total is not None
-    response = respond(solved, total).poses(tag_places(seen, at, x)[0])
-    found, start = {}, 0
-    for name, (change, more) in changes.items():
-        count = len(change.clamp)
-        found[name] = _ridden(seen, at, x, solved, response[..., start : start + count], more)
-        start += count
-    base = np.sum(problem.weights * problem.length * (force[..., 1] * u[..., 0] - force[..., 0] * u[..., 1]), axis=-1)
-    units = {
-        "stretch": "1/N",
-        "shear": "1/N",
-        "length": "1",
-        "push place": "1",
-        "push beside the axis": "m",
-        "force direction": "rad",
-        "weight": "N",
-        "viscous": "N m s",
-    }
-    out = [Departure(name, "mechanics", name, unit, found[name]) for name, unit in units.items()]
-    out.append(
-        Departure("clamp gives way", "mechanics", "clamp gives way", "rad/(N m)", base[:, None, None, None] * found["clamp"])
-    )
-    if at.index["curvature", -1].start < 0:
-        out.append(Departure("rest shape", "mechanics", "rest shape", "rad", found["rest"]))
-    return out, (found["clamp"], found["rest"])
 
 
-def _changes(
-    seen: Film, at: Layout, x: Array, run: Course, gives: tuple[Array, Array], whose: str
-) -> list[Departure]:
+def _carried(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+    """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
+    solved, s = now.solved, tag_places(seen, at, x)[0]
+    u, n = _tangents(solved)
+    force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
+    length = float(solved.problem.length)
+
+    def path(slope: Array) -> Array:
+        return np.stack([apply(rows, slope[..., c]) for c in range(2)], axis=-1)
+
+    return {
+        "stretch": length * path(np.sum(force * u, axis=-1)[..., None] * u),
+        "shear": length * path(np.sum(force * n, axis=-1)[..., None] * n),
+        "length": solved.xy(s),
+    }
+
+
+def _clamp_moment(solved: Equilibrium) -> Array:
+    """(F,) N m that the loads bend the clamp with."""
+    problem, (_, n) = solved.problem, _tangents(solved)
+    return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
+
+
+def _changes(seen: Film, run: Course, found: dict[str, Array]) -> list[Departure]:
     """What may change in the course of one recording: by the bending so far, and after the largest one."""
-    clamp, rest = gives
-    frames, tags = clamp.shape[:2]
+    name = seen.observations.name
+    frames, tags = found["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
     place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
+    slip = np.concatenate([found["clamp"], place], axis=-1)
     out = [
-        Departure(f"{whose}creep", "change", f"{whose}creep", "", _in_time(rest, run)),
-        Departure(f"{whose}slip", "change", f"{whose}slip", "", _in_time(np.concatenate([clamp, place], axis=-1), run)),
+        Departure(Suspect("change", "creep", recording=name), _in_time(found["rest shape"], run)),
+        Departure(Suspect("change", "slip", recording=name), _in_time(slip, run)),
     ]
-    for i, tag in enumerate(seen.observations.tag_id):
+    for i, tag in enumerate(seen.observations.tag_id.tolist()):
         own = np.zeros((frames, tags, 3, 3))
         own[:, i] = np.eye(3)
-        out.append(Departure(f"{whose}loose {tag}", "change", f"{whose}tag {tag}", "", _in_time(own, run)))
+        out.append(Departure(Suspect("change", "loose", tag, name), _in_time(own, run)))
     return out
 
 
-def _trends(seen: Film, run: Course, whose: str) -> list[Departure]:
+def _trends(seen: Film, run: Course) -> list[Departure]:
     """Every coordinate of every tag: smooth in the bending, apart on the way out and back, and in time."""
-    side = run.after - 0.5
-    smooth = np.stack(
-        [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past], axis=1
-    ) * (1.0 - run.resting[:, None])
+    side, tags = run.after - 0.5, seen.observations.tag_id.tolist()
+    smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
+    functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
     out = []
-    for i, tag in enumerate(seen.observations.tag_id):
-        for c, name in enumerate(("x", "y", "angle")):
-            pattern = np.zeros((len(run.bend), len(seen.observations.tag_id), 3, smooth.shape[1]))
-            pattern[:, i, c] = smooth
-            out.append(Departure(f"{whose}trend {tag} {name}", "trend", f"{whose}tag {tag} {name}", "", pattern))
+    for i, tag in enumerate(tags):
+        for c, axis in enumerate(AXES):
+            pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
+            pattern[:, i, c] = functions
+            out.append(Departure(Suspect("trend", axis, tag, seen.observations.name), pattern))
     return out
 
 
@@ -188,12 +210,6 @@ def _force(force: Array) -> Change:
     return Change(force[..., None], None, None, np.zeros(1))
 
 
-def _path(seen: Film, at: Layout, x: Array, solved: Equilibrium, slope: Array) -> Array:
-    """(F, m, 2, 1) integral of `slope` (F, Q, 2) from the clamp to the tags."""
-    rows = solved.problem.grid.integral_to(tag_places(seen, at, x)[0])
-    return np.stack([apply(rows, slope[..., c]) for c in range(2)], axis=-1)[..., None]
-
-
 def _rate(seen: Film, solved: Equilibrium) -> Array:
     """(F, Q) rad/s of the curvature; zero at rest."""
     time = seen.observations.time[seen.frames]
@@ -203,12 +219,11 @@ def _rate(seen: Film, solved: Equilibrium) -> Array:
     return out
 
 
-def _ridden(seen: Film, at: Layout, x: Array, solved: Equilibrium, response: Array, more: Array) -> Array:
-    """(F, m, 3, n) of the tags, which ride on the beam: places (with `more` of their own) and turns."""
+def _ridden(seen: Film, at: Layout, x: Array, solved: Equilibrium, response: Array) -> Array:
+    """(F, m, 3, n) of the tags, which ride on the beam, from that of the beam's places under them."""
     s, over = tag_places(seen, at, x)
     angle, across = solved.angle(s), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
     lever = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
-    turn = response[:, :, 2]
-    moved = response[:, :, :2] + more + lever[..., None] * turn[:, :, None, :]
-    return np.concatenate([moved, turn[:, :, None, :]], axis=2)
+    turn = response[:, :, 2:]
+    return np.concatenate([response[:, :, :2] + lever[..., None] * turn, turn], axis=2)
