@@ -172,17 +172,21 @@ def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
 
 
 def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
-    """Variance of the noise, correlation in time included, over what is left of it after the changes (F, R) of the
-    residuals; and how many independent numbers these are."""
+    """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals,
+    correlation in time included; and how many independent numbers are left.
+
+    Afterwards the coordinate with the longest correlation counts: a departure that is smooth in time would else pass
+    for signal where one tag's noise is slow and the others' is not.
+    """
     before, after, numbers = 0.0, 0.0, 0.0
     for rows, known, change, noise in zip(line.rows, line.known, changes, line.optimum.scales.films, strict=True):
         plain = rows.r - rows.j @ line.step[known]
         old, new = (split(rows, r, noise)[0] for r in (plain, plain - change))
-        time = correlation_time(new)
+        time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)
         after += float(np.sum(new**2)) * time
         numbers += float(np.sum(rows.known)) / time
-    return max(before / max(after, 1e-300), 1.0), numbers
+    return before / max(after, 1e-300), numbers
 
 
 def _moved(seen: Film, rows: Rows, change: Array) -> float:

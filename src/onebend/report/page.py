@@ -12,6 +12,7 @@ from jinja2 import Environment, StrictUndefined
 
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
+from onebend.learning.criticism_words import criticism_remarks
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.cards import cards
@@ -80,6 +81,9 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     forced = any(one.clean_force is not None for one in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
+        "doubt": [] if posterior.criticism.trusted else [r.text for r in criticism_remarks(posterior)[:1]],
+        "tests": [test_row(one) for one in posterior.criticism.findings],
+        "alarm": posterior.criticism.alarm,
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": gain_words(posterior.gain_sd, forced=forced),
         "stopped": stop_words(posterior),
