@@ -75,6 +75,17 @@ def cause_words(finding: Finding, posterior: Posterior) -> _Words:
     return whose + what, do
 
 
+def supposed_words(finding: Finding, posterior: Posterior) -> str:
+    """What was tested."""
+    if finding.score.suspect.kind == "trend":
+        suspect = finding.score.suspect
+        whose = f"{suspect.recording}: " if len(posterior.films) > 1 else ""
+        return f"{whose}tag {suspect.tag} {suspect.name} follows the load in a way that the model does not"
+    if not np.all(np.isfinite(finding.score.value)):
+        return f"{finding.score.suspect.name}: nothing in the data tells"
+    return cause_words(finding, posterior)[0]
+
+
 def _stretch(value: Array, _: Posterior) -> _Words:
     do = "Push less far, or more across the beam; a beam that stretches is beyond this model"
     if value[0] <= 0.0:

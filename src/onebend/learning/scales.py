@@ -31,7 +31,7 @@ CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
 # One sd of their logs. Roughness and steps are known to a factor of three (from a ruler-drawn taper to a joint); the
 # coloured noise behind the filter to a factor of two in size and two and a half in correlation time (the clock search
 # takes part of the force for it); the walk, of which one push is one draw, to a factor of three.
-_SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
+SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
 _MOST = 4.0
 _CENTRE = 0.25  # share of the node in the middle
 # Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
@@ -62,7 +62,7 @@ class Known:
 
     def scaled(self, start: Scales, z: Array) -> Scales:
         """Scales z (5,) sd from what was expected."""
-        logs = np.log(_chosen(self.expected)) + _SPREAD * np.clip(z, -_MOST, _MOST)
+        logs = np.log(_chosen(self.expected)) + SPREAD * np.clip(z, -_MOST, _MOST)
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Scales) -> Callable[[Array], float]:
@@ -78,7 +78,7 @@ class Known:
 
     def place(self, scales: Scales) -> Array:
         """(5,) sd of scales from what was expected."""
-        return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / _SPREAD)
+        return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / SPREAD)
 
 
 def _chosen(scales: Scales) -> Array:

@@ -12,12 +12,18 @@ from jinja2 import Environment, StrictUndefined
 
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
-from onebend.learning.criticism_words import criticism_remarks
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.cards import cards
 from onebend.report.findings import Findings, all_remarks, name_of
-from onebend.report.sureness import gain_words, nuisance_rows, stop_words, tradeoff_words, unidentified_words
+from onebend.report.sureness import (
+    gain_words,
+    nuisance_rows,
+    stop_words,
+    supposed_rows,
+    tradeoff_words,
+    unidentified_words,
+)
 from onebend.report.wording import (
     assumptions,
     files_described,
@@ -81,9 +87,8 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     forced = any(one.clean_force is not None for one in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
-        "doubt": [] if posterior.criticism.trusted else [r.text for r in criticism_remarks(posterior)[:1]],
-        "tests": [test_row(one) for one in posterior.criticism.findings],
-        "alarm": posterior.criticism.alarm,
+        "trusted": posterior.criticism.trusted,
+        "tests": supposed_rows(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": gain_words(posterior.gain_sd, forced=forced),
         "stopped": stop_words(posterior),
