@@ -26,7 +26,14 @@ from onebend.records import Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything")
-OWN = ("prior 3", "prior 8", "prior 20", "steps 1", "fixed 6", "drawn scales")  # drawn from the fit's own model: see `own_run`
+OWN = (
+    "prior 3",
+    "prior 8",
+    "prior 20",
+    "steps 1",
+    "fixed 6",
+    "drawn scales",
+)  # drawn from the fit's own model: see `own_run`
 LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
@@ -116,7 +123,11 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
         ),
         camera=noise,
         clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if has("clock") else Clock(250.0, 250.0, 0.01),
-        said=Said(placement_sd=PLACEMENT if has("tags") else PLACED, rest="unknown" if everything else "straight", gain_sd=GAIN * has("gain")),
+        said=Said(
+            placement_sd=PLACEMENT if has("tags") else PLACED,
+            rest="unknown" if everything else "straight",
+            gain_sd=GAIN * has("gain"),
+        ),
         name=f"{kind} {errors} {seed}",
     )
 

@@ -26,7 +26,7 @@ ALARM = -4.0  # log10 p of one test of about 45: clean recordings go beyond in l
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
 _SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
 _MOST = 3  # causes and symptoms that are named
-_HARMLESS = ("turn",)  # the beam at rest shows how each tag is turned, however far that is
+_MATTERS = 0.5  # sd of log k: what is smaller takes a 95 % band to 92 % at most, and is only remarked on
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,11 @@ class Finding:
     score: Score
     shift: float  # largest change of log k over the identified places if it is freed
     sds: float  # the same in sds of log k
+
+    @property
+    def matters(self) -> bool:
+        """Whether the change is no small part of the band, as that would be without the misfit's share of its noise."""
+        return self.sds * self.score.noise**0.5 > _MATTERS
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,7 @@ class Criticism:
     @property
     def alarms(self) -> tuple[Finding, ...]:
         """Those of them that put k(s) in doubt."""
-        return tuple(f for f in self.striking if not _harmless(f))
+        return tuple(f for f in self.striking if f.matters)
 
     @property
     def trusted(self) -> bool:
@@ -115,10 +120,6 @@ def _finding(score: Score, shift: Array, sd: Array) -> Finding:
     return Finding(score, float(np.max(np.abs(shift))), float(np.max(np.abs(shift) / sd)))
 
 
-def _harmless(finding: Finding) -> bool:
-    return finding.score.suspect.kind == "prior" and finding.score.suspect.name in _HARMLESS
-
-
 def _as_dict(finding: Finding) -> dict[str, Any]:
     score, suspect = finding.score, finding.score.suspect
     return {
@@ -133,4 +134,5 @@ def _as_dict(finding: Finding) -> dict[str, Any]:
         "size_m": score.size,
         "shift_log_k": finding.shift,
         "shift_sds": finding.sds,
+        "matters": finding.matters,
     }

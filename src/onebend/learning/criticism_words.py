@@ -14,16 +14,16 @@ _Words = tuple[str, str]  # what it would be, and what to do
 
 
 def criticism_remarks(posterior: Posterior) -> tuple[Remark, ...]:
-    """A warning where the model does not hold; and one for every tag that is turned beyond its tolerance."""
+    """A warning where the model does not hold; a note on what stands out but hardly moves k(s)."""
     critic = posterior.criticism
-    harmless = [f for f in critic.striking if f not in critic.alarms]
+    small = [f for f in critic.striking if f not in critic.alarms]
     odd = [
         Remark(
             "note",
-            f"tag {f.score.suspect.tag} is turned by {_degrees(f.score.value[0])} against the beam, more than a tag "
-            "that was put on with care. The rest shows it, so k(s) does not suffer",
+            f"{supposed_words(f, posterior)}: more than chance explains, but too little to count: k(s) would change by less "
+            "than half of its sd",
         )
-        for f in harmless
+        for f in small
     ]
     return tuple(odd) if critic.trusted else (_verdict(posterior), *odd)
 
@@ -124,7 +124,10 @@ def _weight(value: Array, _: Posterior) -> _Words:
 
 
 def _viscous(_: Array, __: Posterior) -> _Words:
-    return "the shape lags behind the force", "Push more slowly; check the clocks; a beam that flows is beyond this model"
+    return (
+        "the shape lags behind the force",
+        "Push more slowly; check the clocks; a beam that flows is beyond this model",
+    )
 
 
 def _pliant(_: Array, __: Posterior) -> _Words:
@@ -149,7 +152,10 @@ _MECHANICS: dict[str, Callable[[Array, Posterior], _Words]] = {
 }
 _PLACES = "Measure where it sits and correct its s, or state a wider placement_sd_m"
 _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
-    "along": lambda v, tag: (f"tag {tag} sits {_millimetres(abs(v[0]))} along the beam from its written place", _PLACES),
+    "along": lambda v, tag: (
+        f"tag {tag} sits {_millimetres(abs(v[0]))} along the beam from its written place",
+        _PLACES,
+    ),
     "across": lambda v, tag: (f"tag {tag} sits {_millimetres(abs(v[0]))} beside its written place", _PLACES),
     "turn": lambda v, tag: (f"tag {tag} is turned by {_degrees(v[0])}", _PLACES),
     "clamp": lambda v, _: (f"the clamp is turned by {_degrees(v[0])}", "Check the base tag, or see --clamp-sd-deg"),
@@ -157,7 +163,10 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
         f"the clamp is {_millimetres(float(np.linalg.norm(v)))} from where the base tag puts it",
         "Check the base tag's place, length_m and the tags' s",
     ),
-    "scale": lambda v, _: (f"lengths in the picture are off by {100 * v[0]:.2g} %", "Calibrate the camera; check size_m"),
+    "scale": lambda v, _: (
+        f"lengths in the picture are off by {100 * v[0]:.2g} %",
+        "Calibrate the camera; check size_m",
+    ),
     "clock": lambda v, _: (f"the clocks are off by {1000 * abs(v[0]):.0f} ms", "Check start_s and the frame times"),
     "mass": lambda _, __: ("the mass, or how it is spread, is not as written", "Check mass_kg and [gravity]"),
     "curvature": lambda _, __: ("the beam at rest is bent more than expected", "Check the tags' places and the rest"),

@@ -42,6 +42,7 @@ class Score:
     log10_p: float  # log10 of the probability of as large a gain, the model being right
     size: float  # m, RMS over the frames of what the tag that it moves most moves by, all else refitted
     shift: Array  # (p,) by which the coefficients of log k change
+    noise: float = 1.0  # variance that the fit took for noise over what is left of it, not below 1
 
 
 @dataclass(frozen=True)
@@ -161,6 +162,7 @@ def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
     step = -line.covariance @ (every.mixed[part].T @ b)
     log10_p = float(chi_squared.logsf(chi2, count)) / np.log(10.0)
     changes = [d[..., part] @ b + r.j @ step[k] for d, r, k in zip(every.d, line.rows, line.known, strict=True)]
+    ratio = 1.0
     if log10_p < _WORTH:
         ratio, numbers = _noise_left(line, changes)
         chi2 *= ratio
@@ -168,7 +170,7 @@ def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
         log10_p = float(f_distribution.logsf(chi2 / count, count, freedom)) / np.log(10.0)
     moved = max(_moved(f, r, c) for f, r, c in zip(line.films, line.rows, changes, strict=True))
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return Score(suspect, b, sd, chi2, log10_p, moved, step[:p])
+    return Score(suspect, b, sd, chi2, log10_p, moved, step[:p], max(ratio, 1.0))
 
 
 def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
