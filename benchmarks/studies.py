@@ -156,7 +156,8 @@ def run(cell: str, seed: int) -> Run:
 def own_run(cell: str, seed: int) -> Run:
     """The same with a draw from the fit's own model: "prior 8" has k of roughness 8 and the steps that
     are expected, "steps 1" of steps 1 and the roughness expected, "fixed 6" one k of 6 functions. "drawn scales" draws
-    roughness and steps too, from the prior that the fit has of them: its band must hold the truth as often as it says."""
+    roughness and steps too, from the prior that the fit has of them: its band must hold the truth as often as it
+    says."""
     kind, number = cell.split()
     began = time.perf_counter()
     fixed, functions = kind == "fixed", int(number) if kind == "fixed" else FitSettings().functions

@@ -40,7 +40,7 @@ class Finding:
     @property
     def matters(self) -> bool:
         """Whether the change is no small part of the band, as that would be without the misfit's share of its noise."""
-        return self.sds * self.score.noise**0.5 > _MATTERS
+        return bool(self.sds * np.sqrt(self.score.noise) > _MATTERS)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ def criticism_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     odd = [
         Remark(
             "note",
-            f"{supposed_words(f, posterior)}: more than chance explains, but too little to count: k(s) would change by less "
-            "than half of its sd",
+            f"{supposed_words(f, posterior)}: more than chance explains, but too little to count: k(s) would change by "
+            "less than half of its sd",
         )
         for f in small
     ]

@@ -1,4 +1,4 @@
-"""What else the beam, the bench or the tags might do: departures from the fit's model, each a pattern in the tags' poses.
+"""What else beam, bench and tags might do: departures from the fit's model, each a pattern in the tags' poses.
 
 A departure is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D follows
 from the equilibrium's derivatives (implicit function theorem) at the optimum. Where the model already has the parameter

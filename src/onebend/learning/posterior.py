@@ -175,8 +175,8 @@ def _frames(o: Observations, most: int) -> BoolArray:
     usable = np.flatnonzero(usable_frames(o))
     if len(usable) < _FEWEST:
         raise LearningError(
-            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {_FEWEST} are needed. Push for "
-            "longer (a second or more), keep the tags in view, and let the force log cover the whole film"
+            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {_FEWEST} are needed. Push "
+            "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
         )
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
     out = np.zeros(len(o.time), dtype=bool)
