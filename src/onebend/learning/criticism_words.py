@@ -10,6 +10,7 @@ from onebend.learning.criticism import Criticism, Finding
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
+_SLIP = 1e-3  # m, by which the push may act beside where it is said to
 _Words = tuple[str, str]  # what it would be, and what to do
 
 
@@ -73,6 +74,22 @@ def cause_words(finding: Finding, posterior: Posterior) -> _Words:
     else:
         what, do = symptom_words(finding, posterior), "Look at the film"
     return whose + what, do
+
+
+def unseen_words(posterior: Posterior) -> str:
+    """What a wrong place of the push would do, which hardly shows in the tags; empty where nothing was pushed."""
+    for one in posterior.criticism.findings:
+        value = one.score.value
+        if one.score.suspect.name == "push place" and np.all(np.isfinite(value)) and np.all(value != 0.0):
+            share = _SLIP / posterior.films[0].observations.length / abs(float(value[0]))
+            seen = -posterior.criticism.alarm * float(one.score.sd[0])  # 4 sd: one of about 10,000
+            change = 100.0 * float(np.expm1(share * one.shift))
+            return (
+                f"A push {_millimetres(_SLIP)} from where at_s says it acts would change k(s) by up to {change:.2g} % "
+                f"({share * one.sds:.1f} sd), and would be noticed only if it were off by more than about "
+                f"{seen:.2g} in s"
+            )
+    return ""
 
 
 def supposed_words(finding: Finding, posterior: Posterior) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
+from onebend.learning.criticism_words import unseen_words
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
@@ -89,6 +90,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     return {
         "trusted": posterior.criticism.trusted,
         "tests": supposed_rows(posterior),
+        "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": gain_words(posterior.gain_sd, forced=forced),
         "stopped": stop_words(posterior),
