@@ -18,9 +18,9 @@ from onebend.recording.force import (
     clean_force,
     force_at,
     gap_limit,
-    read_force_log,
     to_beam,
 )
+from onebend.recording.force_log import read_force_log
 from onebend.recording.frame import RestShape
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.plausible import read_force
