@@ -13,6 +13,7 @@ from onebend.recording.noise import first_guess
 from onebend.recording.signals import at_times, low_pass, outliers, step
 from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, Remark
 
+
 @dataclass(frozen=True)
 class ForceSettings:
     """How the log is cleaned."""
