@@ -108,3 +108,16 @@ def test_a_tag_turned_otherwise_than_written_is_named(pushed: Virtual, which: in
     fits = -90 * quarter if which == 0 else 90 * quarter
     assert f"tag {which} (turn_deg = 0; {180 if abs(fits) == 180 else fits} would fit)" in str(caught.value)
     assert str(caught.value).count("would fit") == 1
+
+
+def test_a_start_far_off_and_milliseconds_beside_a_start_in_seconds_are_hinted_at(pushed: Virtual) -> None:
+    video = pushed.recording.video
+    assert video is not None
+    late = replace(pushed, recording=replace(pushed.recording, video=replace(video, start=video.start + 5.0)))
+    with pytest.raises(ObservationError, match=r"start_s in .video. is farther off"):
+        observe_virtual(late)
+    fast = long_log(pushed.log, 0.0, 20.0)
+    dense = ForceLog(np.linspace(0.0, 1000.0 * np.ptp(fast.time), 60000), np.tile(fast.force[:1], (60000, 1)))
+    film = replace(pushed.markers, time=4.0 * pushed.markers.time)
+    with pytest.raises(ObservationError, match="look like milliseconds"):
+        observe_virtual(replace(pushed, markers=film, log=replace(dense, time=dense.time + 1e6)))

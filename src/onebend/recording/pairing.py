@@ -185,5 +185,9 @@ def check_direction(
     else:
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
+        if rec.video is not None and math.isfinite(rec.video.start):
+            text += (
+                " Or start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched."
+            )
         raise ObservationError(f"{rec.name}: {text}")
     return (Remark("warning", text),)
