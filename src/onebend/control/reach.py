@@ -22,15 +22,13 @@ from onebend.beam.problem import pose
 from onebend.beam.statics import Equilibrium
 from onebend.control.reach_newton import PushedBeam, State, Trail, trace
 from onebend.control.reach_paper import paper_force
-from onebend.control.reach_search import Found, from_rest, resolved, search
+from onebend.control.reach_search import Found, from_rest, resolved, sampled, search
 from onebend.control.reach_settings import ReachSettings, checked_goal
-from onebend.control.reachable import Nearest, ReachableSet, reachable
+from onebend.control.reachable import Nearest, ReachableSet
 from onebend.errors import ControlError
 from onebend.records import Array
 
 __all__ = ["Reach", "ReachSettings", "reach"]
-
-_UNBOUNDED = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
 
 
 @dataclass(frozen=True)
@@ -96,14 +94,14 @@ def reach(
     on = PushedBeam(beam, push_s, point_s, gravity=settings.gravity)
     if settings.method == "paper":
         return _by_paper(on, wanted, settings)
-    sampled = cache(partial(_sampled, on, settings))
+    samples = cache(partial(sampled, on, settings))
     begin = None if start is None else _way_of(on, start)
     far, found = _too_far(on, wanted), None
     if not far and settings.direction is None:
-        found = search(on, wanted, settings, begin, sampled)
+        found = search(on, wanted, settings, begin, samples)
         if found is not None and not found.wrong:
             return _result(resolved(found, wanted, settings), wanted, settings, "")
-    return _unreached(on, wanted, settings, far or (found.wrong if found else ""), sampled())
+    return _unreached(on, wanted, settings, far or (found.wrong if found else ""), samples())
 
 
 def _way_of(on: PushedBeam, start: Reach) -> Trail:
@@ -119,20 +117,6 @@ def _way_of(on: PushedBeam, start: Reach) -> Trail:
     return Trail(tuple(states), (1.0,), True)
 
 
-def _sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
-    return reachable(
-        on.beam,
-        push_s=on.push_s,
-        point_s=on.point_s,
-        max_force=settings.max_force or _UNBOUNDED * on.force_scale,
-        directions=36,
-        sizes=8,
-        max_curvature=settings.max_curvature,
-        direction=settings.direction,
-        gravity=settings.gravity,
-    )
-
-
 def _too_far(on: PushedBeam, goal: Array) -> str:
     """Why no shape whatever brings the point to the goal; empty where that is not so plain."""
     arm, away = float(on.problem.length) * on.point_s, float(np.hypot(*goal[:2]))
@@ -141,9 +125,9 @@ def _too_far(on: PushedBeam, goal: Array) -> str:
     return ""
 
 
-def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, sampled: ReachableSet) -> Reach:
+def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
     """The nearest point to a goal that was not found; where that lies within the tolerance, the goal is reached."""
-    nearest = sampled.nearest(goal[:2])
+    nearest = samples.nearest(goal[:2])
     last = nearest.states[-1]
     trail = from_rest(on, last, widest=1.0 / settings.steps)
     states = nearest.states if trail is None else trail.states

@@ -43,9 +43,9 @@ class ReachSettings:
             raise ControlError("the paper's iteration knows no bounds, moment or weight; take method='newton'")
 
     @property
-    def free(self) -> Array:
-        """(3, P) the loads that may be given, of (N, N, N m)."""
-        return np.eye(3) if self.moment else np.eye(3)[:, :2]
+    def loads(self) -> int:
+        """How many of the two components of the force and the moment may be given."""
+        return 3 if self.moment else 2
 
 
 def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
