@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.interpolate import PchipInterpolator
 
-from benchmarks.truth import RECORDINGS, read_truth
+from benchmarks.truth import RECORDINGS
+from onebend.beam.continuation import follow
+from onebend.beam.loads import push
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, pose_many
+from onebend.beam.uncertain import UncertainStiffness
 from onebend.control.reach import Reach, reach
 from onebend.control.uncertainty import PredictedError, predicted_error
+from onebend.lab.truths import force_that_bends
 from onebend.pipeline import learn_recording
 from onebend.records import Array
 
@@ -30,7 +36,7 @@ class Task:
     goal: tuple[float, float]  # m
 
 
-TASKS = (Task("tip", 1.0, 1.0, (0.112, 0.088)), Task("middle", 0.6, 0.6, (0.076, 0.044)))
+TASKS = (Task("tip", 1.0, 1.0, (0.115, 0.0905)), Task("middle", 0.6, 0.6, (0.0822, 0.0345)))
 
 
 @dataclass(frozen=True)
@@ -86,21 +92,61 @@ def true_place(folder: Path, force: Array, push_s: float, point_s: float) -> Arr
     return np.asarray(solved.sol(point_s / push_s)[2:])
 
 
-def outcomes(recordings: Path = RECORDINGS) -> list[Outcome]:
-    """Every task on every beam."""
+@dataclass(frozen=True)
+class Known:
+    """A beam as learned, and where its truth lies."""
+
+    name: str
+    folder: Path
+    beam: Beam
+    stiffness: UncertainStiffness
+
+
+def learned(recordings: Path = RECORDINGS) -> list[Known]:
+    """The three beams, each from its training push alone."""
     out = []
-    for beam in BEAMS:
-        folder = recordings / f"{beam}_train"
+    for name in BEAMS:
+        folder = recordings / f"{name}_train"
         run = learn_recording(folder)
         assert run.posterior is not None
-        for task in TASKS:
-            began = time.perf_counter()
-            found = reach(run.beam, task.goal, push_s=task.push_s, point_s=task.point_s)
-            seconds = time.perf_counter() - began
-            error = predicted_error(run.posterior.stiffness, found)
-            landed = true_place(folder, found.force, task.push_s, task.point_s)
-            out.append(Outcome(beam, task, found, error, landed, seconds))
+        out.append(Known(name, folder, run.beam, run.posterior.stiffness))
     return out
+
+
+def attempt(known: Known, task: Task) -> Outcome:
+    """Solve a task on the learned beam, and put its force on the true one."""
+    began = time.perf_counter()
+    found = reach(known.beam, task.goal, push_s=task.push_s, point_s=task.point_s)
+    seconds = time.perf_counter() - began
+    if not found.converged:
+        raise RuntimeError(f"{known.name}, {task.name}: {found.reason}")
+    error = predicted_error(known.beam, known.stiffness, found)
+    landed = true_place(known.folder, found.force, task.push_s, task.point_s)
+    return Outcome(known.name, task, found, error, landed, seconds)
+
+
+def many(known: Known, count: int, *, seed: int) -> list[Outcome]:
+    """Tasks with random goals that the learned beam can reach, tips turned by 0.3 to 1.2 rad."""
+    rng, out = np.random.default_rng(seed), []
+    while len(out) < count:
+        push_s = float(rng.choice([1.0, 0.8, 0.6]))
+        turn = float(rng.choice([-1.0, 1.0]) * rng.uniform(np.pi / 4, 3 * np.pi / 4))
+        size = force_that_bends(known.beam, float(rng.uniform(0.3, 1.2)), turn, push_s)
+        force = size * np.array([np.cos(turn), np.sin(turn)])
+        point_s = push_s * float(rng.choice([1.0, 0.6]))
+        x, y = known.beam.equilibrium(force, push_s).xy(point_s)
+        out.append(attempt(known, Task("random", push_s, point_s, (float(x), float(y)))))
+    return out
+
+
+def drawn_inside(one: Outcome, known: Known, count: int, *, seed: int) -> int:
+    """How many beams drawn from the band have the point in the ellipse under the same force."""
+    profiles = known.stiffness.draw(count, seed=seed)
+    beams = [replace(known.beam, stiffness=profile) for profile in profiles]
+    loads = push(np.tile(one.found.force, (count, 1)), one.task.push_s)
+    solved = follow(pose_many(beams, loads, Resolution(16, 0.5)))
+    place = solved.xy(np.array([one.task.point_s]))[:, 0]
+    return int(np.sum([one.error.holds(xy, LEVEL) for xy in place]))
 
 
 def table(found: list[Outcome]) -> str:

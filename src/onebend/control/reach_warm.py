@@ -50,7 +50,7 @@ class WarmReach:
         """The beam at rest.
 
         Raises:
-            ControlError: a place without meaning, or settings that only `reach` knows (the paper's method, one direction).
+            ControlError: a place without meaning, or settings that only `reach` knows (paper, one direction).
         """
         if settings.method != "newton" or settings.direction is not None:
             raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
@@ -96,8 +96,8 @@ class WarmReach:
         settled = search(self._on, wanted, self._settings, None, cache(lambda: sampled(self._on, self._settings)))
         if settled is None:
             raise ControlError(
-                f"the point s = {self._on.point_s:.4g} cannot be put on {np.round(1e3 * wanted[:2], 3).tolist()} mm: no "
-                "stable shape there to which the beam comes from rest. `reach` names the nearest point"
+                f"the point s = {self._on.point_s:.4g} cannot be put on {np.round(1e3 * wanted[:2], 3).tolist()} mm: "
+                "no stable shape there to which the beam comes from rest. `reach` names the nearest point"
             )
         return self._take(settled.states[-1], "rest", settled.iterations, None)
 
