@@ -163,7 +163,8 @@ def say_goals(beams: int, slow: int, wild: int) -> None:
     ours, few = newton(beams, seed=0), newton(slow, seed=1)
     theirs = paper(slow, seed=1, within=2e-3)
     print(
-        "\n| random reachable goals | goals | right | claimed but wrong | refused | iterations, median / 99 % | time, median [ms] |"
+        "\n| random reachable goals | goals | right | claimed but wrong | refused | iterations, median / 99 % | "
+        "time, median [ms] |"
     )
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name, one in (
@@ -177,8 +178,8 @@ def say_goals(beams: int, slow: int, wild: int) -> None:
             f"{turns[0]:.0f} / {turns[1]:.0f} | {1e3 * np.median(one.seconds):.2f} |"
         )
     odd, missed = anywhere(wild, seed=2)
-    print(f"\nGoals anywhere, with and without a bound on the force: {odd.all}; {odd.right} reached and right, {odd.wrong} "
-          f"claimed but wrong, {odd.refused} refused, of which one of 1000 random forces reaches {missed} after all. "
+    print(f"\nGoals anywhere, with and without a bound on the force: {odd.all}; {odd.right} reached and right, "
+          f"{odd.wrong} claimed but wrong, {odd.refused} refused, of which one of 1000 random forces reaches {missed} after all. "
           f"A refusal takes {1e3 * np.median(odd.seconds):.0f} ms (median).")  # fmt: skip
     seconds, iterations = warm_times(seed=3)
     print(f"\nWarm, one goal after another on walks of the tip: {1e6 * np.median(seconds):.0f} us (median), "

@@ -1,4 +1,4 @@
-"""Fig. 8 of the paper: the tip and a point in the middle of three beams led to goals. Writes docs/images/reach-*.png."""
+"""Fig. 8 of the paper: the tip and a point in the middle of three beams led to goals, as docs/images/reach-*.png."""
 
 from __future__ import annotations
 
