@@ -145,7 +145,8 @@ def say_tasks(recordings: Path, count: int, draws: int) -> None:
     print("The six tasks, each beam learned from its training push alone:\n")
     print(reach_true.table([reach_true.attempt(one, task) for one in known for task in reach_true.TASKS]))
     print(
-        "\n| beam | random goals | off on the true beam, median / largest [mm] | in the 95 % ellipse | drawn beams in it |"
+        "\n| beam | random goals | off on the true beam, median / largest [mm] | in the 95 % ellipse | "
+        "drawn beams in it |"
     )
     print("| --- | --- | --- | --- | --- |")
     for one in known:
@@ -179,7 +180,8 @@ def say_goals(beams: int, slow: int, wild: int) -> None:
         )
     odd, missed = anywhere(wild, seed=2)
     print(f"\nGoals anywhere, with and without a bound on the force: {odd.all}; {odd.right} reached and right, "
-          f"{odd.wrong} claimed but wrong, {odd.refused} refused, of which one of 1000 random forces reaches {missed} after all. "
+          f"{odd.wrong} claimed but wrong, {odd.refused} refused, of which one of 1000 random "
+          f"forces reaches {missed} after all. "
           f"A refusal takes {1e3 * np.median(odd.seconds):.0f} ms (median).")  # fmt: skip
     seconds, iterations = warm_times(seed=3)
     print(f"\nWarm, one goal after another on walks of the tip: {1e6 * np.median(seconds):.0f} us (median), "
