@@ -28,6 +28,7 @@ from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
 RIGHT = 1e-6  # m
+FINE = Resolution(16, 1.0 / 16.0)  # forces without a bound can be a thousand times k / L
 EACH = 25  # goals on a beam
 WALK = 400  # goals in a row, half a millimetre apart
 
@@ -107,7 +108,7 @@ def anywhere(beams: int, *, seed: int) -> tuple[Tally, int]:
         found = reach(one.beam, goal, push_s=one.push_s, point_s=one.point_s, settings=ReachSettings(max_force=bound))
         tally.seconds.append(time.perf_counter() - began)
         if found.converged:
-            there, stands = places_under(one.beam, found.force[None], one.push_s, one.point_s)
+            there, stands = places_under(one.beam, found.force[None], one.push_s, one.point_s, FINE)
             good = bool(stands[0]) and float(np.linalg.norm(there[0] - goal)) < RIGHT
             good = good and (bound is None or float(np.hypot(*found.force)) <= bound * (1.0 + 1e-9))
             tally.right, tally.wrong = tally.right + int(good), tally.wrong + int(not good)

@@ -73,10 +73,12 @@ def _reached(beam: Beam, push_s: float, point_s: float, count: int, rng: np.rand
     return Goals(beam, push_s, point_s, solved.xy(np.array([point_s]))[good, 0], force[good])
 
 
-def places_under(beam: Beam, force: Array, push_s: float, point_s: float) -> tuple[Array, BoolArray]:
+def places_under(
+    beam: Beam, force: Array, push_s: float, point_s: float, resolution: Resolution = RESOLUTION
+) -> tuple[Array, BoolArray]:
     """(G, 2) m of the point under forces (G, 2), on the branch from rest, and (G,) whether it is stable there.
 
     By load continuation alone: it knows nothing of how the forces were found.
     """
-    solved = follow(pose(beam, push(force, push_s), RESOLUTION))
+    solved = follow(pose(beam, push(force, push_s), resolution))
     return solved.xy(np.array([point_s]))[:, 0], solved.converged & solved.stable
