@@ -1,0 +1,1 @@
+"""Forces that bend a known beam as wanted."""

@@ -1,0 +1,200 @@
+"""The closed loop: a learned beam's force for a goal, corrected by what the camera sees.
+
+The model gives a path of forces from where the beam stands to the goal's force (feedforward), and the path of positions
+that belongs to it (the reference). Every frame, the position seen is compared with the reference of the moment when the
+frame was exposed; the error, filtered, passes the inverse compliance of the model at that working point and is added up
+(integral action in the task space). Where k(s) is wrong, the sum grows to just the force that was missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import hypot, inf, isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.continuation import equilibrium
+from onebend.beam.loads import push, weight
+from onebend.beam.problem import Rod
+from onebend.control.margins import Gains, Loop, Margins, Timing, margins
+from onebend.control.plant import Plant, plant_at
+from onebend.control.tuning import Wanted, tuned
+from onebend.errors import MechanicsError
+from onebend.records import Array
+
+_PLACES = 33  # of the reference path
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What is known of the loop, and what is wanted of it."""
+
+    timing: Timing = field(default_factory=Timing)  # as known or guessed
+    longest_delay: float = 0.1  # s: the margins are kept up to here
+    damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
+    wanted: Wanted = field(default_factory=Wanted)
+    gains: Gains | None = None  # None: the fastest that keep the margins
+    weak: float = 0.05  # directions more compliant than this share of the most compliant one are corrected in full
+    most_force: float = inf  # N, the robot's bound on the force's size
+    rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
+    feedforward: bool = True
+    feedback: bool = True
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the model's beam is on its way to the goal: P places, at equal steps of the force."""
+
+    begins: Array  # (2,) N
+    ends: Array  # (2,) N
+    rise: float  # s
+    xy: Array  # (P, 2) m: the point's positions
+    inverse: Array  # (P, 2, 2) N/m: the map from position error to force
+
+    def share(self, time: float) -> float:
+        """Of the way, `time` s after its start: the quintic that starts and ends without velocity or acceleration."""
+        x = min(max(time / self.rise, 0.0), 1.0)
+        return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+    def force(self, time: float) -> Array:
+        """(2,) N."""
+        return np.asarray(self.begins + self.share(time) * (self.ends - self.begins))
+
+    def position(self, time: float) -> Array:
+        """(2,) m."""
+        low, part = self._place(time)
+        return np.asarray((1.0 - part) * self.xy[low] + part * self.xy[low + 1])
+
+    def to_force(self, time: float) -> Array:
+        """(2, 2) N/m."""
+        low, part = self._place(time)
+        return np.asarray((1.0 - part) * self.inverse[low] + part * self.inverse[low + 1])
+
+    def _place(self, time: float) -> tuple[int, float]:
+        along = self.share(time) * (len(self.xy) - 1)
+        low = min(int(along), len(self.xy) - 2)
+        return low, along - low
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """All that a controller remembers. Start with `Controller.begin`."""
+
+    began: float  # s
+    correction: Array  # (2,) N: the integral
+    filtered: Array  # (2,) m: the error behind the filter
+    frame_at: float  # s: when the last frame that counted arrived
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A loop for one goal. Nothing in it changes; what it remembers is its `ControllerState`."""
+
+    goal: Array  # (2,) m
+    reference: Reference
+    plant: Plant  # the model at the goal
+    gains: Gains
+    settings: ControllerSettings
+
+    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
+        """The state in which the way to the goal starts at `time` s."""
+        return ControllerState(time, np.asarray(correction, dtype=float), np.zeros(2), time)
+
+    def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
+        """The force (2,) N to apply from `time` s on, and the state after it.
+
+        `seen`: the point's position (2,) m in a frame that has just arrived; None where none has, NaN where the point
+        was hidden in it. Both leave the integral as it is. Call it as often as the force can be set.
+        """
+        wished = self._wished(state, time)
+        if seen is not None and self.settings.feedback:
+            position = np.asarray(seen, dtype=float)
+            if position.shape != (2,):
+                raise MechanicsError(f"the loop sees one position (2,) [m], got shape {position.shape}")
+            if isfinite(position[0]) and isfinite(position[1]):
+                state = self._corrected(state, position, time)
+                wished = self._wished(state, time)
+        return state, wished
+
+    def margins(self) -> Margins:
+        """How far the loop at the goal is from ringing, k(s) being the model's."""
+        return margins(Loop(self.plant, self.reference.inverse[-1], self.gains, self.settings.timing))
+
+    def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
+        """After one frame. A gap counts as one frame, so that what was not seen is not corrected for."""
+        since = time - state.began
+        passed = min(time - state.frame_at, 1.0 / self.settings.timing.fps)
+        if not passed > 0.0:
+            return state
+        error = self.reference.position(since - self.settings.timing.delay) - position
+        keep = np.exp(-self.gains.corner * passed)
+        filtered = keep * state.filtered + (1.0 - keep) * error
+        correction = state.correction + self.gains.rate * passed * self.reference.to_force(since) @ filtered
+        feedforward = self._feedforward(since)
+        within = bounded(feedforward + correction, self.settings.most_force) - feedforward
+        return replace(state, correction=within, filtered=filtered, frame_at=time)
+
+    def _wished(self, state: ControllerState, time: float) -> Array:
+        return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
+
+    def _feedforward(self, since: float) -> Array:
+        return self.reference.force(since) if self.settings.feedforward else self.reference.begins
+
+
+def bounded(force: Array, most: float) -> Array:
+    """(2,) N: the force, shortened to `most`."""
+    size = hypot(force[0], force[1])
+    return force if size <= most else np.asarray(force * (most / size))
+
+
+def controller(
+    beam: Rod,
+    goal: ArrayLike,
+    *,
+    push_s: float = 1.0,
+    point_s: float = 1.0,
+    gravity: ArrayLike = (0.0, 0.0),
+    start: ArrayLike = (0.0, 0.0),
+    settings: ControllerSettings = ControllerSettings(),
+) -> Controller:
+    """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
+    wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
+    ends = _force_for(beam, wanted, push_s, point_s)
+    if np.linalg.norm(ends) > settings.most_force:
+        raise MechanicsError(f"the goal needs {np.linalg.norm(ends):.3g} N, more than the {settings.most_force:.3g} N")
+    forces = begins + np.linspace(0.0, 1.0, _PLACES)[:, None] * (ends - begins)
+    solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
+    plants = [
+        plant_at(beam, f, push_s=push_s, point_s=point_s, damping_ratio=settings.damping_ratio, gravity=gravity)
+        for f in forces
+    ]
+    inverse = np.array([damped_inverse(plant.compliance, settings.weak) for plant in plants])
+    late = replace(settings.timing, delay=max(settings.longest_delay, settings.timing.delay))
+    ways = [(plants[i], inverse[i]) for i in (_PLACES // 2, _PLACES - 1)]
+    gains = settings.gains or tuned(ways, late, settings.wanted)
+    periods = [4.0 * np.pi / plant.omega[0] for plant in plants if len(plant.omega)]
+    rise = settings.rise if settings.rise is not None else max([1.0, *periods])
+    xy = solved.xy(np.array([point_s]))[:, 0]
+    return Controller(wanted, Reference(begins, ends, rise, xy, inverse), plants[-1], gains, settings)
+
+
+def damped_inverse(compliance: Array, weak: float) -> Array:
+    """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`. A direction that hardly yields is corrected slowly, not wildly."""
+    least = weak * np.linalg.norm(compliance, 2)
+    return np.asarray(compliance.T @ np.linalg.inv(compliance @ compliance.T + least**2 * np.eye(2)))
+
+
+def _force_for(beam: Rod, goal: Array, push_s: float, point_s: float) -> Array:
+    force = np.array([0.0, 1e-3])
+    for _ in range(200):
+        plant = plant_at(beam, force, push_s=push_s, point_s=point_s)
+        from onebend.beam.loads import push as p
+
+        off = goal - equilibrium(beam, p(force[None], push_s)).xy(np.array([point_s]))[0, 0]
+        if np.linalg.norm(off) < 1e-9:
+            return force
+        change = damped_inverse(plant.compliance, 0.02 if np.linalg.norm(off)>2e-3 else 1e-6) @ off
+        k = float(np.min(np.asarray(beam.stiffness(np.linspace(0, 1, 50))))) / beam.length
+        force = force + change * min(1.0, 0.3 * k / max(np.linalg.norm(change), 1e-12))
+    raise MechanicsError("no force")
