@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
 from onebend.beam.problem import Rod
+from onebend.beam.sensitivity import of_force, respond
 from onebend.control.margins import Gains, Loop, Margins, Timing, margins
 from onebend.control.plant import Plant, plant_at
 from onebend.control.tuning import Wanted, tuned
-from onebend.errors import MechanicsError
+from onebend.errors import ControlError
 from onebend.records import Array
 
 _PLACES = 33  # of the reference path
@@ -40,6 +41,17 @@ class ControllerSettings:
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
     feedback: bool = True
+
+    def __post_init__(self) -> None:
+        if not (self.most_force > 0.0 and self.weak > 0.0 and 0.0 < self.damping_ratio < 1.0):
+            raise ControlError(
+                "a loop needs a bound on the force and a share `weak` above zero, and a damping ratio between 0 and 1, "
+                f"got {self.most_force} N, {self.weak} and {self.damping_ratio}"
+            )
+        if not isfinite(self.longest_delay) or self.longest_delay < 0.0:
+            raise ControlError(f"the longest delay must be finite and not negative, got {self.longest_delay} s")
+        if self.rise is not None and not (isfinite(self.rise) and self.rise > 0.0):
+            raise ControlError(f"the way to a goal takes a positive time, got {self.rise} s")
 
 
 @dataclass(frozen=True)
@@ -83,7 +95,7 @@ class ControllerState:
 
     began: float  # s
     correction: Array  # (2,) N: the integral
-    filtered: Array  # (2,) m: the error behind the filter
+    filtered: Array  # (2, 2) m: the error behind the first filter, and behind both
     frame_at: float  # s: when the last frame that counted arrived
 
 
@@ -99,7 +111,7 @@ class Controller:
 
     def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
         """The state in which the way to the goal starts at `time` s."""
-        return ControllerState(time, np.asarray(correction, dtype=float), np.zeros(2), time)
+        return ControllerState(time, np.asarray(correction, dtype=float), np.zeros((2, 2)), time)
 
     def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
         """The force (2,) N to apply from `time` s on, and the state after it.
@@ -111,7 +123,7 @@ class Controller:
         if seen is not None and self.settings.feedback:
             position = np.asarray(seen, dtype=float)
             if position.shape != (2,):
-                raise MechanicsError(f"the loop sees one position (2,) [m], got shape {position.shape}")
+                raise ControlError(f"the loop sees one position (2,) [m], got shape {position.shape}")
             if isfinite(position[0]) and isfinite(position[1]):
                 state = self._corrected(state, position, time)
                 wished = self._wished(state, time)
@@ -129,11 +141,12 @@ class Controller:
             return state
         error = self.reference.position(since - self.settings.timing.delay) - position
         keep = np.exp(-self.gains.corner * passed)
-        filtered = keep * state.filtered + (1.0 - keep) * error
-        correction = state.correction + self.gains.rate * passed * self.reference.to_force(since) @ filtered
+        once = keep * state.filtered[0] + (1.0 - keep) * error
+        twice = keep * state.filtered[1] + (1.0 - keep) * once
+        correction = state.correction + self.gains.rate * passed * self.reference.to_force(since) @ twice
         feedforward = self._feedforward(since)
         within = bounded(feedforward + correction, self.settings.most_force) - feedforward
-        return replace(state, correction=within, filtered=filtered, frame_at=time)
+        return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
         return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
@@ -162,17 +175,18 @@ def controller(
     wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
     ends = _force_for(beam, wanted, push_s, point_s)
     if np.linalg.norm(ends) > settings.most_force:
-        raise MechanicsError(f"the goal needs {np.linalg.norm(ends):.3g} N, more than the {settings.most_force:.3g} N")
+        raise ControlError(f"the goal needs {np.linalg.norm(ends):.3g} N, more than the {settings.most_force:.3g} N")
     forces = begins + np.linspace(0.0, 1.0, _PLACES)[:, None] * (ends - begins)
     solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
+    compliance = respond(solved, of_force(solved.problem, push_s)).xy(np.array([point_s]))[:, 0]
+    inverse = np.array([damped_inverse(one, settings.weak) for one in compliance])
+    places = (_PLACES // 2, _PLACES - 1)
     plants = [
-        plant_at(beam, f, push_s=push_s, point_s=point_s, damping_ratio=settings.damping_ratio, gravity=gravity)
-        for f in forces
+        plant_at(beam, forces[i], push_s=push_s, point_s=point_s, damping_ratio=settings.damping_ratio, gravity=gravity)
+        for i in places
     ]
-    inverse = np.array([damped_inverse(plant.compliance, settings.weak) for plant in plants])
     late = replace(settings.timing, delay=max(settings.longest_delay, settings.timing.delay))
-    ways = [(plants[i], inverse[i]) for i in (_PLACES // 2, _PLACES - 1)]
-    gains = settings.gains or tuned(ways, late, settings.wanted)
+    gains = settings.gains or tuned(list(zip(plants, inverse[list(places)], strict=True)), late, settings.wanted)
     periods = [4.0 * np.pi / plant.omega[0] for plant in plants if len(plant.omega)]
     rise = settings.rise if settings.rise is not None else max([1.0, *periods])
     xy = solved.xy(np.array([point_s]))[:, 0]
@@ -197,4 +211,4 @@ def _force_for(beam: Rod, goal: Array, push_s: float, point_s: float) -> Array:
         change = damped_inverse(plant.compliance, 0.02 if np.linalg.norm(off)>2e-3 else 1e-6) @ off
         k = float(np.min(np.asarray(beam.stiffness(np.linspace(0, 1, 50))))) / beam.length
         force = force + change * min(1.0, 0.3 * k / max(np.linalg.norm(change), 1e-12))
-    raise MechanicsError("no force")
+    raise ControlError("no force")

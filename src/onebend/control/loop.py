@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from onebend.beam.actions import Actions, Force, acting
+from onebend.beam.actions import Actions, acting
 from onebend.beam.collocation import Method, tableau
 from onebend.beam.dynamics import Body, body
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.problem import Resolution
+from onebend.beam.motion import State
 from onebend.beam.stepping import Stepper
 from onebend.beam.stiffness import Scaled
+from onebend.beam.vibration import settle, vibration_of
 from onebend.control.feedback import Controller
-from onebend.errors import MechanicsError
 from onebend.records import Array
 
-_METHOD = Method(3, "radau")
+TICK = 1.0 / 120.0  # s, between two forces
+_METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as the strong damping up there does
 
 
 @dataclass(frozen=True)
@@ -84,56 +85,67 @@ class Rehearsal:
         return float(self.time[outside[-1] + 1]) if outside[-1] + 1 < len(self.time) else np.inf
 
 
-def rehearse(
-    control: Controller, truth: Truth, duration: float, *, seed: int = 0, tick: float = 1.0 / 240.0
-) -> Rehearsal:
+def rehearse(control: Controller, truth: Truth, duration: float, *, seed: int = 0, tick: float = TICK) -> Rehearsal:
     """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s.
 
     Raises:
         MechanicsError: the beam's mass is not known, or its motion could not be followed.
     """
-    on = _body(truth)
-    rng = np.random.default_rng(seed)
-    stepper, numbers = Stepper(on, tableau(_METHOD), tick, tolerance=1e-8), tableau(_METHOD)
-    theta, momentum, guess = np.zeros(on.n), np.zeros(on.n), np.zeros((on.n, len(numbers.c)))
-    count = int(np.ceil(duration / tick))
-    arrivals = _frames(truth.eye, duration, rng)
-    state, force = control.begin(0.0), np.zeros(2)
-    rows = np.zeros((count + 1, 7))
-    place = np.array([truth.point_s])
-    for i in range(count + 1):
-        now = i * tick
-        rows[i, 0], rows[i, 1:3], rows[i, 5:] = now, on.xy(place, theta[None])[0, 0], force
-        asked = None
-        while arrivals and arrivals[0][0] <= now + 1e-9:
+    arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
+    moving = _Moving(truth, tick)
+    state = control.begin(0.0)
+    rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
+    for i, row in enumerate(rows):
+        row[0], row[1:3], row[5:] = i * tick, moving.point, moving.force
+        state, row[3:5] = control.step(state, None, row[0])
+        while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
-            at = np.array([np.interp(exposed, rows[: i + 1, 0], rows[: i + 1, c]) for c in (1, 2)])
-            state, asked = control.step(state, at + noise, now)
-        if asked is None:
-            state, asked = control.step(state, None, now)
-        rows[i, 3:5] = asked
-        goes_to, begin, lag = truth.hand.gain * asked + np.array(truth.hand.bias), force, truth.hand.lag
-
-        def applied(t: float, now: float = now, a: Array = begin, b: Array = goes_to, lag: float = lag) -> Array:
-            return b + (a - b) * np.exp(-(t - now) / lag)
-
-        acts = acting(
-            on, Actions((Force(applied, truth.push_s),), gravity=truth.gravity), now + tick * numbers.c
-        )
-        found = stepper.advance(theta, momentum, guess, acts, now)
-        theta, momentum, guess = found.theta, found.momentum, found.velocity @ numbers.ahead.T
-        force = applied(now + tick)
+            before = rows[max(0, int(exposed / tick)) : i + 1]
+            seen = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
+            state, row[3:5] = control.step(state, seen, row[0])
+        moving.advance(row[3:5], row[0])
     return Rehearsal(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
 
 
-def _body(truth: Truth) -> Body:
-    from onebend.beam.motion import State
-    from onebend.beam.vibration import vibration_of
+class _Moving:
+    """The true beam in motion behind its actuator. Lives only inside `rehearse`."""
 
-    plain = body(truth.beam, Modes(truth.modes), resolution=Resolution(24))
-    omega = 2.0 * np.pi * vibration_of(plain, State(np.zeros(plain.n), np.zeros(plain.n))).frequency[0]
-    damping = Scaled(2.0 * truth.damping_ratio / omega, truth.beam.stiffness)
-    return body(truth.beam, Modes(truth.modes), damping=damping, resolution=Resolution(24))
+    def __init__(self, truth: Truth, tick: float) -> None:
+        self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
+        self._numbers = tableau(_METHOD)
+        self._stepper = Stepper(self.body, self._numbers, tick, tolerance=1e-8)
+        places = self.body.length * self.body.grid.integral_to(np.array([truth.push_s, truth.point_s]))
+        self._lever, self._point = places
+        weighed = Actions(gravity=truth.gravity)
+        self._weight = acting(self.body, weighed, tick * self._numbers.c)
+        start = settle(self.body, weighed)
+        self._theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
+        self._guess = np.zeros((self.body.n, len(self._numbers.c)))
+
+    @property
+    def point(self) -> Array:
+        """(2,) m, where the point is."""
+        alpha = self.body.rest_angle + self.body.to_angle @ self._theta
+        return np.array([self._point @ np.cos(alpha), self._point @ np.sin(alpha)])
+
+    def advance(self, asked: Array, now: float) -> None:
+        """One tick with the force going to what is asked for, by the actuator's lag."""
+        goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
+        left = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
+        force = goes_to + left[:, None] * (self.force - goes_to)
+        pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
+        acts = replace(self._weight, pull=pull, force=force[:-1])
+        found = self._stepper.advance(self._theta, self._momentum, self._guess, acts, now)
+        self._theta, self._momentum, self.force = found.theta, found.momentum, force[-1]
+        self._guess = found.velocity @ self._numbers.ahead.T
+
+
+def damped_body(truth: Truth) -> Body:
+    """The true beam in curvature modes, its internal damping in proportion to k(s)."""
+    plain = body(truth.beam, Modes(truth.modes))
+    slowest = float(vibration_of(plain, State(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
+    damping = Scaled(truth.damping_ratio / (np.pi * slowest), truth.beam.stiffness)
+    return body(truth.beam, Modes(truth.modes), damping=damping)
 
 
 def _frames(eye: Eye, duration: float, rng: np.random.Generator) -> deque[tuple[float, float, Array]]:

@@ -3,7 +3,8 @@
 Every frame at `t_k = k / fps` the controller takes what the camera saw `delay` earlier, filters the error and adds it to
 the integral, and the force is held to the next frame:
 
-    f_k = a f_(k-1) + (1 - a) e_k,    u_k = u_(k-1) + (rate / fps) C^+ f_k,    a = exp(-corner / fps)
+    f_k = a f_(k-1) + (1 - a) e_k,    g_k = a g_(k-1) + (1 - a) f_k,    a = exp(-corner / fps)
+    u_k = u_(k-1) + (rate / fps) C^+ g_k
 
 With the plant of `plant.py` this is one linear recursion, whose largest eigenvalue decides (`Loop.radius`), and whose
 characteristic loci (the eigenvalues of the 2 x 2 loop transfer on the unit circle) give the phase margin.
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onebend.control.plant import Plant, behind_actuator
+from onebend.errors import ControlError
 from onebend.records import Array
 
 ComplexArray = NDArray[np.complex128]
@@ -35,13 +37,24 @@ class Timing:
     delay: float = 0.05  # s, from exposure to the force that answers it
     lag: float = 0.02  # s, time constant of the actuator
 
+    def __post_init__(self) -> None:
+        known = np.isfinite([self.fps, self.delay, self.lag])
+        if not np.all(known) or not (self.fps > 0.0 and self.delay >= 0.0 and self.lag >= 0.0):
+            raise ControlError(
+                f"a loop needs a frame rate above zero, a delay and a lag that are not negative, got {self}"
+            )
+
 
 @dataclass(frozen=True)
 class Gains:
-    """The integral's rate and the filter before it."""
+    """The integral's rate, and the corner of the two equal filters before it."""
 
     rate: float  # 1/s: the error falls as exp(-rate t) where all is as modelled and slow
     corner: float  # rad/s
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.rate, self.corner]).all() and self.rate > 0.0 and self.corner > 0.0):
+            raise ControlError(f"gains must be finite and positive, got {self}")
 
 
 @dataclass(frozen=True)
@@ -59,12 +72,14 @@ class Loop:
         whole, part = _split(self.timing)
         (a, b), (a_seen, b_seen) = linear.over(frame), linear.over((1.0 - part) * frame)
         keep, n = float(np.exp(-self.gains.corner * frame)), len(linear.a)
-        oldest, last_f, last_u = n + 2 * whole, n + 2 * (whole + 1), n + 2 * (whole + 2)
-        eye = np.eye(last_u + 2)
-        filtered = keep * eye[last_f : last_f + 2] - (1.0 - keep) * eye[oldest : oldest + 2]
-        force = eye[last_u:] + self.gains.rate * frame * self.inverse @ filtered
-        seen = linear.c @ (a_seen @ eye[:n] + b_seen @ force)
-        return np.vstack([a @ eye[:n] + b @ force, seen, eye[n:oldest], filtered, force])
+        eye = np.eye(n + 2 * (whole + 4))
+        state, late = eye[:n], eye[n : n + 2 * whole]  # what the camera saw and has not delivered yet, then the oldest
+        arrived, f, g, u = np.split(eye[n + 2 * whole :], 4)
+        f = keep * f - (1.0 - keep) * arrived
+        g = keep * g + (1.0 - keep) * f
+        u = u + self.gains.rate * frame * self.inverse @ g
+        seen = linear.c @ (a_seen @ state + b_seen @ u)
+        return np.vstack([a @ state + b @ u, seen, late, f, g, u])
 
     @property
     def radius(self) -> float:
@@ -80,8 +95,8 @@ class Loop:
         z = np.exp(1j * frequency * frame)
         inside = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - a, np.broadcast_to(b, (len(z), *b.shape)))
         seen = linear.c @ (a_seen @ inside + b_seen)
-        of_error = self.gains.rate * frame * (1.0 - keep) * z**2 / ((z - 1.0) * (z - keep)) * z ** -(whole + 1.0)
-        found = np.linalg.eigvals(of_error[:, None, None] * (seen @ self.inverse))
+        of_error = self.gains.rate * frame * z / (z - 1.0) * ((1.0 - keep) * z / (z - keep)) ** 2
+        found = np.linalg.eigvals((of_error * z ** -(whole + 1.0))[:, None, None] * (seen @ self.inverse))
         for i in range(1, len(found)):
             here, before = found[i], found[i - 1]
             if np.sum(np.abs(here - before)) > np.sum(np.abs(here[::-1] - before)):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from onebend.control.margins import ComplexArray, Gains, Loop, Timing, frequencies
 from onebend.control.plant import Plant
+from onebend.errors import ControlError
 from onebend.records import Array
 
 _CORNERS = np.geomspace(1.0, 100.0, 13)  # rad/s, of the filter
-_RATES = np.geomspace(20.0, 0.02, 140)  # 1/s, fastest first
+_FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, rates of the integral
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,15 @@ class Wanted:
     """The margins that a loop must have at every stiffness it may meet."""
 
     gain: float = 2.0  # factor
-    phase: float = np.deg2rad(45.0)  # rad
+    phase: float = np.deg2rad(40.0)  # rad
     k_error: float = 0.3  # share by which all of k(s) may be wrong, either way
+
+    def __post_init__(self) -> None:
+        if not (self.gain > 1.0 and 0.0 < self.phase < 0.5 * np.pi and 0.0 <= self.k_error < 1.0):
+            raise ControlError(
+                "wanted margins are a gain above 1, a phase between 0 and a right angle, and an error of k below 1, "
+                f"got {self}"
+            )
 
 
 def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: Wanted) -> Gains:
@@ -29,30 +37,22 @@ def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: Wanted) -> 
     For each corner the largest rate whose loci keep the margins, taken from the loci at rate 1; then the corner that
     allows the largest rate.
     """
-    best = Gains(float(_RATES[-1]), float(_CORNERS[0]))
+    best = Gains(_SLOWEST, float(_CORNERS[0]))
     grid = frequencies(timing)
     for corner in _CORNERS:
-        curves = [
-            Loop(plant.stiffer(factor), inverse, Gains(1.0, float(corner)), timing).loci(grid)
+        rate = min(
+            _largest(Loop(plant.stiffer(factor), inverse, Gains(1.0, float(corner)), timing).loci(grid), wanted)
             for plant, inverse in plants
             for factor in (1.0 - wanted.k_error, 1.0, 1.0 + wanted.k_error)
-        ]
-        rate = next((r for r in _RATES if all(_keeps(r * curve, wanted) for curve in curves)), 0.0)
+        )
         if rate > best.rate:
-            best = Gains(float(rate), float(corner))
+            best = Gains(rate, float(corner))
     return best
 
 
-def slower(gains: Gains, share: float) -> Gains:
-    """The same filter, the integral at `share` of its rate."""
-    return replace(gains, rate=share * gains.rate)
-
-
-def _keeps(loci: ComplexArray, wanted: Wanted) -> bool:
-    """Whether loci (R, 2) that start at -90 degrees keep away from -1: no longer than 1/gain beyond the phase margin.
-
-    Stricter than the two margins apart: between the crossings, too, a locus as long as 1/gain stays out of the sector.
-    """
-    long = np.abs(loci) > 1.0 / wanted.gain
-    behind = np.unwrap(np.angle(loci), axis=0) < -np.pi + wanted.phase
-    return not bool(np.any(long & behind))
+def _largest(loci: ComplexArray, wanted: Wanted) -> float:
+    """The largest factor on loci (R, 2) that begin at -90 degrees and keep both margins, at every resonance too."""
+    lag, size = -np.unwrap(np.angle(loci), axis=0), np.abs(loci)
+    unit = float(np.max(size, initial=1e-9, where=lag > np.pi - wanted.phase))
+    real = float(np.max(size, initial=1e-9, where=lag > np.pi))
+    return min(_FASTEST, 1.0 / unit, 1.0 / (wanted.gain * real))
