@@ -75,13 +75,13 @@ def test_phase_margin_of_a_slow_integral_is_the_delays() -> None:
 def test_gain_margin_is_where_a_locus_crosses_the_negative_axis() -> None:
     """Two routes: eigenvalues of the closed loop, and the frequency response of the open one."""
     loop = Loop(plant(), np.linalg.inv(plant().compliance), Gains(2.0, 10.0), Timing(30.0, 0.07, 0.02))
-    grid = np.linspace(0.01, 1.0, 200_000) * np.pi * 30.0
+    grid = np.linspace(0.01, 1.0, 20_000) * np.pi * 30.0
     curves = loop.loci(grid)
     crosses = (curves[:-1].imag * curves[1:].imag < 0.0) & (curves[:-1].real < 0.0)
     assert margins(loop).gain == pytest.approx(1.0 / np.max(np.abs(curves[:-1][crosses])), rel=1e-3)
 
 
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(st.floats(0.0, 0.12), st.floats(0.3, 2.0))
 def test_delay_margin_is_the_onset(delay: float, rate: float) -> None:
     loop = Loop(AT_ONCE, INVERSE, Gains(rate, 8.0), Timing(30.0, delay, 0.02))
@@ -96,7 +96,7 @@ def test_tuned_gains_keep_the_wanted_margins_at_every_stiffness_and_the_longest_
     late = replace(control.settings.timing, delay=control.settings.longest_delay)
     least_gain, least_phase = np.inf, np.inf
     for factor in (0.7, 0.85, 1.0, 1.3):
-        found = margins(Loop(control.plant.stiffer(factor), control.reference.inverse[-1], control.gains, late))
+        found = margins(Loop(control.plant.stiffer(factor), control.inverse, control.gains, late))
         least_gain, least_phase = min(least_gain, found.gain), min(least_phase, found.phase)
     assert least_gain > 0.99 * wanted.gain
     assert least_phase > wanted.phase - 0.01
@@ -107,7 +107,7 @@ def test_tuned_gains_keep_the_wanted_margins_at_every_stiffness_and_the_longest_
 def test_controller_and_margins_are_of_the_same_recursion() -> None:
     """The frozen controller on a linear plant walks exactly as the matrix says whose eigenvalues are the margins."""
     control = replace(reaching(), settings=ControllerSettings(timing=Timing(30.0, 0.05, 0.02)))
-    loop = Loop(control.plant, control.reference.inverse[-1], control.gains, control.settings.timing)
+    loop = Loop(control.plant, control.inverse, control.gains, control.settings.timing)
     linear, frame = behind_actuator(loop.plant, 0.02), 1.0 / 30.0
     (a, b), (half_a, half_b) = linear.over(frame), linear.over(0.5 * frame)  # 0.05 s are one frame and a half
     n, rest = len(a), control.reference.position(1e9)

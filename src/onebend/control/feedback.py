@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
-from onebend.beam.problem import Rod
+from onebend.beam.problem import Resolution, Rod
 from onebend.beam.sensitivity import of_force, respond
 from onebend.control.margins import Gains, Loop, Margins, Timing, margins
 from onebend.control.plant import Plant, plant_at
@@ -25,6 +25,7 @@ from onebend.errors import ControlError
 from onebend.records import Array
 
 _PLACES = 33  # of the reference path
+RESOLUTION = Resolution(10)  # of the shape behind the map from error to force, which need not be exact
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class ControllerSettings:
     damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
     wanted: Wanted = field(default_factory=Wanted)
     gains: Gains | None = None  # None: the fastest that keep the margins
-    weak: float = 0.05  # directions more compliant than this share of the most compliant one are corrected in full
+    weak: float = 0.01  # directions more compliant than this share of the most compliant one are corrected in full
     most_force: float = inf  # N, the robot's bound on the force's size
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
@@ -62,7 +63,6 @@ class Reference:
     ends: Array  # (2,) N
     rise: float  # s
     xy: Array  # (P, 2) m: the point's positions
-    inverse: Array  # (P, 2, 2) N/m: the map from position error to force
 
     def share(self, time: float) -> float:
         """Of the way, `time` s after its start: the quintic that starts and ends without velocity or acceleration."""
@@ -77,11 +77,6 @@ class Reference:
         """(2,) m."""
         low, part = self._place(time)
         return np.asarray((1.0 - part) * self.xy[low] + part * self.xy[low + 1])
-
-    def to_force(self, time: float) -> Array:
-        """(2, 2) N/m."""
-        low, part = self._place(time)
-        return np.asarray((1.0 - part) * self.inverse[low] + part * self.inverse[low + 1])
 
     def _place(self, time: float) -> tuple[int, float]:
         along = self.share(time) * (len(self.xy) - 1)
@@ -103,8 +98,13 @@ class ControllerState:
 class Controller:
     """A loop for one goal. Nothing in it changes; what it remembers is its `ControllerState`."""
 
+    beam: Rod
     goal: Array  # (2,) m
+    push_s: float
+    point_s: float
+    gravity: Array  # (2,) m/s^2
     reference: Reference
+    inverse: Array  # (2, 2) N/m: the map from position error to force at the goal
     plant: Plant  # the model at the goal
     gains: Gains
     settings: ControllerSettings
@@ -131,7 +131,7 @@ class Controller:
 
     def margins(self) -> Margins:
         """How far the loop at the goal is from ringing, k(s) being the model's."""
-        return margins(Loop(self.plant, self.reference.inverse[-1], self.gains, self.settings.timing))
+        return margins(Loop(self.plant, self.inverse, self.gains, self.settings.timing))
 
     def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
         """After one frame. A gap counts as one frame, so that what was not seen is not corrected for."""
@@ -143,10 +143,22 @@ class Controller:
         keep = np.exp(-self.gains.corner * passed)
         once = keep * state.filtered[0] + (1.0 - keep) * error
         twice = keep * state.filtered[1] + (1.0 - keep) * once
-        correction = state.correction + self.gains.rate * passed * self.reference.to_force(since) @ twice
         feedforward = self._feedforward(since)
+        inverse = self.inverse_at(feedforward + state.correction)
+        correction = state.correction + self.gains.rate * passed * inverse @ twice
         within = bounded(feedforward + correction, self.settings.most_force) - feedforward
         return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
+
+    def inverse_at(self, force: Array) -> Array:
+        """(2, 2) N/m: the map from position error to force where the model stands under `force`.
+
+        Where the model has no stable shape there, that of the goal.
+        """
+        solved = equilibrium(self.beam, push(force, self.push_s) + weight(self.gravity), resolution=RESOLUTION)
+        if not (solved.converged[0] and solved.stable[0]):
+            return self.inverse
+        compliance = respond(solved, of_force(solved.problem, self.push_s)).xy(np.array([self.point_s]))[0, 0]
+        return damped_inverse(compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
         return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
@@ -190,7 +202,9 @@ def controller(
     periods = [4.0 * np.pi / plant.omega[0] for plant in plants if len(plant.omega)]
     rise = settings.rise if settings.rise is not None else max([1.0, *periods])
     xy = solved.xy(np.array([point_s]))[:, 0]
-    return Controller(wanted, Reference(begins, ends, rise, xy, inverse), plants[-1], gains, settings)
+    reference = Reference(begins, ends, rise, xy)
+    at = np.asarray(gravity, dtype=float)
+    return Controller(beam, wanted, push_s, point_s, at, reference, inverse[-1], plants[-1], gains, settings)
 
 
 def damped_inverse(compliance: Array, weak: float) -> Array:
