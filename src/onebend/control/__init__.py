@@ -1,1 +1,1 @@
-"""Forces that bend a known beam as wanted."""
+"""Forces that bend a beam where it is wanted."""
