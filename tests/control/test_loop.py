@@ -78,7 +78,7 @@ def test_stated_gain_margin_is_where_the_true_beam_begins_to_ring(stiffness: str
     other, timing = replace(BEAM, stiffness=WRONG[stiffness]), Timing(30.0, 0.08, 0.02)
     truth = Truth(other, eye=Eye(delay=0.08, noise=0.0))
     held = rehearse(reaching(), truth, 8.0).asked[-1]  # the force with which the true beam stands at the goal
-    loop = Loop(plant_at(other, held), reaching().inverse, reaching().gains, timing)
+    loop = Loop(plant_at(other, held), reaching().inverse_at(held, 99.0), reaching().gains, timing)
     onset = margins(loop).gain * reaching().gains.rate
     grown = []
     for share in (0.9, 1.1):

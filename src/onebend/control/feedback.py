@@ -15,17 +15,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import push, weight
-from onebend.beam.problem import Resolution, Rod
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution
 from onebend.beam.sensitivity import of_force, respond
 from onebend.control.margins import Gains, Loop, Margins, Timing, margins
 from onebend.control.plant import Plant, plant_at
+from onebend.control.reach import ReachSettings, reach
 from onebend.control.tuning import Wanted, tuned
 from onebend.errors import ControlError
 from onebend.records import Array
 
 _PLACES = 33  # of the reference path
-RESOLUTION = Resolution(10)  # of the shape behind the map from error to force, which need not be exact
+_NEAR = 1e-4  # share of the length by which the path's end may miss the goal
+_COARSE = Resolution(10)  # of the shape behind the map from error to force, which need not be exact
+_SCALES = np.geomspace(0.5, 2.0, 15)  # of the model's compliance
+_TRUST = 0.02  # of the length: how far off the reference a beam may stand before a factor e in k is the likelier reason
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class ControllerSettings:
     damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
     wanted: Wanted = field(default_factory=Wanted)
     gains: Gains | None = None  # None: the fastest that keep the margins
-    weak: float = 0.01  # directions more compliant than this share of the most compliant one are corrected in full
+    weak: float = 0.01  # a direction that yields less than this share of what the softest does is corrected slowly
     most_force: float = inf  # N, the robot's bound on the force's size
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
@@ -98,7 +103,7 @@ class ControllerState:
 class Controller:
     """A loop for one goal. Nothing in it changes; what it remembers is its `ControllerState`."""
 
-    beam: Rod
+    beam: Beam
     goal: Array  # (2,) m
     push_s: float
     point_s: float
@@ -139,26 +144,39 @@ class Controller:
         passed = min(time - state.frame_at, 1.0 / self.settings.timing.fps)
         if not passed > 0.0:
             return state
-        error = self.reference.position(since - self.settings.timing.delay) - position
+        late = self.settings.timing.delay + self.settings.timing.lag
+        error = self.reference.position(since - late) - position
         keep = np.exp(-self.gains.corner * passed)
         once = keep * state.filtered[0] + (1.0 - keep) * error
         twice = keep * state.filtered[1] + (1.0 - keep) * once
         feedforward = self._feedforward(since)
-        inverse = self.inverse_at(feedforward + state.correction)
+        inverse = self.inverse_at(feedforward + state.correction, since)
         correction = state.correction + self.gains.rate * passed * inverse @ twice
         within = bounded(feedforward + correction, self.settings.most_force) - feedforward
         return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
 
-    def inverse_at(self, force: Array) -> Array:
-        """(2, 2) N/m: the map from position error to force where the model stands under `force`.
+    def inverse_at(self, force: Array, since: float) -> Array:
+        """(2, 2) N/m: the map from position error to force where the beam stands under `force`, `since` s after the start.
 
-        Where the model has no stable shape there, that of the goal.
+        Of all beams whose k(s) is the model's times 1/c, the one is taken that stands nearest to the reference under
+        this force: under c times the force the model has its shape, and c times the model's compliance is its own.
+        Where the model has no stable shape, the map is that of the goal.
         """
-        solved = equilibrium(self.beam, push(force, self.push_s) + weight(self.gravity), resolution=RESOLUTION)
-        if not (solved.converged[0] and solved.stable[0]):
+        at = np.array([self.point_s])
+        solved = equilibrium(self.beam, push(_SCALES[:, None] * force, self.push_s) + self._weights, resolution=_COARSE)
+        off = solved.xy(at)[:, 0] - self.reference.position(since)
+        cost = np.sum(off**2, axis=1) + (_TRUST * self.beam.length * np.log(_SCALES)) ** 2
+        cost[~(solved.converged & solved.stable)] = inf
+        best = int(np.argmin(cost))
+        if not isfinite(cost[best]):
             return self.inverse
-        compliance = respond(solved, of_force(solved.problem, self.push_s)).xy(np.array([self.point_s]))[0, 0]
-        return damped_inverse(compliance, self.settings.weak)
+        compliance = respond(solved, of_force(solved.problem, self.push_s)).xy(at)[best, 0]
+        return damped_inverse(_SCALES[best] * compliance, self.settings.weak)
+
+    @property
+    def _weights(self) -> Loads:
+        """The weight of the beam `c` times as heavy: whose k is the model's, and whose shape is the true one's."""
+        return weight(_SCALES[:, None] * self.gravity)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
         return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
@@ -174,7 +192,7 @@ def bounded(force: Array, most: float) -> Array:
 
 
 def controller(
-    beam: Rod,
+    beam: Beam,
     goal: ArrayLike,
     *,
     push_s: float = 1.0,
@@ -185,26 +203,33 @@ def controller(
 ) -> Controller:
     """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
     wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
-    ends = _force_for(beam, wanted, push_s, point_s)
-    if np.linalg.norm(ends) > settings.most_force:
-        raise ControlError(f"the goal needs {np.linalg.norm(ends):.3g} N, more than the {settings.most_force:.3g} N")
+    found = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
+    if not found.converged:
+        raise ControlError(found.reason)
+    ends = found.force
     forces = begins + np.linspace(0.0, 1.0, _PLACES)[:, None] * (ends - begins)
     solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
-    compliance = respond(solved, of_force(solved.problem, push_s)).xy(np.array([point_s]))[:, 0]
-    inverse = np.array([damped_inverse(one, settings.weak) for one in compliance])
+    xy = solved.xy(np.array([point_s]))[:, 0]
+    if not np.all(solved.converged & solved.stable) or np.linalg.norm(xy[-1] - wanted) > _NEAR * beam.length:
+        raise ControlError(
+            f"the force cannot go straight from {np.round(begins, 4)} N to the goal's {np.round(ends, 4)} N: the beam "
+            "would snap through on the way. Give goals between"
+        )
+    compliance = respond(solved, of_force(solved.problem, push_s)).xy(np.array([point_s]))[-1, 0]
+    inverse = damped_inverse(compliance, settings.weak)
     places = (_PLACES // 2, _PLACES - 1)
     plants = [
         plant_at(beam, forces[i], push_s=push_s, point_s=point_s, damping_ratio=settings.damping_ratio, gravity=gravity)
         for i in places
     ]
     late = replace(settings.timing, delay=max(settings.longest_delay, settings.timing.delay))
-    gains = settings.gains or tuned(list(zip(plants, inverse[list(places)], strict=True)), late, settings.wanted)
+    ways = [(plant, damped_inverse(plant.compliance, settings.weak)) for plant in plants]
+    gains = settings.gains or tuned(ways, late, settings.wanted)
     periods = [4.0 * np.pi / plant.omega[0] for plant in plants if len(plant.omega)]
     rise = settings.rise if settings.rise is not None else max([1.0, *periods])
-    xy = solved.xy(np.array([point_s]))[:, 0]
     reference = Reference(begins, ends, rise, xy)
-    at = np.asarray(gravity, dtype=float)
-    return Controller(beam, wanted, push_s, point_s, at, reference, inverse[-1], plants[-1], gains, settings)
+    down = np.asarray(gravity, dtype=float)
+    return Controller(beam, wanted, push_s, point_s, down, reference, inverse, plants[-1], gains, settings)
 
 
 def damped_inverse(compliance: Array, weak: float) -> Array:
@@ -213,16 +238,7 @@ def damped_inverse(compliance: Array, weak: float) -> Array:
     return np.asarray(compliance.T @ np.linalg.inv(compliance @ compliance.T + least**2 * np.eye(2)))
 
 
-def _force_for(beam: Rod, goal: Array, push_s: float, point_s: float) -> Array:
-    force = np.array([0.0, 1e-3])
-    for _ in range(200):
-        plant = plant_at(beam, force, push_s=push_s, point_s=point_s)
-        from onebend.beam.loads import push as p
-
-        off = goal - equilibrium(beam, p(force[None], push_s)).xy(np.array([point_s]))[0, 0]
-        if np.linalg.norm(off) < 1e-9:
-            return force
-        change = damped_inverse(plant.compliance, 0.02 if np.linalg.norm(off)>2e-3 else 1e-6) @ off
-        k = float(np.min(np.asarray(beam.stiffness(np.linspace(0, 1, 50))))) / beam.length
-        force = force + change * min(1.0, 0.3 * k / max(np.linalg.norm(change), 1e-12))
-    raise ControlError("no force")
+def _as_reach(gravity: ArrayLike, settings: ControllerSettings) -> ReachSettings:
+    x, y = np.asarray(gravity, dtype=float)
+    most = settings.most_force if isfinite(settings.most_force) else None
+    return ReachSettings(gravity=(float(x), float(y)), max_force=most)
