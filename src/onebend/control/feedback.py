@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import Loads, push, weight
+from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.sensitivity import of_force, respond
@@ -28,8 +28,8 @@ from onebend.records import Array
 
 _PLACES = 33  # of the reference path
 _NEAR = 1e-4  # share of the length by which the path's end may miss the goal
-_COARSE = Resolution(10)  # of the shape behind the map from error to force, which need not be exact
-_SCALES = np.geomspace(0.5, 2.0, 15)  # of the model's compliance
+_COARSE = Resolution(8)  # of the shape behind the map from error to force, which need not be exact
+_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)  # of the model's compliance
 _TRUST = 0.02  # of the length: how far off the reference a beam may stand before a factor e in k is the likelier reason
 
 
@@ -163,7 +163,10 @@ class Controller:
         Where the model has no stable shape, the map is that of the goal.
         """
         at = np.array([self.point_s])
-        solved = equilibrium(self.beam, push(_SCALES[:, None] * force, self.push_s) + self._weights, resolution=_COARSE)
+        loads = push(_SCALES[:, None] * force, self.push_s)
+        if np.any(self.gravity):
+            loads = loads + weight(_SCALES[:, None] * self.gravity)
+        solved = equilibrium(self.beam, loads, resolution=_COARSE)
         off = solved.xy(at)[:, 0] - self.reference.position(since)
         cost = np.sum(off**2, axis=1) + (_TRUST * self.beam.length * np.log(_SCALES)) ** 2
         cost[~(solved.converged & solved.stable)] = inf
@@ -172,11 +175,6 @@ class Controller:
             return self.inverse
         compliance = respond(solved, of_force(solved.problem, self.push_s)).xy(at)[best, 0]
         return damped_inverse(_SCALES[best] * compliance, self.settings.weak)
-
-    @property
-    def _weights(self) -> Loads:
-        """The weight of the beam `c` times as heavy: whose k is the model's, and whose shape is the true one's."""
-        return weight(_SCALES[:, None] * self.gravity)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
         return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
