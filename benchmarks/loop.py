@@ -1,9 +1,9 @@
 """The closed loop: steady error and settling where k(s) is wrong by 30 %, delays, and the stated onset of ringing.
 
-    python -m benchmarks.loop            # about three minutes
+    python -m benchmarks.loop            # about two minutes of one core
 
-Full motion of the true beam; the camera has 30 frames a second, 0.1 mm of noise, 10 ms of jitter in its delay, and loses
-every tenth frame. `steady`: the largest distance from the goal in the last second of nine.
+Full motion of the true beam; the camera has 30 frames a second, 0.1 mm of noise, 10 ms of jitter in its delay, and
+loses every tenth frame. `steady`: the largest distance from the goal in the last second of nine.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def print_errors(every: list[Case]) -> None:
 
 
 def print_delays(case: Case) -> None:
-    """One case at several true delays, 120 ms of them beyond what the gains were made for at the end."""
+    """One case at several true delays; the gains were made for up to 100 ms."""
     print(f"{case.name}, goal {case.goal}, {case.error}; the controller is told a delay of 50 ms:\n")
     print("| true delay [ms] | steady [mm] | settled to 1 mm [s] |\n| --- | --- | --- |")
     for delay in DELAYS:

@@ -46,7 +46,9 @@ def picture(found: dict[str, Rehearsal]) -> Figure:
     for first, last in TRUTH.eye.hidden:
         axes.axvspan(first, last, color="0.9", zorder=0)
         axes.text(0.5 * (first + last), 60.0, "hidden", ha="center", fontsize=8, color="0.4")
-    axes.set(xlabel="time [s]", ylabel="distance from the goal [mm]", ylim=(0.02, 150.0), xlim=(0.0, found["both"].time[-1]))
+    axes.set(
+        xlabel="time [s]", ylabel="distance from the goal [mm]", ylim=(0.02, 150.0), xlim=(0.0, found["both"].time[-1])
+    )
     axes.legend(loc="upper right", bbox_to_anchor=(1.0, 0.9))
     return figure
 
