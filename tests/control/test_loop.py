@@ -14,6 +14,7 @@ from onebend.control.feedback import Controller, ControllerSettings, controller
 from onebend.control.loop import Eye, Hand, Truth, rehearse
 from onebend.control.margins import Gains, Loop, Timing, margins
 from onebend.control.plant import plant_at
+from onebend.records import Array
 
 BEAM = Beam(0.15, Powers((0.03, -0.02)), mass_per_length=Uniform(0.1))
 FORCE = np.array([-0.1, 0.3])
@@ -22,8 +23,8 @@ BAD = Eye(delay=0.1, jitter=0.01, noise=1e-4, dropped=0.1)
 S = np.linspace(0.0, 1.0, 201)
 
 
-def wrong_by(share: object) -> Profile:
-    return Table(tuple(S), tuple(BEAM.stiffness(S) * (1.0 + 0.3 * np.asarray(share))))
+def wrong_by(share: Array) -> Profile:
+    return Table(tuple(S.tolist()), tuple((BEAM.stiffness(S) * (1.0 + 0.3 * share)).tolist()))
 
 
 WRONG = {
@@ -60,7 +61,7 @@ def test_with_the_true_model_the_feedback_has_nothing_to_do() -> None:
 @pytest.mark.parametrize("name", WRONG)
 def test_error_goes_where_k_is_wrong_and_the_camera_bad(name: str) -> None:
     truth = Truth(replace(BEAM, stiffness=WRONG[name]), eye=BAD)
-    assert rehearse(reaching(), truth, 5.0, seed=3).steady() < 5e-4
+    assert rehearse(reaching(), truth, 6.0, seed=3).steady() < 5e-4
 
 
 def test_both_settle_sooner_than_feedback_alone_and_open_loop_never() -> None:
@@ -72,6 +73,7 @@ def test_both_settle_sooner_than_feedback_alone_and_open_loop_never() -> None:
     assert np.isinf(never)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", ["softer", "softer tip"])
 def test_stated_gain_margin_is_where_the_true_beam_begins_to_ring(stiffness: str) -> None:
     """Margins of the linear sampled loop about the true working point, against full motion of the true beam."""

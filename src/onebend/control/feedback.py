@@ -156,7 +156,7 @@ class Controller:
         return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
 
     def inverse_at(self, force: Array, since: float) -> Array:
-        """(2, 2) N/m: the map from position error to force where the beam stands under `force`, `since` s after the start.
+        """(2, 2) N/m: the map from position error to force where the beam stands under `force` at `since` s.
 
         Of all beams whose k(s) is the model's times 1/c, the one is taken that stands nearest to the reference under
         this force: under c times the force the model has its shape, and c times the model's compliance is its own.
@@ -173,7 +173,7 @@ class Controller:
         best = int(np.argmin(cost))
         if not isfinite(cost[best]):
             return self.inverse
-        compliance = respond(solved, of_force(solved.problem, self.push_s)).xy(at)[best, 0]
+        compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(at)[best, 0]
         return damped_inverse(_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
@@ -213,7 +213,7 @@ def controller(
             f"the force cannot go straight from {np.round(begins, 4)} N to the goal's {np.round(ends, 4)} N: the beam "
             "would snap through on the way. Give goals between"
         )
-    compliance = respond(solved, of_force(solved.problem, push_s)).xy(np.array([point_s]))[-1, 0]
+    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(np.array([point_s]))[-1, 0]
     inverse = damped_inverse(compliance, settings.weak)
     places = (_PLACES // 2, _PLACES - 1)
     plants = [

@@ -1,7 +1,7 @@
 """How far the sampled loop is from ringing: gain, phase, delay, and how wrong k may be.
 
-Every frame at `t_k = k / fps` the controller takes what the camera saw `delay` earlier, filters the error and adds it to
-the integral, and the force is held to the next frame:
+Every frame at `t_k = k / fps` the controller takes what the camera saw `delay` earlier, filters the error and adds it
+to the integral, and the force is held to the next frame:
 
     f_k = a f_(k-1) + (1 - a) e_k,    g_k = a g_(k-1) + (1 - a) f_k,    a = exp(-corner / fps)
     u_k = u_(k-1) + (rate / fps) C^+ g_k

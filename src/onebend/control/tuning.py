@@ -1,4 +1,4 @@
-"""The fastest integral that keeps its margins, for the model's k(s) and for k(s) softer and stiffer by what is allowed."""
+"""The fastest integral that keeps its margins for the model's k(s), and for k(s) softer and stiffer by a share."""
 
 from __future__ import annotations
 
