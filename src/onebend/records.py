@@ -6,6 +6,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,9 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
+
+PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
+DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
 
 
 @dataclass(frozen=True)
@@ -167,3 +171,5 @@ class Observations:
     view: View | None = None  # of the beam's plane and frame
     video: Path | None = None
     remarks: tuple[Remark, ...] = ()
+    place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
+    direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
-from onebend.records import Remark, Rest
+from onebend.records import DIRECTION_SD, PLACE_SD, Remark, Rest
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
@@ -137,6 +137,13 @@ class ForceEntry:
         example="0.0",
         default=0.0,
     )  # rad
+    rotation_sd: float = key(
+        "rotation_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        "how far off rotation_deg may be (one standard deviation), degrees; 0: exact",
+        example="1.0",
+        default=DIRECTION_SD,
+    )  # rad
     acts_on: Literal["beam", "robot"] = key(
         "acts_on",
         one_of("beam", "robot"),
@@ -170,6 +177,13 @@ class PushEntry:
     )
     column: str = key(
         "column", text, "the force log's column that gives the place of the push", example='"push_s"', default=""
+    )
+    at_sd: float = key(
+        "at_sd_m",
+        number(least=0),
+        "how far off that place the force may act along the beam (one standard deviation), m; 0: exact",
+        example="0.0005",
+        default=PLACE_SD,
     )
 
 

@@ -22,7 +22,7 @@ from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.tags import detect_tags
 from onebend.recording.turns import check_turns
-from onebend.records import Detections, ForceLog, Markers, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Detections, ForceLog, Markers, Observations
 
 FEWEST_FRAMES = 10
 
@@ -125,6 +125,8 @@ def assemble(
         clean_force=clean,
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
         view=seen.view,
+        place_sd=PLACE_SD if rec.push is None else rec.push.at_sd,
+        direction_sd=DIRECTION_SD if rec.force is None else rec.force.rotation_sd,
         video=rec.video.file if rec.video else None,
         remarks=(
             *rec.remarks,
