@@ -10,6 +10,7 @@ from onebend.learning.criticism import Criticism, Finding
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
+_AXES = "Check rotation_deg and columns in [force]"
 _SLIP = 1e-3  # m, by which the push may act beside where it is said to
 _Words = tuple[str, str]  # what it would be, and what to do
 
@@ -132,7 +133,7 @@ def _beside(value: Array, _: Posterior) -> _Words:
 
 
 def _direction(value: Array, _: Posterior) -> _Words:
-    return f"the force's direction is off by {_degrees(value[0])}", "Check rotation_deg in [force]"
+    return f"the force's direction is off by {_degrees(value[0])}", _AXES
 
 
 def _weight(value: Array, _: Posterior) -> _Words:
@@ -185,6 +186,8 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
         "Calibrate the camera; check size_m",
     ),
     "clock": lambda v, _: (f"the clocks are off by {1000 * abs(v[0]):.0f} ms", "Check start_s and the frame times"),
+    "place": lambda v, _: (f"the push acts {_millimetres(abs(v[0]))} from where it is said to", "Check at_s in [push]"),
+    "direction": lambda v, _: (f"the force's direction is off by {_degrees(v[0])}", _AXES),
     "mass": lambda _, __: ("the mass, or how it is spread, is not as written", "Check mass_kg and [gravity]"),
     "curvature": lambda _, __: ("the beam at rest is bent more than expected", "Check the tags' places and the rest"),
 }
