@@ -11,6 +11,7 @@ from onebend.records import Array, Remark
 
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
 _MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
+_SEEN = 3.0  # times the tags' own noise: less is no miss, however little they move
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -34,11 +35,12 @@ def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
     for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
         xy = seen.measured[..., :2]
         motion = np.linalg.norm(np.fmax.reduce(xy) - np.fmin.reduce(xy), axis=-1)
-        worst = int(np.argmax(np.nan_to_num(rms / motion)))
-        if rms[worst] > _MISS * motion[worst]:
+        noise = np.sqrt(np.nanmedian(np.trace(seen.observations.covariance[:, :, :2, :2], axis1=2, axis2=3), axis=0))
+        worst = int(np.argmax(np.where(rms > _SEEN * noise, rms / motion, 0.0)))
+        if rms[worst] > max(_MISS * motion[worst], _SEEN * noise[worst]):
             text = (
-                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.1f} mm RMS where it "
-                f"moves by {1000 * motion[worst]:.0f} mm"
+                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.2g} mm RMS where it "
+                f"moves by {1000 * motion[worst]:.2g} mm"
             )
             out.append((seen.observations.name, text))
     return tuple(out)

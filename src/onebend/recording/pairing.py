@@ -174,12 +174,18 @@ def check_direction(
     """
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
-    if reading is None or not (reading.impossible or reading.better):
+    if reading is None or not (reading.impossible or reading.better or reading.askew):
         return ()
     if reading.better == "opposite":
         text = "The force looks as if it had the opposite sign. Give acts_on in [force] the other value, beam or robot."
     elif reading.better:
         text = f"The force fits the bending far better with {reading.better}. Check columns, rotation_deg in [force]."
+    elif reading.askew:
+        fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
+        text = (
+            f"The force fits the bending far better turned by {math.degrees(reading.turn):.0f} deg. Check columns and "
+            f"rotation_deg in [force] (about {fits:.0f} would fit)."
+        )
     elif reading.hopeless:
         text = "The force does not follow the bending, however its axes are read. Check that the log is of this push."
     else:
