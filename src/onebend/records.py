@@ -19,6 +19,8 @@ IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
 
+UNKNOWN_ANGLE_SD = float(np.pi)  # rad, stands in a covariance for an angle that is not measured (and is NaN)
+
 
 @dataclass(frozen=True)
 class Remark:
@@ -66,7 +68,7 @@ class Markers:
     tag_id: IntArray  # (m,)
     s: Array  # (m,) nominal place along the beam
     xy: Array  # (T, m, 2) m, base tag's frame
-    angle: Array  # (T, m) rad, continuous in time, 0 where the tag points along the base tag's x axis
+    angle: Array  # (T, m) rad, continuous in time, 0 along the base tag's x axis; NaN where not measured
     covariance: Array  # (T, m, 3, 3) of (x, y, angle): m^2, m rad, rad^2
     base_angle: Array  # (T,) rad, turn of the base tag since the first frame (0 where the base stands still)
     view: View | None  # of the base tag's plane and frame (first frame, where the base moves); None for tracked markers

@@ -25,7 +25,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import push_places
+from onebend.learning.frames import push_places, whitening
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray, Observations
@@ -95,7 +95,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         number=number,
         frames=frames,
         measured=measured,
-        whiten=_whitening(measured, covariance),
+        whiten=whitening(measured, covariance),
         force=force,
         rate=rate,
         error=error,
@@ -218,10 +218,3 @@ def _rate(o: Observations) -> Array:
 def _loads(force: Array, push_s: Array, gravity: Array) -> Loads:
     loads = push(force, push_s)
     return loads + weight(gravity) if np.any(gravity != 0.0) else loads
-
-
-def _whitening(measured: Array, covariance: Array) -> Array:
-    seen = np.all(np.isfinite(measured), axis=-1) & np.all(np.isfinite(covariance), axis=(-1, -2))
-    safe = np.where(seen[..., None, None], covariance, np.eye(3))
-    whiten = np.linalg.inv(np.linalg.cholesky(safe))
-    return np.asarray(np.where(seen[..., None, None], whiten, 0.0))

@@ -11,7 +11,7 @@ from onebend.records import Array, BoolArray, Observations
 
 def usable_frames(observations: Observations) -> BoolArray:
     """(T,) frames under load whose force is known and that show at least one tag."""
-    seen = np.any(np.all(np.isfinite(observations.xy), axis=-1), axis=1)
+    seen = np.any(np.isfinite(observations.xy), axis=(1, 2))
     forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(push_places(observations))
     weighed = np.any(observations.gravity != 0.0, axis=1)
     return np.asarray(seen & forced & (observations.loaded | weighed))
@@ -32,3 +32,22 @@ def loads_of(observations: Observations, frames: BoolArray) -> Loads:
             raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
         loads = loads + weight(gravity)
     return loads
+
+
+def whitening(measured: Array, covariance: Array) -> Array:
+    """(..., 3, 3) inverse Cholesky factors of the covariances (..., 3, 3) of poses; zero where a number is missing.
+
+    A pose may lack its angle, or one coordinate: the rest of it counts by its own part of the covariance.
+    """
+    whole = np.all(np.isfinite(covariance), axis=(-1, -2))
+    there = np.isfinite(measured) & whole[..., None]
+    both = there[..., :, None] & there[..., None, :]
+    factors = np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(3))))
+    return np.asarray(np.where(both, factors, 0.0))
+
+
+def distances(difference: Array) -> Array:
+    """(...) m, lengths of differences (..., 2) over the coordinates that are there; NaN where none is."""
+    there = np.isfinite(difference)
+    length = np.sqrt(np.sum(np.where(there, difference, 0.0) ** 2, axis=-1))
+    return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))

@@ -12,7 +12,7 @@ from onebend.beam.problem import pose
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import loads_of, usable_frames
+from onebend.learning.frames import distances, loads_of, usable_frames
 from onebend.learning.outcome import Learned
 from onebend.learning.validation import RESOLUTION
 from onebend.records import BoolArray, Observations
@@ -56,7 +56,7 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
         solved = follow(pose(beam, loads_of(o, some), RESOLUTION))
         if not np.all(solved.converged):
             return float("inf")
-        squared = np.sum((o.xy[some] - solved.xy(o.marker_s)) ** 2, axis=-1)
+        squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
     return float(np.sqrt(total / count))
 

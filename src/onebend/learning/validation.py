@@ -12,7 +12,7 @@ from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import loads_of, push_places, usable_frames
+from onebend.learning.frames import distances, loads_of, push_places, usable_frames
 from onebend.learning.outcome import Comparison
 from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
@@ -83,7 +83,7 @@ def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
 
 def _rms(difference: Array) -> Array:
     """(m,) root mean square distance per marker; NaN for one that was never compared."""
-    squared = np.sum(difference**2, axis=-1)
+    squared = distances(difference) ** 2
     seen = np.isfinite(squared)
     count = np.sum(seen, axis=0)
     total = np.sum(np.where(seen, squared, 0.0), axis=0)
