@@ -53,7 +53,9 @@ def track_folder(
     xy = np.einsum("tab,tmb->tma", rotation, points) + np.array([0.3, 0.2]) + way[:, None, :2]
     columns = ["x_m", "y_m"]
     if axes is not None:
-        height = out_of_plane * np.random.default_rng(2).normal(size=xy.shape[:2]) + 0.01 * np.arange(5)
+        height = out_of_plane * np.random.default_rng(2).normal(size=xy.shape[:2]) + np.array(
+            [0.0, 0.004, -0.003, 0.002, 0.004]
+        )
         xy = np.concatenate([xy, height[..., None]], axis=-1) @ axes.T
         columns.append("z_m")
     lines = [",".join(["time_s", "id", *columns, *(["angle_rad"] if angles else [])])]

@@ -47,7 +47,7 @@ class AtRest:
 def at_rest(observations: Observations, prior: RestPrior = RestPrior()) -> AtRest:
     """Natural curvature and mounting from the frames before contact (maximum a posteriori, Gauss-Newton)."""
     m = len(observations.marker_s)
-    known = np.isfinite(observations.rest_xy).all(axis=1)
+    known: BoolArray = np.asarray(np.isfinite(observations.rest_xy).all(axis=1))
     if not np.any(known):
         return AtRest(np.zeros(_REST_MODES.n), np.zeros((m, 2)), np.zeros(m), seen=False)
     theta = np.zeros(_REST_MODES.n)

@@ -110,7 +110,7 @@ def read_tracks(rec: Recording) -> Tracks:
         clamp = plane.lay(np.array(entry.clamp)) if len(entry.clamp) == 3 else None
         remarks += plane_remarks(plane, points)
     else:
-        xy, lay = points[..., :2], np.asarray
+        xy, lay = points[..., :2], _same
         clamp = np.array(entry.clamp) if len(entry.clamp) == 2 else None
     _check_dimensions(rec, 3 if "z_m" in table.numbers else 2)
     sd = np.where(np.isfinite(grids["sd_m"]), grids["sd_m"], entry.sd)
@@ -221,13 +221,17 @@ def check_scale(rec: Recording, xy: Array) -> None:
             )
 
 
+def _same(vector: Array) -> Array:
+    return vector
+
+
 def _track_sd(xy: Array) -> Array:
     """(b + m,) m: noise of a coordinate, from second differences of the tracks."""
     bends = np.abs(np.diff(xy, n=2, axis=0)) / math.sqrt(6)
     with_data = np.isfinite(bends).any(axis=(0, 2))
     sd = np.full(xy.shape[1], LEAST_SD)
     sd[with_data] = MAD_TO_SD * np.nanmedian(bends[:, with_data], axis=(0, 2))
-    return np.maximum(sd, LEAST_SD)
+    return np.asarray(np.maximum(sd, LEAST_SD))
 
 
 def _angle_sd(angle: Array) -> Array:
@@ -250,7 +254,8 @@ def _held(values: Array) -> Array:
 
 def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int]) -> None:
     """An error where a marker of recording.toml is nowhere in the table."""
-    never = [marker for marker, seen in zip(wanted, np.isfinite(xy).all(axis=-1).any(axis=0), strict=True) if not seen]
+    there = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
+    never = [marker for marker, seen in zip(wanted, there, strict=True) if not seen]
     if never:
         found = _ids(sorted(set(table.get("id").tolist())))
         raise ObservationError(

@@ -88,8 +88,8 @@ def assemble(
     """Markers and logs on one clock and in one frame."""
     if len(markers.time) < FEWEST_FRAMES:
         raise ObservationError(
-            f"{rec.name}: there are {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film (or track) the "
-            "whole push, with the beam at rest before it."
+            f"{rec.name}: there are {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film (or track) "
+            "the whole push, with the beam at rest before it."
         )
     reading = with_angles(markers)  # clocks and contact are read with angles; only measured ones are learned from
     fit = match_clocks(rec, reading, log, base, settings.clock)

@@ -62,8 +62,8 @@ def match_clocks(
         fit = ClockFit(ClockOffset(offset=said, sd=0.0, said=said, found=True), fit.noise)  # one clock for both
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
-            f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not show "
-            "it. Write start_s in recording.toml."
+            f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
+            "show it. Write start_s in recording.toml."
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")

@@ -10,7 +10,7 @@ import numpy as np
 from onebend.errors import ObservationError
 from onebend.records import Array, Remark
 
-BESIDE = 0.03  # weight of the markers' mean places against their motion: heights differ by millimetres
+BESIDE = 0.01  # weight of the markers' mean places against their motion: heights differ by millimetres
 STRAIGHT = 0.02  # second over first principal extent: markers that hardly leave a line say nothing of their plane
 EDGE_ON = 0.2  # cosine between `seen_from` and the plane's normal below which it does not say which side is meant
 MUCH = 0.03  # of the markers' extent: more out-of-plane motion is no planar bending

@@ -102,7 +102,5 @@ def _numbers(path: Path, name: str, cells: list[object], rows: IntArray) -> Arra
                 f"{path}, row {rows[i]}: {name} is {cell!r}, not a number. Correct it, or leave the cell empty."
             ) from None
         if np.isinf(out[i]):
-            raise RecordingError(
-                f"{path}, row {rows[i]}: {name} is infinite. Leave the cell empty where it is unknown."
-            )
+            raise RecordingError(f"{path}, row {rows[i]}: {name} is infinite. Leave the cell empty where unknown.")
     return out

@@ -24,16 +24,8 @@ INTRODUCTION = f"""\
 
 format = {FORMAT}
 """
-WRITTEN = {
-    "start_s",
-    "start_uncertainty_s",
-    "family",
-    "turn_deg",
-    "rotation_deg",
-    "acts_on",
-    "at_s",
-    "size_m",
-}  # though optional
+# Written out though they are optional:
+WRITTEN = {"start_s", "start_uncertainty_s", "family", "turn_deg", "rotation_deg", "acts_on", "at_s", "size_m"}
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 
