@@ -6,6 +6,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -139,6 +140,24 @@ class ClockOffset:
 
 
 @dataclass(frozen=True)
+class KnownLoads:
+    """What acts on the beam besides `Observations.force` and its own weight, known as well as that is."""
+
+    force: Array  # (T, a, 2) N, beam's frame
+    force_s: Array  # (T, a)
+    moment: Array  # (T, b) N m, counter-clockwise
+    moment_s: Array  # (T, b)
+
+
+@dataclass(frozen=True)
+class MassLine:
+    """Mass per metre, where it is known along the beam."""
+
+    s: Array  # (P,) rising
+    value: Array  # (P,) kg/m
+
+
+@dataclass(frozen=True)
 class Observations:
     """What a recording says, on one clock and in one frame: all that learning and validation need."""
 
@@ -149,7 +168,7 @@ class Observations:
     tag_id: IntArray  # (m,)
     marker_s: Array  # (m,) place along the beam
     xy: Array  # (T, m, 2) m, beam's frame
-    angle: Array  # (T, m) rad, of the tag against the beam's x axis
+    angle: Array  # (T, m) rad, of the tag against the beam's x axis; NaN where not measured, as may be one coordinate
     covariance: Array  # (T, m, 3, 3)
     force: Array  # (T, 2) N, on the beam, beam's frame
     force_sd: Array  # (2,) N, one sd of the noise left in `force`
@@ -167,4 +186,10 @@ class Observations:
     gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %), as declared; 0 where it was not, or without a force
     view: View | None = None  # of the beam's plane and frame
     video: Path | None = None
+    static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
+    sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
+    known: KnownLoads | None = None
+    mass_sd: float = math.nan  # one sd of the mass over itself; NaN: as usual for one that was weighed
+    mass_line: MassLine | None = None  # None: the mass is evenly spread
+    clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
     remarks: tuple[Remark, ...] = ()

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Table, Uniform
 from onebend.records import Array
 from tests.made_up import LENGTH
 from tests.recording.pushed import Pushed
@@ -76,5 +78,38 @@ def track_folder(
     (folder / "recording.toml").write_text(
         f"format = 1\n[beam]\nlength_m = {LENGTH}\n[tags]\nplacement_sd_m = 0.0005\n{tags}"
         f'[markers]\nfile = "markers.csv"\nstart_s = {START}\n{markers}{log}'
+    )
+    return folder
+
+
+ROD = Beam(0.5, Table((0.0, 0.5, 1.0), (0.4, 0.2, 0.08)), mass_per_length=Uniform(0.06))  # 30 g
+ROD_S = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+def pose_folder(
+    folder: Path,
+    *,
+    loads: str,
+    shown: Array,
+    beam: str = "",
+    poses: str = 'axes = "room"\n',
+    gravity: str = "[gravity]\ndirection_deg = -90\nbase_angle_deg = 0\n",
+    columns: tuple[str, ...] = ("x_m", "y_m"),
+    more: str = "",
+) -> Path:
+    """Points `shown` (P, 5, len(columns)) of `ROD` under the rows of `loads`; poses are called 0, 1, 2..."""
+    folder.mkdir(exist_ok=True)
+    rows = [",".join(["pose", "id", *columns])]
+    for p, pose in enumerate(shown):
+        for i, point in enumerate(pose):
+            if np.isfinite(point).any():
+                cells = ["" if np.isnan(v) else f"{v:.9f}" for v in point]
+                rows.append(",".join([str(p), str(i + 1), *cells]))
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    (folder / "loads.csv").write_text(loads)
+    tags = "".join(f"[[tags.on_beam]]\nid = {i + 1}\ns = {s}\n" for i, s in enumerate(ROD_S))
+    (folder / "recording.toml").write_text(
+        f"format = 1\n[beam]\nlength_m = {ROD.length}\n{beam}[tags]\n{tags}"
+        f'[poses]\nfile = "poses.csv"\nloads = "loads.csv"\n{poses}{gravity}{more}'
     )
     return folder

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.loads import Loads, push, weight
-from onebend.errors import LearningError
+from onebend.beam.stiffness import Profile, Table, Uniform
 from onebend.records import Array, BoolArray, Observations
 
 
@@ -24,14 +24,26 @@ def push_places(observations: Observations) -> Array:
 
 
 def loads_of(observations: Observations, frames: BoolArray) -> Loads:
-    """The measured loads in those frames. Raises `LearningError` where the weight counts and no mass is given."""
+    """The measured loads in those frames, weight included."""
     gravity = observations.gravity[frames]
-    loads = push(observations.force[frames], push_places(observations)[frames])
-    if np.any(gravity != 0.0):
-        if not np.isfinite(observations.mass):
-            raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
-        loads = loads + weight(gravity)
-    return loads
+    loads = push(observations.force[frames], push_places(observations)[frames]) + known_loads(observations, frames)
+    return loads + weight(gravity) if np.any(gravity != 0.0) else loads
+
+
+def known_loads(observations: Observations, frames: BoolArray) -> Loads:
+    """What acts in those frames besides the logged force and the weight."""
+    known = observations.known
+    if known is None:
+        return Loads()
+    return Loads(known.force[frames], known.force_s[frames], known.moment[frames], known.moment_s[frames])
+
+
+def mass_profile(observations: Observations) -> Profile:
+    """kg/m along the beam, as written down; zero where no mass is known."""
+    line, mass = observations.mass_line, observations.mass
+    if line is not None:
+        return Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
+    return Uniform(mass / observations.length if np.isfinite(mass) else 0.0)
 
 
 def whitening(measured: Array, covariance: Array) -> Array:

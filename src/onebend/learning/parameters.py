@@ -87,19 +87,21 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     placement = first.placement_sd if priors.placement is None else priors.placement
     curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
     weighs = any(bool(np.any(r.gravity != 0.0)) for r in recordings)
+    mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", -1, "1", priors.mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("mass", -1, "1", mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
         ("turn", -1, "rad", priors.mounting, tuple(f"{t} turn" for t in tags)),
     ]
     for r, one in enumerate(recordings):
         origin = one.placement_sd if priors.origin is None else priors.origin
+        clamp = one.clamp_sd if np.isfinite(one.clamp_sd) else priors.clamp
         scale = priors.scale if one.view is not None and not one.view.calibrated else 0.0
         wanted += [
-            ("clamp", r, "rad", priors.clamp, (f"{one.name}: clamp angle",)),
+            ("clamp", r, "rad", clamp, (f"{one.name}: clamp angle",)),
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
             ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),

@@ -34,6 +34,8 @@ def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
     for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
         xy = seen.measured[..., :2]
         motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
+        if seen.observations.static:  # points near the clamp hardly move, and a ruler reads them no better
+            motion = np.full_like(motion, np.nanmax(motion))
         worst = int(np.argmax(np.nan_to_num(rms / motion)))
         if rms[worst] > _MISS * motion[worst]:
             text = (

@@ -25,6 +25,13 @@ class BeamEntry:
 
     length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
     mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
+    mass_file: Path | None = key(
+        "mass_file",
+        text,
+        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
+        example='"mass.csv"',
+        default=None,
+    )
     width: float = key(
         "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
     )

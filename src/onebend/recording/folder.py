@@ -61,6 +61,7 @@ def read_recording(folder: Path | str) -> Recording:
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in SECTIONS.items()
     }
+    beam = with_paths(beam, "beam", folder, mistakes)
     found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
     check_together(found, data, mistakes)
     if mistakes.found or beam is None or tags is None:
@@ -139,7 +140,7 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     """`entry` with the files it names made whole paths; each must exist."""
     if entry is None:
         return None
-    for field_name in ("file", "frame_times", "base_angle_file", "loads", "folder"):
+    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder"):
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue

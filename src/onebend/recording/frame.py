@@ -30,7 +30,7 @@ def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
     """
     poses = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)[still]
     m = len(markers.tag_id)
-    turns = np.isfinite(markers.angle).any(axis=0)  # a marker of a tracker may have no angle
+    turns: BoolArray = np.asarray(np.isfinite(markers.angle).any(axis=0))  # a marker of a tracker may have no angle
     seen = np.isfinite(markers.xy[still]).all(axis=-1) & (np.isfinite(markers.angle[still]) | ~turns)
     mean = np.full((m, 3), np.nan)
     covariance = np.full((m, 3, 3), np.nan)

@@ -21,7 +21,9 @@ from onebend.recording.force import ForceSettings
 from onebend.recording.frame import rest_shape, to_beam_frame
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
 from onebend.recording.marker_tracks import track_markers
+from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
+from onebend.recording.pose_tables import pose_observations
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections, ForceLog, Markers, Observations
 
@@ -70,6 +72,8 @@ def observe(
         No tags, no overlap of film and log, or a force that contradicts the bending.
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
+    if rec.poses is not None:
+        return pose_observations(rec)
     log = read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:
@@ -104,6 +108,7 @@ def assemble(
     bare = rest if angled is seen else rest_shape(angled, contact.still)
     odd = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
     kept, drop_remarks = usable(markers, force)
+    mass, line = beam_mass(rec)
     return Observations(
         name=rec.name,
         length=rec.beam.length,
@@ -122,7 +127,7 @@ def assemble(
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         gravity=gravity[kept],
-        mass=rec.beam.mass,
+        mass=mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
         clock=fit.clock,
@@ -130,6 +135,7 @@ def assemble(
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
         view=seen.view,
         video=rec.video.file if rec.video else None,
+        mass_line=line,
         remarks=(
             *rec.remarks,
             *markers.remarks,

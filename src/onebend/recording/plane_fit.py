@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.records import Array, Remark
+from onebend.records import Array, BoolArray, Remark
 
 BESIDE = 0.01  # weight of the markers' mean places against their motion: heights differ by millimetres
 STRAIGHT = 0.02  # second over first principal extent: markers that hardly leave a line say nothing of their plane
@@ -49,7 +49,7 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     ObservationError
         Too few points, or the plane is seen edge on.
     """
-    there = np.isfinite(points).all(axis=-1)
+    there: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
     if np.sum(there) < 3:
         raise ObservationError(f"{np.sum(there)} points in space do not make a plane. Check the table's x_m, y_m, z_m.")
     tracks = [points[there[:, i], i] for i in range(points.shape[1]) if there[:, i].any()]
