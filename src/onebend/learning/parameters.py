@@ -24,6 +24,7 @@ class Priors:
     scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
     mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
     mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
+    mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
     clock: float | None = None  # s; None: as the clock's own estimate says
 
 
@@ -112,7 +113,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         free = sd > 0.0 and len(labels) > 0
         sds = np.full(len(labels), sd)
         if name == "mass":
-            sds[1:] = priors.mass_spread
+            sds[1:] = priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})

@@ -23,6 +23,7 @@ from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
 from onebend.recording.marker_tracks import track_markers
 from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
+from onebend.recording.photos import photo_observations
 from onebend.recording.pose_tables import pose_observations
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections, ForceLog, Markers, Observations
@@ -74,6 +75,8 @@ def observe(
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
     if rec.poses is not None:
         return pose_observations(rec)
+    if rec.photos is not None:
+        return photo_observations(rec, progress=progress)
     log = read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
     if rec.markers is not None:
