@@ -25,6 +25,8 @@ class LearnedMass:
 
     value: float  # kg
     sd: float  # kg
+    even: float  # kg, of an evenly heavy beam whose weight has the same moment about the clamp: what the data see
+    even_sd: float  # kg
     written: float  # kg, as recording.toml says; NaN where it does not
     identified: bool  # the data said more of it than was known
 
@@ -34,13 +36,14 @@ def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
     if mass is None:
         return ()
     size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
+    even = f"it pulls on the clamp like {1000 * mass.even:.4g} g (sd {1000 * mass.even_sd:.2g} g) evenly spread"
     if not np.isfinite(mass.written):
         if mass.identified:
-            return (Remark("note", f"the mass was not written down; learned with k(s): {size}"),)
+            return (Remark("note", f"the mass was not written down; learned with k(s): {size}; {even}"),)
         text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
         return (Remark("warning", text),)
     if mass.identified:
-        return (Remark("note", f"mass {1000 * mass.written:.4g} g as written; the data make it {size}"),)
+        return (Remark("note", f"mass {1000 * mass.written:.4g} g as written; the data make it {size}; {even}"),)
     text = f"mass {1000 * mass.written:.4g} g as written; the data say no more of it: beside it, only k/mu"
     return (Remark("note", text),)
 

@@ -23,7 +23,7 @@ from onebend.learning.forward import Film, film
 from onebend.learning.frames import mass_profile, usable_frames
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
-from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, search
 from onebend.learning.spline import Spline
@@ -114,10 +114,29 @@ class Posterior:
         block, weighed = self.at.index["mass", -1], self._weighed()
         if block.start < 0 or weighed is None:
             return None
-        change, sd = float(self.mean[block.start]), float(np.sqrt(self.covariance[block.start, block.start]))
+        change, left = self.mean[block.where], self.covariance[block.where, block.where]
         written = np.nan if np.isfinite(weighed.mass_sd) else weighed.mass
-        sure = sd < (TOLD * float(block.prior_sd[0]) if np.isfinite(written) else KNOWN * (1.0 + change))
-        return LearnedMass(weighed.mass * (1.0 + change), weighed.mass * sd, written, sure)
+        lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
+        s = np.linspace(0.0, 1.0, 2001)
+        pull = 2.0 * weighed.length * float(np.trapezoid(s * mass_profile(weighed)(s), s))
+        gain = self.gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
+        sd = np.sqrt(np.diag(left)[0] + gain**2)
+        even_sd = float(np.sqrt(lever @ left @ lever + gain**2))
+        return LearnedMass(
+            value=weighed.mass * (1.0 + float(change[0])),
+            sd=float(weighed.mass * sd),
+            even=pull + weighed.mass * float(lever @ change),
+            even_sd=weighed.mass * even_sd,
+            written=written,
+            identified=even_sd < self._told(written, block),
+        )
+
+    def _told(self, written: float, block: Block) -> float:
+        """How sure the mass must come out, over itself, to count as learned."""
+        if np.isnan(written):
+            return KNOWN
+        before = np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0)
+        return TOLD * float(before)
 
     def _weighed(self) -> Observations | None:
         """The recording whose mass the fit changed."""
@@ -159,10 +178,7 @@ def fit(
     """
     _check_same_beam(recordings)
     spline = Spline(settings.functions)
-    first, films = (
-        [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
-        for most in (settings.first_frames, settings.most_frames)
-    )
+    first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
     expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
@@ -170,11 +186,22 @@ def fit(
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
     near = search(first, at, x, level, expected, expected, way, progress)
+    if any(np.isfinite(o.mass_sd) for o in recordings):  # the mass was guessed: its unevenness counts over what it is
+        mass = at.index["mass", -1].where
+        more = 1.0 + max(float(near.x[mass.start]), -0.9)
+        x = near.x.copy()
+        x[mass] = (x[mass] + np.array([1.0, 0.0, 0.0, 0.0])) / more - np.array([1.0, 0.0, 0.0, 0.0])
+        near = replace(near, x=x)
+        films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
     optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)
     return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
+
+
+def _films(recordings: Sequence[Observations], most: int, spline: Spline) -> list[Film]:
+    return [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
 
 
 def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
