@@ -35,7 +35,8 @@ def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
         xy = seen.measured[..., :2]
         motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
         if seen.observations.static:  # points near the clamp hardly move, and a ruler reads them no better
-            motion = np.full_like(motion, np.nanmax(motion))
+            straight = seen.observations.length * seen.observations.marker_s[:, None] * np.array([1.0, 0.0])
+            motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
         worst = int(np.argmax(np.nan_to_num(rms / motion)))
         if rms[worst] > _MISS * motion[worst]:
             text = (
