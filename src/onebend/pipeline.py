@@ -222,6 +222,11 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
         LearningError: no push is possible within the limits.
     """
     stored = read_model(model)
+    if stored.bench is None and stored.uncertain is not None:
+        raise ResultsError(
+            f"{model}: the beam was learned without a force log, so nothing says how well a push would be measured. "
+            "Film one push with a log, and learn from it"
+        )
     if stored.uncertain is None or stored.bench is None:
         raise ResultsError(
             f"{model}: the model has no band on k(s), so nothing says what is not known yet. A regression gives none; "

@@ -15,9 +15,12 @@ from onebend.beam.problem import pose
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, ObservationError, RecordingError
+from onebend.learning.forward import film, jacobian, predict
 from onebend.learning.frames import loads_of
 from onebend.learning.mass import mass_remarks
+from onebend.learning.parameters import Priors, layout
 from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.spline import Spline
 from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn_recording
 from onebend.recording.observe import observe
@@ -185,6 +188,32 @@ def test_poses_come_through_the_pipeline_and_back_from_disk(tmp_path: Path) -> N
     assert run.recordings[0].known is not None
     np.testing.assert_array_equal(back.known.moment, run.recordings[0].known.moment)
     assert back.known.force.shape == run.recordings[0].known.force.shape
+
+
+def test_the_example_is_learned() -> None:
+    """It was made with k = 0.5 and 0.35 N m there, read to half a millimetre, the clamp 0.4 deg off."""
+    run = learn_recording(Path(__file__).parents[2] / "examples" / "hung-weights", fitting=FEW)
+    assert run.posterior is not None
+    band = run.posterior.band(np.array([0.35, 0.6]))
+    assert np.all((band.low < [0.5, 0.35]) & (band.high > [0.5, 0.35]))
+    np.testing.assert_allclose(band.k, [0.5, 0.35], rtol=0.1)
+
+
+def test_moving_a_push_from_frame_to_frame_keeps_the_derivatives(tmp_path: Path) -> None:
+    """Loads at other places in every pose: the fit's derivatives are those of differences."""
+    table = "pose,s,weight_N\n0,1,0.1\n1,0.5,0.2\n2,0.8,0.15\n"
+    o = seen(tmp_path, loads=table, shown=hanging()[:3])
+    spline = Spline(6)
+    one = film(o, 0, np.ones(3, dtype=bool), spline)
+    at = layout(spline, [o], [0], Priors())
+    x = 0.01 * np.random.default_rng(0).normal(size=at.size)
+    x[:6] += np.log(0.2)
+    now = predict(one, at, x, None)
+    exact, _ = jacobian(one, at, x, now)
+    for i in range(at.size):
+        step = 1e-5 * np.eye(at.size)[i]
+        ahead, behind = (predict(one, at, x + way, now.solved.q).pose for way in (step, -step))
+        np.testing.assert_allclose(exact[..., i], (ahead - behind) / 2e-5, atol=2e-7)
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         rms=_rms(measured - predicted),
         sensor_rms=_sensor_rms(solved, observations, frames),
         remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
+        static=observations.static,
     )
 
 

@@ -12,6 +12,8 @@ from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import read_force_log
 from onebend.recording.marker_tracks import read_tracks
+from onebend.recording.pose_loads import read_loads
+from onebend.recording.pose_tables import read_points
 from onebend.recording.video import frame_count, opened, read_frames
 from onebend.records import ForceLog, Remark
 from onebend.report.wording import significant
@@ -78,6 +80,8 @@ def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
 
 
 def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]:
+    if recording.poses is not None or recording.photos is not None:
+        return _pose_rows(recording)
     if recording.markers is not None:
         tracks = read_tracks(recording)
         rate = (len(tracks.time) - 1) / max(float(np.ptp(tracks.time)), 1e-9)
@@ -96,9 +100,26 @@ def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
 
+def _pose_rows(recording: Recording) -> list[tuple[str, str]]:
+    """Poses and loads; photos are not searched for tags."""
+    source = recording.poses or recording.photos
+    assert source is not None
+    loads = read_loads(source.loads, recording, source.axes)
+    forces = np.linalg.norm(loads.force, axis=1)
+    more = "; further forces or moments besides" if loads.others is not None else ""
+    said = f"{source.loads.name}, {len(loads.names)} poses, {forces.min():.3g} … {forces.max():.3g} N{more}"
+    if recording.photos is not None:
+        return [("photos", recording.photos.folder.name), ("loads", said)]
+    assert recording.poses is not None
+    points, name = read_points(recording, loads), recording.poses.file.name
+    seen = int(np.isfinite(points.xy).any(axis=-1).sum())
+    both = int(np.isfinite(points.xy).all(axis=-1).sum())
+    return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
+
+
 def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str]]:
     if log is None or recording.force is None or recording.push is None:
-        return [("force", "none")]
+        return [] if recording.poses is not None or recording.photos is not None else [("force", "none")]
     span = log.time[-1] - log.time[0]
     rate = 1.0 / float(np.median(np.diff(log.time)))
     reach = ", ".join(f"{low:.2f} … {high:.2f} N" for low, high in zip(log.force.min(0), log.force.max(0), strict=True))
