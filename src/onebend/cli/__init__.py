@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from onebend.cli.common import BY
+from onebend.cli.control import reach
 from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
@@ -20,6 +21,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
+    "reach": reach,
     "new": new,
     "check": check,
     "show": show,
