@@ -25,3 +25,7 @@ class MechanicsError(OnebendError):
 
 class ResultsError(OnebendError):
     """Results cannot be written or read: the folder is taken, the model file is damaged or of another version."""
+
+
+class ControlError(OnebendError):
+    """What is asked of the beam cannot be done: a goal out of reach, a limit that is too tight, a path too fast."""
