@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium
+from onebend.beam.loads import push
 from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Gaussians, Uniform, equidistant
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.control.grip import Grip, Push
@@ -82,7 +85,8 @@ def test_grip_keeps_its_bounds() -> None:
 
 def test_out_of_reach_is_the_nearest_and_stationary() -> None:
     """The residual of an unreachable curve is at a minimum: no small change of the force lowers it."""
-    goal = curve(S, np.stack([0.15 * S, 0.05 * S**2], axis=1))
+    bump = 0.01 * np.stack([0.0 * S, np.sin(np.pi * S)], axis=1)
+    goal = curve(S, SOFT.equilibrium([0.05, 0.4]).xy(S) + bump)
     found = shape(SOFT, goal, pushes=[Push(1.0)])
     assert found.converged
     assert not found.limits
@@ -124,9 +128,10 @@ def test_spread_of_a_push_is_that_of_beams_drawn_from_the_band() -> None:
     beam = Beam(0.2, known.profile)
     wanted = beam.equilibrium([0.05, 0.3])
     found = shape(beam, curve(S, wanted.xy(S)), pushes=[Push()], uncertain=known)
-    drawn = [Beam(0.2, k).equilibrium(found.forces[0]).xy(S) for k in known.draw(400, seed=0)]
+    loads, grid = push(found.forces[0]), Resolution(16, 0.5)
+    drawn = [equilibrium(Beam(0.2, k), loads, resolution=grid).xy(S)[0] for k in known.draw(150, seed=0)]
     assert found.spread is not None
-    np.testing.assert_allclose(found.spread.xy, np.std(drawn, axis=0), rtol=0.15, atol=1e-5)
+    np.testing.assert_allclose(found.spread.xy, np.std(drawn, axis=0), rtol=0.25, atol=1e-5)
 
 
 def test_a_gripped_shape_does_not_know_the_scale_of_k() -> None:
