@@ -23,6 +23,7 @@ class Descent:
 
     stride: float = 0.5  # the largest turn of a step
     most: int = 200  # steps
+    damping: float = 1e-3  # of the first step, as a share of the cost's curvature
     least_margin: float = 1e-3  # of stability, see `grip.Stand.margin`
 
 
@@ -40,13 +41,13 @@ class Found:
     @property
     def cost(self) -> float:
         """Sum of the weighted squares, lengths over L."""
-        return float(self.missed.value @ self.missed.value)
+        return float(self.missed.cost[0])
 
 
 def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Found:
     """Newton's method with a trust in the turn; a step counts if it leads down and the beam is stable there."""
-    stand, missed = start, misses(targets, start.solved, arm)
-    bounds, damping = start.hands.bounds, 1e-3
+    stand, missed = start, misses(start.solved, targets, arm)
+    bounds, damping = start.hands.bounds, settings.damping
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
     for step in range(settings.most):
         model = model_of(stand, missed)
@@ -62,7 +63,7 @@ def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Fo
         after = moved(stand, z, turn * (1.0 + _BEND) + 1e-3)
         stable = after is not None and after.margin > settings.least_margin
         if after is not None and stable:
-            seen = misses(targets, after.solved, arm)
+            seen = misses(after.solved, targets, arm)
             gain = _merit(stand, missed, price) - _merit(after, seen, price)
             promised = -float(model.slope @ z + 0.5 * z @ model.hessian @ z)
             if gain > 1e-4 * abs(promised) or (turn < _TINY and gain > -1e-9 * _merit(stand, missed, price) - 1e-28):
@@ -85,4 +86,4 @@ def _turn(stand: Stand, z: Array) -> float:
 def _merit(stand: Stand, missed: Misses, price: float) -> float:
     """Half the cost, and what lies beyond the bounds at its price."""
     beyond = [np.linalg.norm(stand.u[one.columns]) / one.most - 1.0 for one in stand.hands.bounds]
-    return 0.5 * float(missed.value @ missed.value) + price * float(np.sum(np.maximum(beyond, 0.0)))
+    return 0.5 * float(missed.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))

@@ -1,4 +1,4 @@
-"""Hands on a beam, and the equilibria they can hold it in: a smooth surface of as many dimensions as they have freedoms.
+"""Hands on a beam, and the equilibria they can hold it in: a smooth surface with as many dimensions as controls.
 
 A hand pushes at a place, with a dead force of two components; or it grips the end s = 1 and has its pose in hand: what
 it puts on the beam there is a wrench of three. In both cases equilibrium is
@@ -100,7 +100,10 @@ class Hands:
     @property
     def bounds(self) -> tuple[Bound, ...]:
         """The limits that are finite."""
-        every = [Bound(slice(2 * i, 2 * i + 2), p.max_force, f"force at s = {p.at_s:g}") for i, p in enumerate(self.pushes)]
+        every = [
+            Bound(slice(2 * i, 2 * i + 2), one.max_force, f"force at s = {one.at_s:g}")
+            for i, one in enumerate(self.pushes)
+        ]
         if self.grip is not None:
             a = 2 * len(self.pushes)
             every.append(Bound(slice(a, a + 2), self.grip.max_force, "the gripper's force"))
@@ -108,13 +111,16 @@ class Hands:
         return tuple(one for one in every if np.isfinite(one.most))
 
     def loaded(self, u: Array) -> Problem:
-        """The problem with the controls as dead loads."""
-        p, force, moment = self.problem, np.array(self.problem.dead_force), self.problem.moment
-        for i in range(0, self.count - 1, 2):
-            force[0] += self.beyond[i][:, None] * u[i : i + 2]
-        if self.grip is not None:
-            moment = moment + u[-1]
-        return replace(p, dead_force=force, moment=moment)
+        """The problem with the controls u (T, m) as dead loads."""
+        p, last = self.problem, self.count if self.grip is None else self.count - 1
+        force = np.stack([u[:, i:last:2] @ self.beyond[i:last:2] for i in (0, 1)], axis=-1)
+        moment = p.moment + (0.0 if self.grip is None else u[:, -1:])
+        return replace(p, dead_force=p.dead_force + force, moment=np.broadcast_to(moment, force.shape[:2]))
+
+    def solved(self, q: Array, u: Array) -> Equilibrium:
+        """Known equilibria q (T, Q) under the controls u (T, m), as the mechanics has them."""
+        yes, one = np.ones(len(q), dtype=bool), np.ones(len(q))
+        return Equilibrium(self.loaded(u), q, yes, yes, one, np.nan * one, ~yes, 0)
 
 
 @dataclass(frozen=True)
@@ -128,8 +134,7 @@ class Stand:
     @cached_property
     def solved(self) -> Equilibrium:
         """As the mechanics has it, the controls as dead loads; stability is `margin`'s matter."""
-        yes, no = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
-        return Equilibrium(self.hands.loaded(self.u), self.q[None], yes, yes, np.ones(1), np.full(1, np.nan), no, 0)
+        return self.hands.solved(self.q[None], self.u[None])
 
     @cached_property
     def tangent(self) -> Array:
@@ -139,7 +144,7 @@ class Stand:
     @cached_property
     def actions(self) -> Array:
         """(m, Q), scaled: `A D`, rows over the controls' units so that they are numbers about 1."""
-        return actions(self.hands, self.solved) * self.unbend
+        return actions(self.hands, self.solved)[0] * self.unbend
 
     @property
     def unbend(self) -> Array:
@@ -179,14 +184,14 @@ class Stand:
 
 
 def actions(hands: Hands, solved: Equilibrium) -> Array:
-    """(m, Q) A: derivative of the pushed places' positions and the gripped end's pose with the curvature."""
-    problem, alpha = solved.problem, solved.alpha[0]
+    """(T, m, Q) A: derivative of the pushed places' positions and the gripped end's pose with the curvature."""
+    problem, alpha = solved.problem, solved.alpha
     count = 2 * len(hands.pushes)
-    turning = np.empty((count, len(alpha)))
-    lw = problem.length * problem.weights * hands.beyond[:count]
-    turning[0::2], turning[1::2] = -lw[0::2] * np.sin(alpha), lw[1::2] * np.cos(alpha)
+    turning = np.empty((len(alpha), count, alpha.shape[1]))
+    lw = problem.length * problem.weights * hands.beyond[:count:2]
+    turning[:, 0::2], turning[:, 1::2] = -lw * np.sin(alpha)[:, None], lw * np.cos(alpha)[:, None]
     rows = turning @ problem.to_nodes
-    return rows if hands.grip is None else np.concatenate([rows, end_jacobian(problem, solved.q)[0]])
+    return np.asarray(rows if hands.grip is None else np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
 
 
 def rest(
@@ -212,7 +217,7 @@ def rest(
 def moved(stand: Stand, z: Array, trust: float) -> Stand | None:
     """The equilibrium a step z (m,) along the tangent plane away; None if it was not found within `trust` rad of there.
 
-    With forces alone the controls are the step's end, exactly; with a grip the way back is at right angles to the plane.
+    With forces alone the controls are the step's end, exactly; with a grip the way back is square to the plane.
     """
     hands, (dq, du) = stand.hands, stand.plane
     q, u, count = stand.q + dq @ z, stand.u + du @ z, len(stand.q)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,8 +33,9 @@ class ShapeSettings:
     starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
     seed: int = 0  # of those shapes
     warn_margin: float = 0.1  # of stability, below which is warned
-    descent: Descent = Descent()
-    resolution: Resolution = Resolution(order=16, widest=0.5)  # to begin with; refined at the end
+    descent: Descent = field(default_factory=Descent)
+    # To begin with; it is refined at the end.
+    resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
 @dataclass(frozen=True)
@@ -137,8 +138,8 @@ def _bent(resting: Stand, settings: ShapeSettings) -> list[Stand]:
     for _ in range(settings.starts):
         u = _LIKE_AT_REST * hands.scale * rng.standard_normal(hands.count)
         for one in hands.bounds:
-            u[one.columns] *= min(1.0, 0.9 * one.most / np.linalg.norm(u[one.columns]))
-        solved = follow(hands.loaded(u))
+            u[one.columns] *= min(1.0, 0.9 * one.most / float(np.linalg.norm(u[one.columns])))
+        solved = follow(hands.loaded(u[None]))
         if solved.stable[0]:
             out.append(Stand(hands, solved.q[0], u))
     return out
@@ -159,10 +160,15 @@ def _resolved(
 
 
 def _result(
-    found: Found, targets: Targets, arm: float, tried: int, uncertain: UncertainStiffness | None, settings: ShapeSettings
+    found: Found,
+    targets: Targets,
+    arm: float,
+    tried: int,
+    uncertain: UncertainStiffness | None,
+    settings: ShapeSettings,
 ) -> Shaped:
     stand = found.stand
-    seen = misses(targets, stand.solved, arm)
+    seen = misses(stand.solved, targets, arm)
     values = np.abs(np.linalg.eigvalsh(model_of(stand, seen).hessian))
     limits = tuple(
         one.name

@@ -51,7 +51,7 @@ def spread(stand: Stand, s: Array, uncertain: UncertainStiffness) -> Spread:
     covariance[:-1, :-1], covariance[-1, -1] = uncertain.covariance, uncertain.gain_sd**2
 
     def sd(rows: Array) -> Array:
-        return np.sqrt(np.maximum(np.einsum("np,pr,nr->n", rows, covariance, rows), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("np,pr,nr->n", rows, covariance, rows), 0.0)))
 
     wrench = sd(unit[:, None] * answer[count:]) if held else None
     return Spread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)

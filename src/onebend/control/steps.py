@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.statics import pulls
-from onebend.control.grip import Bound, Stand
+from onebend.control.grip import Bound, Hands, Stand
 from onebend.control.targets import Misses
 from onebend.records import Array
 
@@ -31,32 +31,33 @@ def model_of(stand: Stand, missed: Misses) -> Model:
     Hessian of `|r|^2 / 2 + l . g` is taken on the tangent plane.
     """
     dq, du = stand.plane
-    b = stand.hands.problem.to_nodes
-    slope_q = missed.rows.T @ missed.value
-    rows, right = stand.tangent, -slope_q * stand.unbend
+    b, solved = stand.hands.problem.to_nodes, stand.solved
+    turned = b @ multipliers(stand, missed)
+    _, across = pulls(solved.problem, solved.q)
+    flow, seen = b @ dq, missed.rows[0] @ dq  # (Q, m) turn of the nodes
+    bent = flow.T @ ((missed.bent[0] + across[0] * turned)[:, None] * flow)
+    coupled = du.T @ mixed(stand.hands, solved.alpha, turned[None])[0] @ flow
+    return Model(seen.T @ missed.value[0], seen.T @ seen + bent + coupled + coupled.T)
+
+
+def multipliers(stand: Stand, missed: Misses) -> Array:
+    """(Q,) l of `model_of`, 1/(N m)."""
+    rows, right = stand.tangent, -(missed.value[0] @ missed.rows[0]) * stand.unbend
     if stand.hands.grip is not None:
         unit = stand.hands.scale / np.sqrt(stand.hands.mean_stiffness)
         rows = np.concatenate([rows, -stand.actions * unit[:, None]])
         right = np.append(right, np.zeros(stand.hands.count))
-    turned = b @ (stand.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])  # (Q,) B l
-    _, across = pulls(stand.solved.problem, stand.q[None])
-    flow = b @ dq  # (Q, m) turn of the nodes
-    seen = missed.rows @ dq
-    mixed = _mixed(stand, turned) @ flow  # (m, m)
-    bent = flow.T @ ((missed.bent + across[0] * turned)[:, None] * flow)
-    coupled = du.T @ mixed
-    return Model(dq.T @ slope_q, seen.T @ seen + bent + coupled + coupled.T)
+    return np.asarray(stand.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])
 
 
-def _mixed(stand: Stand, turned: Array) -> Array:
-    """(m, Q) derivative of `-u . A l` with the controls and the nodes' angles."""
-    problem, alpha = stand.hands.problem, stand.solved.alpha[0]
-    out = problem.length * problem.weights * stand.hands.beyond * turned
-    forces = stand.hands.count - (0 if stand.hands.grip is None else 1)
-    out[0:forces:2] *= np.cos(alpha)
-    out[1:forces:2] *= np.sin(alpha)
-    out[forces:] = 0.0
-    return out
+def mixed(hands: Hands, alpha: Array, turned: Array) -> Array:
+    """(T, m, Q) derivative of `-u . A l` with the controls and the nodes' angles; `turned` (T, Q) is B l."""
+    problem, forces = hands.problem, hands.count - (0 if hands.grip is None else 1)
+    out = problem.length * problem.weights * hands.beyond * turned[:, None]
+    out[:, 0:forces:2] *= np.cos(alpha)[:, None]
+    out[:, 1:forces:2] *= np.sin(alpha)[:, None]
+    out[:, forces:] = 0.0
+    return np.asarray(out)
 
 
 def convex(hessian: Array, damping: float) -> Array:
@@ -72,25 +73,26 @@ def bounded_step(slope: Array, hessian: Array, u: Array, du: Array, bounds: tupl
     Newton's method on the multipliers of the bounds that bind, in the form in which it hardly overshoots: the
     reciprocal size of a bounded part is nearly linear in its multiplier.
     """
-    multipliers = np.zeros(len(bounds))
+    prices = np.zeros(len(bounds))
     parts = [(u[one.columns], du[one.columns], one.most) for one in bounds]
     for _ in range(_DUAL):
         h, g = hessian.copy(), slope.copy()
-        for value, (at, along, _) in zip(multipliers, parts, strict=True):
+        for value, (at, along, _) in zip(prices, parts, strict=True):
             h += value * along.T @ along
             g += value * along.T @ at
-        z = -np.linalg.solve(h, g)
+        z = np.asarray(-np.linalg.solve(h, g), dtype=float)
         ends = [at + along @ z for at, along, _ in parts]
-        room = np.array([most / max(float(np.linalg.norm(y)), 1e-300) - 1.0 for y, (*_, most) in zip(ends, parts)])
-        binding = (room < 0.0) | (multipliers > 0.0)
+        sizes = np.maximum([float(np.linalg.norm(y)) for y in ends], 1e-300)
+        room = np.array([one.most for one in bounds]) / sizes - 1.0
+        binding = (room < 0.0) | (prices > 0.0)
         if np.all(np.abs(room[binding]) < _WITHIN):
             break
         pulls_back = np.array([along.T @ y for y, (_, along, _) in zip(ends, parts, strict=True)])[binding]
-        steep = (1.0 + room[binding]) / np.array([float(y @ y) for y in ends])[binding]
+        steep = ((1.0 + room) / sizes**2)[binding]
         jacobian = steep[:, None] * (pulls_back @ np.linalg.solve(h, pulls_back.T))
         change = np.linalg.lstsq(jacobian, -room[binding], rcond=1e-14)[0]
-        multipliers[binding] = np.maximum(multipliers[binding] + change, 0.0)
-    return np.asarray(z * _share(z, parts)), multipliers
+        prices[binding] = np.maximum(prices[binding] + change, 0.0)
+    return np.asarray(z * _share(z, parts)), prices
 
 
 def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:

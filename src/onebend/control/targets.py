@@ -110,28 +110,39 @@ def _spread(weight: ArrayLike, count: int) -> Array:
 
 @dataclass(frozen=True)
 class Misses:
-    """How far a shape is from its targets, and how that goes with the curvature at the nodes. Lengths over L."""
+    """How far T shapes are from their targets, and how that goes with the curvature at the nodes. Lengths over L."""
 
-    value: Array  # (R,) weighted
-    rows: Array  # (R, Q) derivative of `value`
-    bent: Array  # (Q,): `sum_i value_i d2 value_i / dq2 = B^T diag(bent) B`
+    value: Array  # (T, R) weighted
+    rows: Array  # (T, R, Q) derivative of `value`
+    bent: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(bent) B`
+
+    @property
+    def cost(self) -> Array:
+        """(T,) sum of the weighted squares."""
+        return np.asarray(np.sum(self.value**2, axis=-1))
 
 
-def misses(targets: Targets, solved: Equilibrium, arm: float) -> Misses:
-    """Weighted distances of the shape of one frame from its targets; `arm` [m] makes lengths of angles."""
+def misses(solved: Equilibrium, targets: Targets, arm: float) -> Misses:
+    """Weighted distances of one shape from its targets; `arm` [m] makes lengths of angles."""
+    return misses_along(solved, targets, targets.xy[None], targets.angle[None], arm)
+
+
+def misses_along(solved: Equilibrium, targets: Targets, xy: Array, angle: Array, arm: float) -> Misses:
+    """The same of T shapes, wanted at xy (T, N, 2) and angle (T, N); places and weights are those of `targets`."""
     problem, length = solved.problem, float(solved.problem.length)
-    to = problem.grid.integral_to(targets.s)
-    alpha = solved.alpha[0]
+    to, alpha = problem.grid.integral_to(targets.s), solved.alpha
     cos, sin = np.cos(alpha), np.sin(alpha)
     placed, turned, root = targets.placed, targets.turned, np.sqrt(targets.weight)
-    at, scale = to[placed], root[placed]
-    off = scale * (np.stack([at @ cos, at @ sin]) - targets.xy[placed].T / length)  # (2, n)
+    at = root[placed, None] * to[placed]  # (n, Q)
+    wanted = root[placed, None] * xy[:, placed] / length
+    off_x, off_y = cos @ at.T - wanted[..., 0], sin @ at.T - wanted[..., 1]
     b = problem.to_nodes
-    x, y = -(scale[:, None] * at * sin) @ b, (scale[:, None] * at * cos) @ b
+    x, y = -(sin[:, None] * at) @ b, (cos[:, None] * at) @ b
     lever = root[turned] * arm / length
-    twisted = lever * (solved.angle(targets.s)[0, turned] - targets.angle[turned])
+    twisted = lever * (solved.angle(targets.s)[:, turned] - angle[:, turned])
+    turning = np.broadcast_to(lever[:, None] * to[turned], (len(alpha), len(lever), to.shape[1]))
     return Misses(
-        np.concatenate([off[0], off[1], twisted]),
-        np.concatenate([x, y, lever[:, None] * to[turned]]),
-        -((scale * off[0]) @ at * cos + (scale * off[1]) @ at * sin),
+        np.concatenate([off_x, off_y, twisted], axis=1),
+        np.concatenate([x, y, turning], axis=1),
+        -((off_x @ at) * cos + (off_y @ at) * sin),
     )
