@@ -14,6 +14,7 @@ from onebend.records import Array
 _LAST = 1e-9  # rad, of the last step
 _TINY = 1e-6  # rad: below, the cost's own rounding hides whether a step helps
 _AT_THE_EDGE = 1.1  # times the least margin: where steps on are barred, the search ends
+_FIRST_DAMPING = 1e-5  # share of the cost's curvature, after a step that failed
 _BEND = 0.5  # share of a step's turn that the way back to the surface may add
 
 
@@ -72,7 +73,7 @@ def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Fo
                 damping = damping if damping > 1e-14 else 0.0
                 continue
         barred = after is not None and not stable
-        damping = max(8.0 * damping, 1e-10)
+        damping = max(8.0 * damping, _FIRST_DAMPING)
         if damping > 1e8 or (barred and stand.margin < _AT_THE_EDGE * settings.least_margin):
             return Found(stand, missed, multipliers, False, barred, step)
     return Found(stand, missed, multipliers, False, barred, settings.most)

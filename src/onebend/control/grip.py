@@ -191,7 +191,9 @@ def actions(hands: Hands, solved: Equilibrium) -> Array:
     lw = problem.length * problem.weights * hands.beyond[:count:2]
     turning[:, 0::2], turning[:, 1::2] = -lw * np.sin(alpha)[:, None], lw * np.cos(alpha)[:, None]
     rows = turning @ problem.to_nodes
-    return np.asarray(rows if hands.grip is None else np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
+    if hands.grip is None:
+        return np.asarray(rows)
+    return np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1)
 
 
 def rest(
