@@ -31,7 +31,8 @@ _KNOT = 0.02  # of L: the way of a target from knot to knot
 _FEWEST = 12  # knots
 _RESOLVED = 1e-6  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-8 L
 _FINEST = 1.0 / 16.0  # widest panel
-_ROUNDS = 8  # of stretching
+_ROUGHLY = 3  # rounds of stretching on the interpolated path,
+_ROUNDS = 8  # and in all
 
 
 @dataclass(frozen=True)
@@ -171,21 +172,24 @@ def _check(found: Found, time: float) -> None:
 
 def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, settings: PathSettings) -> Path:
     """Samples at the asked rate, the time stretched where a limit wants it."""
-    hands = found[0].stand.hands
-    near = _between(found, goals, knots, arm)
+    hands, near = found[0].stand.hands, _between(found, goals, knots, arm)
     duration = goals.time[-1] - goals.time[0]
     fine = np.linspace(goals.time[0], goals.time[-1], max(4 * len(knots), int(np.ceil(duration * settings.rate)) + 1))
-    law = fine - fine[0]
-    for _ in range(_ROUNDS):
+    law, stretch = fine - fine[0], settings.too_fast == "stretch"
+    for trial in range(_ROUNDS):
         goal_time = np.interp(_even(law[-1], settings.rate), law, fine)
-        frames = _corrected(hands, near, found, goals, knots, goal_time, arm, settings)
+        roughly = stretch and trial < _ROUGHLY  # the interpolated path will do to stretch the time by
+        guess = _split(near(goal_time), hands)
+        frames = guess if roughly else _corrected(hands, guess, found, goals, knots, goal_time, arm, settings)
         time = np.arange(len(goal_time)) / settings.rate
         moving = _moving(hands, frames, settings.limits)
-        if not moving.names or np.max(moving.excess(time)) <= 1.0 + 1e-9:
-            break
-        if settings.too_fast == "refuse":
+        fast = bool(moving.names) and np.max(moving.excess(time)) > 1.0 + 1e-9
+        if fast and not stretch:
             refuse(moving, time)
-        law = np.interp(fine, goal_time, stretched(moving, time) * (1.0 + 1e-6))
+        if fast:
+            law = np.interp(fine, goal_time, stretched(moving, time))
+        elif not roughly:
+            break
     else:
         raise ControlError("the limits on rates could not be kept by stretching the path; are they far too low?")
     xy, angle = goals.along(goal_time)
@@ -211,9 +215,15 @@ def _between(found: list[Found], goals: Goals, knots: Array, arm: float) -> Cubi
     return CubicSpline(knots, np.array(rows))
 
 
+def _split(values: Array, hands: Hands) -> Frames:
+    """Interpolated values as what they stand for."""
+    count = len(hands.problem.weights)
+    return Frames(values[:, :count], values[:, count : count + hands.count], values[:, count + hands.count :])
+
+
 def _corrected(
     hands: Hands,
-    near: CubicSpline,
+    start: Frames,
     found: list[Found],
     goals: Goals,
     knots: Array,
@@ -222,8 +232,6 @@ def _corrected(
     settings: PathSettings,
 ) -> Frames:
     """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
-    values, count = near(goal_time), len(found[0].stand.q)
-    start = Frames(values[:, :count], values[:, count : count + hands.count], values[:, count + hands.count :])
     xy, angle = goals.along(goal_time)
     frames, ok = settle(hands, start, goals.targets, xy, angle, arm)
     bound = np.array([bool(np.any(one.multipliers > 0.0)) for one in found])

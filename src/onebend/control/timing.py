@@ -11,6 +11,9 @@ from onebend.errors import ControlError
 from onebend.records import Array
 
 
+_AIR = 1.001  # a little slower than the limit asks, so that sampling anew does not break it again
+
+
 @dataclass(frozen=True)
 class Rates:
     """The largest rates; infinite where there is no limit."""
@@ -59,6 +62,7 @@ def stretched(moving: Moving, time: Array, smooth: int = 5) -> Array:
 
     The largest excess over `smooth` neighbours counts, so that finer moments in between keep the limits as well.
     """
-    slower = np.maximum(1.0, np.max(moving.excess(time), axis=1))
+    excess = np.max(moving.excess(time), axis=1)
+    slower = np.where(excess > 1.0, _AIR * excess, 1.0)
     slower = maximum_filter1d(slower, smooth, mode="nearest")
     return np.append(time[0], time[0] + np.cumsum(np.diff(time) * slower))
