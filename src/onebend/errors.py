@@ -28,4 +28,4 @@ class ResultsError(OnebendError):
 
 
 class ControlError(OnebendError):
-    """What is asked of the beam cannot be done: a goal out of reach, a limit that is too tight, a path too fast."""
+    """What was asked of a beam cannot be done: a goal that no force reaches, a place or a bound without a meaning."""

@@ -1,1 +1,1 @@
-"""What to do to a beam of known stiffness so that it goes where it is wanted."""
+"""Forces that bend a beam where it is wanted."""

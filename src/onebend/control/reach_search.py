@@ -1,0 +1,105 @@
+"""Ways to an equilibrium with the point on its goal, the quickest first; each is one that the beam takes from rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.problem import Resolution
+from onebend.control.reach_newton import PushedBeam, State, Trail, lead, solve_goal, trace
+from onebend.control.reach_settings import ReachSettings, broken_bound
+from onebend.control.reach_start import Starts, starts_of
+from onebend.control.reachable import ReachableSet
+from onebend.records import Array
+
+_CANDIDATES = 8  # starts that are tried
+_SAMPLES = 5  # sampled equilibria that the goal is led from
+_SAME = 1e-6  # rad: shapes nearer than this are one
+_FINER = 3  # halvings of the panels that are tried
+
+
+@dataclass(frozen=True)
+class Found:
+    """Equilibria from rest to the last, which has the point on its goal."""
+
+    on: PushedBeam
+    states: tuple[State, ...]
+    iterations: int
+    wrong: str = ""  # the bound it breaks
+
+
+def search(
+    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, sampled: Callable[[], ReachableSet]
+) -> Found | None:
+    """An equilibrium on the goal that the beam comes to from rest; one out of bounds where there is no other."""
+    spare = None
+    for found in _tries(on, goal, settings, begin, sampled):
+        wrong = broken_bound(on, found.states[-1], settings)
+        if not wrong:
+            return found
+        spare = spare or replace(found, wrong=wrong)
+    return spare
+
+
+def solutions(on: PushedBeam, starts: Starts, goal: Array, free: Array) -> Iterator[tuple[State, int]]:
+    """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
+    iterations = 0
+    for first in (True, False):
+        for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
+            found, count, near = solve_goal(on, begin, goal, free)
+            iterations += count
+            if near and on.stable(found):
+                yield found, iterations
+
+
+def from_rest(on: PushedBeam, found: State, *, widest: float = 1.0) -> Trail | None:
+    """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
+    trail = trace(on, found.load, widest=widest)
+    same = trail.arrived and float(np.max(np.abs(on.b @ (trail.states[-1].q - found.q)))) < _SAME
+    return trail if same else None
+
+
+def _tries(
+    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, sampled: Callable[[], ReachableSet]
+) -> Iterator[Found]:
+    widest = 1.0 / settings.steps
+    if begin is not None:
+        yield from _led(on, begin, goal, settings.free)
+    for state, count in solutions(on, starts_of(on), goal, settings.free):
+        trail = from_rest(on, state, widest=widest)
+        if trail is not None:
+            yield Found(on, trail.states, count)
+    for near in sampled().samples_near(goal[:2], _SAMPLES):
+        yield from _led(on, trace(on, near.load, widest=widest), goal, settings.free)
+
+
+def _led(on: PushedBeam, trail: Trail, goal: Array, free: Array) -> Iterator[Found]:
+    """The goal led on from the end of a way; its place first, then its angle."""
+    if not trail.arrived:
+        return
+    states, arrived = trail.states, True
+    for wanted, loads in ((goal[:2], np.eye(3)[:, :2]), (goal, free))[: 1 if free.shape[1] == 2 else 2]:
+        led = lead(on, states[-1], wanted, loads)
+        states, arrived = (*states, *led.states[1:]), arrived and led.arrived
+    if arrived:
+        yield Found(on, states, len(states) - 1)
+
+
+def resolved(found: Found, goal: Array, settings: ReachSettings) -> Found:
+    """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance."""
+    on, resolution = found.on, Resolution()
+    for _ in range(_FINER):
+        resolution = resolution.finer()
+        finer = PushedBeam(on.beam, on.push_s, on.point_s, gravity=settings.gravity, resolution=resolution)
+        rows = on.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
+        last = found.states[-1]
+        there = trace(finer, last.load, start=State(rows @ on.whole(last.q), last.load)).states[-1]
+        exact, _, near = solve_goal(finer, there, goal, settings.free, trust=0.1)
+        moved = np.linalg.norm(finer.pose(there.q)[:2] - on.pose(last.q)[:2])
+        if moved < 0.1 * settings.tolerance or not (near and finer.stable(exact)):
+            break
+        states = tuple(State(rows @ on.whole(one.q), one.load) for one in found.states[:-1])
+        found, on = replace(found, on=finer, states=(*states, exact)), finer
+    return found
