@@ -193,7 +193,7 @@ def actions(hands: Hands, solved: Equilibrium) -> Array:
     rows = turning @ problem.to_nodes
     if hands.grip is None:
         return np.asarray(rows)
-    return np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1)
+    return np.asarray(np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
 
 
 def rest(

@@ -6,8 +6,8 @@ knots along the path, each from the one before; between the knots they are inter
 
 from __future__ import annotations
 
-from itertools import pairwise
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from onebend.beam.ends import end_pose
 from onebend.beam.problem import Rod
-from onebend.control.descent import Found, descend
+from onebend.control.descent import Descent, Found, descend
 from onebend.control.goals import Goals
 from onebend.control.grip import Grip, Hands, Push, Stand, rest
 from onebend.control.shape import ShapeSettings, shape
@@ -92,7 +92,7 @@ def follow_goals(
     pushes: tuple[Push, ...] = (),
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
-    settings: PathSettings = PathSettings(),  # noqa: B008 - frozen
+    settings: PathSettings = PathSettings(),
 ) -> Path:
     """What the hands have to do for the beam to follow the goals, as closely as it can at every moment.
 
@@ -246,14 +246,23 @@ def _corrected(
 
 
 def _alone(
-    found: list[Found], after: IntArray, frames: Frames, i: int, goals: Goals, time: float, arm: float, warm: ShapeSettings
+    found: list[Found],
+    after: IntArray,
+    frames: Frames,
+    i: int,
+    goals: Goals,
+    time: float,
+    arm: float,
+    warm: Descent,
 ) -> tuple[Array, Array]:
     """One sample, from the one before it."""
     first = found[after[i] - 1].stand
     begin = first if i == 0 else Stand(first.hands, frames.q[i - 1], frames.u[i - 1])
     one = descend(begin, goals.at(time), arm, warm)
     if not one.converged:
-        raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found on the way from the last one")
+        raise ControlError(
+            f"at {time:.4g} s no stable shape closest to the goal was found on the way from the last one"
+        )
     return one.stand.q, one.stand.u
 
 

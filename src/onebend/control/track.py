@@ -38,7 +38,9 @@ class Frames:
         return Frames(self.q[chosen], self.u[chosen], self.multipliers[chosen])
 
 
-def settle(hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array, arm: float) -> tuple[Frames, BoolArray]:
+def settle(
+    hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array, arm: float
+) -> tuple[Frames, BoolArray]:
     """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from ones `near`; True where found there.
 
     Bounds on forces are not looked at.
@@ -52,19 +54,21 @@ def settle(hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array
     return out, found
 
 
-def _settle(hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array, arm: float) -> tuple[Frames, BoolArray]:
-    q, u, l = near.q.copy(), near.u.copy(), near.multipliers.copy()
+def _settle(
+    hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array, arm: float
+) -> tuple[Frames, BoolArray]:
+    q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
     settled, b = np.zeros(len(q), dtype=bool), hands.problem.to_nodes
     for _ in range(_MOST):
         todo = np.flatnonzero(~settled)
         if todo.size == 0:
             break
-        dq, du, new = _step(hands, Frames(q[todo], u[todo], l[todo]), targets, xy[todo], angle[todo], arm)
-        q[todo], u[todo], l[todo] = q[todo] + dq, u[todo] + du, new
+        dq, du, new = _step(hands, Frames(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
+        q[todo], u[todo], prices[todo] = q[todo] + dq, u[todo] + du, new
         settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _SETTLED
     settled &= np.max(np.abs((q - near.q) @ b.T), axis=1) < _NEAR
     settled[settled] &= stable(hands, q[settled], u[settled])
-    return Frames(q, u, l), settled
+    return Frames(q, u, prices), settled
 
 
 def stable(hands: Hands, q: Array, u: Array) -> BoolArray:
@@ -96,7 +100,11 @@ def _step(
     acting = unit[:, None] * actions(hands, solved) * unbend
     a, z = count + controls, np.s_[:]
     system = np.zeros((len(at.q), a + count, a + count))
-    system[z, :count, :count], system[z, :count, count:a], system[z, count:a, :count] = second, transposed(coupled), coupled
+    system[z, :count, :count], system[z, :count, count:a], system[z, count:a, :count] = (
+        second,
+        transposed(coupled),
+        coupled,
+    )
     system[z, :count, a:], system[z, a:, :count] = stiff, stiff
     system[z, count:a, a:], system[z, a:, count:a] = -acting, -transposed(acting)
     right = np.zeros((len(at.q), a + count))
