@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
+from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from onebend.control.targets import Targets
 from onebend.errors import ControlError
@@ -20,9 +21,9 @@ Between = Literal["smooth", "monotone", "linear"]
 class Goals:
     """Targets at N places that take other values at each of K times.
 
-    `between`: "smooth" is a cubic spline that starts and ends at rest (velocity and acceleration without jumps, the
-    path may swing a little beyond its goals); "monotone" does not swing beyond (acceleration jumps at the goals);
-    "linear" goes straight from goal to goal (velocity jumps).
+    `between`: "smooth" is a cubic spline (velocity and acceleration without jumps, the path may swing a little beyond
+    its goals); "monotone" does not swing beyond (acceleration jumps at the goals); "linear" goes straight from goal to
+    goal (velocity jumps). Only goals that slow down at the ends begin and end at rest.
     """
 
     time: Array  # (K,) s, rising
@@ -72,7 +73,8 @@ def point_goals(time: ArrayLike, xy: ArrayLike, *, point_s: float = 1.0, between
     return Goals(times, first, wanted[:, None], np.full((len(times), 1), np.nan), between)
 
 
-def _curve(time: Array, values: Array, between: Between) -> CubicSpline | PchipInterpolator:
-    if between == "smooth":
-        return CubicSpline(time, values, bc_type="clamped")
-    return PchipInterpolator(time, values) if between == "monotone" else make_interp_spline(time, values, k=1)
+def _curve(time: Array, values: Array, between: Between) -> Callable[[Array], Array]:
+    """The values (K, c) as functions of time; a spline through fewer than four goals is of a lower degree."""
+    if between == "monotone":
+        return PchipInterpolator(time, values)  # type: ignore[no-any-return]
+    return make_interp_spline(time, values, k=min(3, len(time) - 1) if between == "smooth" else 1)  # type: ignore[no-any-return]

@@ -144,7 +144,7 @@ class Stand:
     @cached_property
     def actions(self) -> Array:
         """(m, Q), scaled: `A D`, rows over the controls' units so that they are numbers about 1."""
-        return actions(self.hands, self.solved)[0] * self.unbend
+        return np.asarray(actions(self.hands, self.solved)[0] * self.unbend)
 
     @property
     def unbend(self) -> Array:

@@ -7,7 +7,6 @@ knots along the path, each from the one before; between the knots they are inter
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -18,8 +17,9 @@ from onebend.beam.ends import end_pose
 from onebend.beam.problem import Rod
 from onebend.control.descent import Descent, Found, descend
 from onebend.control.goals import Goals
-from onebend.control.grip import Grip, Hands, Push, Stand, rest
-from onebend.control.shape import ShapeSettings, shape
+from onebend.control.grip import Grip, Hands, Push, Stand
+from onebend.control.march import knots_of, march
+from onebend.control.shape import ShapeSettings
 from onebend.control.steps import multipliers
 from onebend.control.targets import misses, misses_along
 from onebend.control.timing import Moving, Rates, refuse, stretched
@@ -27,12 +27,10 @@ from onebend.control.track import Frames, settle
 from onebend.errors import ControlError
 from onebend.records import Array, IntArray
 
-_KNOT = 0.02  # of L: the way of a target from knot to knot
-_FEWEST = 12  # knots
 _RESOLVED = 1e-6  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-8 L
 _FINEST = 1.0 / 16.0  # widest panel
-_ROUGHLY = 3  # rounds of stretching on the interpolated path,
-_ROUNDS = 8  # and in all
+_ROUNDS = 8  # of stretching
+_FINER = 4  # moments a sample, at which rates are looked at
 
 
 @dataclass(frozen=True)
@@ -105,91 +103,34 @@ def follow_goals(
     """
     if not settings.rate > 0.0:
         raise ControlError(f"a rate of samples must be positive, got {settings.rate} Hz")
-    knots = _knots(goals, float(beam.length))
+    knots = knots_of(goals, float(beam.length))
     arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
     resolution = settings.shape.resolution
     while True:
-        trying = replace(settings, shape=replace(settings.shape, resolution=resolution))
-        found = _march(beam, goals, knots, arm, pushes, grip, gravity, trying)
+        trying = replace(settings.shape, resolution=resolution)
+        found = march(beam, goals, knots, arm, pushes, grip, gravity, trying)
         tail = max(float(one.stand.solved.problem.grid.legendre_tail(one.stand.q)) for one in found)
         if tail < _RESOLVED or resolution.widest <= _FINEST:
             break
         resolution = resolution.finer()
-    return _sampled(found, goals, knots, arm, trying)
-
-
-def _knots(goals: Goals, length: float) -> Array:
-    """(K,) s: close enough for the shape at one to lead to that at the next."""
-    time = np.union1d(np.linspace(goals.time[0], goals.time[-1], 200), goals.time)
-    xy, angle = goals.along(time)
-    way = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0), axis=2) / length).max(axis=1)
-    turn = np.nan_to_num(np.abs(np.diff(angle, axis=0))).max(axis=1)
-    done = np.append(0.0, np.cumsum(np.maximum(way, turn)))
-    # Where the goals rest there is no way to go: a little of plain time keeps knots there as well.
-    done = done / max(done[-1], 1e-12) + 0.25 * (time - time[0]) / (time[-1] - time[0])
-    count = max(_FEWEST, int(np.ceil(np.sum(np.maximum(way, turn)) / _KNOT)) + 1)
-    return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
-
-
-def _march(
-    beam: Rod,
-    goals: Goals,
-    knots: Array,
-    arm: float,
-    pushes: tuple[Push, ...],
-    grip: Grip | None,
-    gravity: ArrayLike | None,
-    settings: PathSettings,
-) -> list[Found]:
-    """The shapes at the knots: the first from rest, each other one from that before."""
-    first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings.shape)
-    if first.open_freedoms:
-        raise ControlError(
-            f"the goals leave {first.open_freedoms} of {first.stand.hands.count} freedoms of the hands open, so that "
-            "there is no one path; want more of the beam (angles, points), or give fewer hands"
-        )
-    resting = rest(beam, pushes, grip, gravity, settings.shape.resolution)
-    grid = first.stand.hands.problem.grid
-    stand = Stand(resting.hands, grid.value_at(resting.hands.problem.grid.nodes) @ first.stand.q, first.stand.u)
-    found = [descend(stand, goals.at(knots[0]), arm, settings.shape.descent)]
-    warm = replace(settings.shape.descent, damping=0.0)
-    for before, time in pairwise(knots):
-        _check(found[-1], float(before))
-        found.append(descend(found[-1].stand, goals.at(float(time)), arm, warm))
-    _check(found[-1], float(knots[-1]))
-    return found
-
-
-def _check(found: Found, time: float) -> None:
-    if found.near_buckling:
-        raise ControlError(
-            f"at {time:.4g} s the beam is about to buckle (margin {found.stand.margin:.3g}) on its way to the goal; "
-            "lead it another way, or give it a grip"
-        )
-    if not found.converged:
-        raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found; give more goals before it")
+    return _sampled(found, goals, knots, arm, settings)
 
 
 def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, settings: PathSettings) -> Path:
     """Samples at the asked rate, the time stretched where a limit wants it."""
     hands, near = found[0].stand.hands, _between(found, goals, knots, arm)
     duration = goals.time[-1] - goals.time[0]
-    fine = np.linspace(goals.time[0], goals.time[-1], max(4 * len(knots), int(np.ceil(duration * settings.rate)) + 1))
-    law, stretch = fine - fine[0], settings.too_fast == "stretch"
+    goal_time = goals.time[0] + np.minimum(_even(duration, settings.rate), duration)
+    frames = _corrected(hands, _split(near(goal_time), hands), found, goals, knots, goal_time, arm, settings)
     for trial in range(_ROUNDS):
-        goal_time = np.interp(_even(law[-1], settings.rate), law, fine)
-        roughly = stretch and trial < _ROUGHLY  # the interpolated path will do to stretch the time by
-        guess = _split(near(goal_time), hands)
-        frames = guess if roughly else _corrected(hands, guess, found, goals, knots, goal_time, arm, settings)
         time = np.arange(len(goal_time)) / settings.rate
         moving = _moving(hands, frames, settings.limits)
-        fast = bool(moving.names) and np.max(moving.excess(time)) > 1.0 + 1e-9
-        if fast and not stretch:
-            refuse(moving, time)
-        if fast:
-            law = np.interp(fine, goal_time, stretched(moving, time))
-        elif not roughly:
+        if not moving.names or np.max(moving.excess(time)) <= 1.0 + 1e-9:
             break
+        if settings.too_fast == "refuse":
+            refuse(moving, time)
+        goal_time, near = _slower(moving, hands, frames, time, goal_time, settings, everywhere=trial > 1)
+        frames = _corrected(hands, _split(near(goal_time), hands), found, goals, knots, goal_time, arm, settings)
     else:
         raise ControlError("the limits on rates could not be kept by stretching the path; are they far too low?")
     xy, angle = goals.along(goal_time)
@@ -199,6 +140,32 @@ def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, setting
     margin = np.array([one.stand.margin for one in found])
     warnings = _warnings(miss, goal_time, margin, knots, hands, frames, settings, length)
     return Path(time, goal_time, goals, hands, frames.q, frames.u, miss, margin, knots, warnings)
+
+
+def _slower(
+    moving: Moving,
+    hands: Hands,
+    frames: Frames,
+    time: Array,
+    goal_time: Array,
+    settings: PathSettings,
+    *,
+    everywhere: bool,
+) -> tuple[Array, CubicSpline]:
+    """Other times of the goals for the samples, so that the limits are kept; and the samples so far as a spline.
+
+    Slower only where a limit wants it, or `everywhere`, where that was tried and kinks of the path still break one.
+    """
+    inside = np.append(True, np.diff(goal_time) > 0.0)
+    values = np.concatenate([frames.q, frames.u, frames.multipliers], axis=1)[inside]
+    near = CubicSpline(goal_time[inside], values)
+    if everywhere:
+        fine, law = goal_time[inside], time[inside] * float(np.max(moving.excess(time))) * 1.001
+    else:
+        fine = np.linspace(goal_time[0], goal_time[-1], _FINER * len(goal_time))
+        law = np.interp(fine, goal_time[inside], time[inside])
+        law = stretched(_moving(hands, _split(near(fine), hands), settings.limits), law)
+    return np.interp(_even(law[-1], settings.rate), law, fine), near
 
 
 def _even(duration: float, rate: float) -> Array:

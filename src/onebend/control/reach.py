@@ -20,7 +20,7 @@ from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import pose
 from onebend.beam.statics import Equilibrium
-from onebend.control.reach_newton import PushedBeam, Trail, trace
+from onebend.control.reach_newton import PushedBeam, State, Trail, trace
 from onebend.control.reach_paper import paper_force
 from onebend.control.reach_search import Found, from_rest, resolved, search
 from onebend.control.reach_settings import ReachSettings, checked_goal
@@ -209,11 +209,7 @@ def _by_paper(on: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
         why = "the paper's iteration ends at a force under which the exact beam has no stable shape on its branch"
     else:
         off = 1e3 * float(np.linalg.norm(on.pose(last.q)[:2] - goal))
-        why = (
-            ""
-            if off <= 1e3 * settings.tolerance
-            else (
-                f"the paper's iteration settled on its modal beam; under its force the exact beam is {off:.3g} mm off"
-            )
+        why = "" if off <= 1e3 * settings.tolerance else (
+            f"the paper's iteration settled on its modal beam; under its force the exact beam is {off:.3g} mm off"
         )
     return _result(Found(on, trail.states, found.iterations), goal, settings, why)

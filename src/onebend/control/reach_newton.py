@@ -107,9 +107,7 @@ class PushedBeam:
     def shape_xy(self, q: Array, s: Array) -> Array:
         """(S, 2) m: places `s` (S,) of the beam."""
         alpha = self.angles(q)
-        return np.asarray(
-            self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1)
-        )
+        return np.asarray(self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1))
 
     def whole(self, q: Array) -> Array:
         """(Q,) the curvature at all nodes."""

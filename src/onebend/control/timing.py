@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter1d
 from onebend.errors import ControlError
 from onebend.records import Array
 
-_AIR = 1.001  # a little slower than the limit asks, so that sampling anew does not break it again
+_AIR = 1.002  # a little slower than the limit asks, so that sampling anew does not break it again
 
 
 @dataclass(frozen=True)
