@@ -13,8 +13,9 @@ from onebend.cli.common import BY
 from onebend.cli.control import reach
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
+from onebend.cli.shaping import path, shape
 
-COMMANDS = (learn, validate, plan, reach, new, check, show)
+COMMANDS = (learn, validate, plan, reach, shape, path, new, check, show)
 
 app = typer.Typer(
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
