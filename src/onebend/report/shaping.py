@@ -57,7 +57,7 @@ def path_figure(way: Path) -> Figure:
         plane.plot(*(MM * way.goals.xy[:, i].T), "x", color=ORANGE, markersize=4)
     _plane(plane, f"{SNAPSHOTS} of {len(way.time)} samples, the last the darkest")
     _hands_in_time(acting, way)
-    lag.plot(way.time, MM * way.miss, color=INK, lw=1.2)
+    lag.plot(way.time, MM * way.miss, color=INK, lw=1.6, clip_on=False)
     lag.set(xlabel="time [s]", ylabel="miss [mm]", title="Distance from the goals, rms")
     lag.set_ylim(0.0, max(1.1 * MM * float(np.max(way.miss)), 1e-3))
     return figure
@@ -70,19 +70,16 @@ def _hands_in_time(axes: Axes, way: Path) -> None:
         axes.plot(way.time, way.forces[:, i, 1], "--", color=colour(i), label=f"$F_y$ at s = {one.at_s:.3g}")
     stretch = f", stretched {way.stretch:.2f} times" if way.stretch > 1.0 + 1e-6 else ""
     axes.set(ylabel="force [N]" if way.hands.pushes else "gripper [mm, deg]", title=f"What the hands do{stretch}")
+    other = axes.twinx() if way.hands.pushes and way.wrench is not None else axes
     if way.wrench is not None:
-        other = axes.twinx() if way.hands.pushes else axes
         x, y, angle = way.poses.T
-        for values, name, style in (
-            (MM * x, "x [mm]", "-"),
-            (MM * y, "y [mm]", "--"),
-            (np.degrees(angle), "angle [deg]", ":"),
-        ):
+        rows = ((MM * x, "x [mm]", "-"), (MM * y, "y [mm]", "--"), (np.degrees(angle), "angle [deg]", ":"))
+        for values, name, style in rows:
             other.plot(way.time, values, style, color=GREEN, label=f"gripper {name}")
-        if way.hands.pushes:
-            other.set_ylabel("gripper [mm, deg]")
-            other.legend(loc="upper right", ncols=3)
-    axes.legend(loc="upper left", ncols=3)
+    if other is not axes:
+        other.set_ylabel("gripper [mm, deg]")
+        other.legend(loc="center left", bbox_to_anchor=(1.08, 0.15))
+    axes.legend(loc="center left", bbox_to_anchor=(1.0 if other is axes else 1.08, 0.5))
 
 
 def _spread(axes: Axes, found: Shaped) -> None:
