@@ -1,4 +1,4 @@
-"""`onebend shape` and `onebend path`: from a model and a CSV to folders of files, and clear words where it cannot be."""
+"""`onebend shape` and `onebend path`: from a model and a CSV to folders of files; clear words where it cannot be."""
 
 from __future__ import annotations
 

@@ -29,6 +29,7 @@ from onebend.records import Array
 
 _SETTLED = 1e-11  # rad, of a correction's last update
 _MOST = 12  # Newton iterations of a correction
+_RANK = 1e-9  # share of the largest singular value below which one is nothing
 
 
 @dataclass(frozen=True)
@@ -173,8 +174,9 @@ class Stand:
         """
         matrix = self.tangent
         if self.hands.grip is not None:
-            free = np.linalg.qr(self.actions[-3:].T, mode="complete")[0][:, 3:]
-            matrix = free.T @ matrix @ free
+            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # of a straight beam, nothing moves the end along it
+            free = rows[int(np.sum(sizes > _RANK * sizes[0])) :]
+            matrix = free @ matrix @ free.T
         return float(np.linalg.eigvalsh(matrix)[0])
 
     @property
