@@ -5,17 +5,30 @@ Exit codes: 0 done; 2 the input or the request cannot be used, with one message 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from onebend.cli.common import BY
 from onebend.cli.control import reach
+from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.shaping import path, shape
 
-COMMANDS = (learn, validate, plan, reach, shape, path, new, check, show)
+COMMANDS: dict[str, Callable[..., None]] = {
+    "learn": learn,
+    "validate": validate,
+    "plan": plan,
+    "reach": reach,
+    "shape": shape,
+    "path": path,
+    "new": new,
+    "check": check,
+    "show": show,
+    "export": export_command,
+}
 
 app = typer.Typer(
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
@@ -24,8 +37,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in COMMANDS:
-    app.command()(_command)
+for _name, _command in COMMANDS.items():
+    app.command(_name)(_command)
 
 
 def _say_version(asked: bool) -> None:
