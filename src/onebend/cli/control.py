@@ -8,7 +8,8 @@ import numpy as np
 from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, print_json, workplace
-from onebend.control.reach import ReachSettings, reach as solve_reach
+from onebend.control.reach import ReachSettings
+from onebend.control.reach import reach as solve_reach
 from onebend.control.reachable import reachable
 from onebend.control.uncertainty import predicted_error
 from onebend.errors import ControlError
@@ -62,7 +63,7 @@ def reach(
         found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
         if not found.converged:
             raise ControlError(found.reason)
-        error = None if stored.uncertain is None else predicted_error(stored.uncertain, found)
+        error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             within = None

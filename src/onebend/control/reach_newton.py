@@ -26,6 +26,8 @@ from onebend.errors import ControlError
 from onebend.records import Array
 
 TOLERANCE = 3e-7  # rad, of the last update: convergence is quadratic, the error its square
+_LEFT, _SMALL = 1e-8, 1e-2  # rad that may be left, and of the last update where that is foretold
+_MINUS = np.array([-1.0])
 _CAP = 0.7  # rad, the largest turn of a step
 _STRIDE, _TRUST, _SURPRISE, _LEAST = 0.7, 0.25, 0.5, 1e-3  # as `continuation.Search`
 _LEAD, _SHORTEST_LEAD = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
@@ -38,6 +40,18 @@ class State:
 
     q: Array  # (n,) rad, curvature at the loaded nodes
     load: Array  # (3,) N, N, N m at the push
+
+
+@dataclass(frozen=True, slots=True)
+class Landing:
+    """Where Newton's method ended, and what it knew before its last step."""
+
+    state: State
+    iterations: int
+    converged: bool
+    positive: bool = False  # the tangent was positive definite
+    curved: Array | None = None  # (n, P) rad a unit load: Y
+    seen: Array | None = None  # (2 or 3, P): S
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,7 @@ class PushedBeam:
         for name, place in (("push_s", push_s), ("point_s", point_s)):
             if not 0.0 < place <= 1.0:
                 raise ControlError(f"{name} lies in (0, 1], 1 the tip; got {place}")
-        heavy = bool(np.any(np.asarray(gravity, dtype=float) != 0.0))
+        self._heavy = heavy = bool(np.any(np.asarray(gravity, dtype=float) != 0.0))
         loads = weight(gravity) + push((0.0, 0.0), push_s) + twist(0.0, push_s)
         self.problem: Problem = pose(beam, loads, resolution)
         self.beam, self.push_s, self.point_s, self.resolution = beam, push_s, point_s, resolution
@@ -81,6 +95,7 @@ class PushedBeam:
         self.rest = np.array(problem.q0[:n], dtype=float)
         self._beyond = problem.alpha0 + problem.to_nodes[:, n:] @ problem.q0[n:]
         self._angle_row = problem.grid.integral_to(np.array([point_s]))[0]
+        self._minus_row = -problem.length * self._angle_row
         self.row = problem.length * self._angle_row
         self._push_row = problem.length * problem.grid.integral_to(np.array([push_s]))[0]
         self._base_row = problem.grid.value_at(np.zeros(1))[0, :n]
@@ -101,13 +116,14 @@ class PushedBeam:
     def pose(self, q: Array) -> Array:
         """(3,) m, m, rad: the point's place and the tangent's angle there."""
         alpha = self.angles(q)
-        turn = self._angle_row[: self.count] @ q + self._angle_row[self.count :] @ self.problem.q0[self.count :]
-        return np.array([self.row @ np.cos(alpha), self.row @ np.sin(alpha), float(self.problem.alpha0) + turn])
+        return self.place(np.cos(alpha), np.sin(alpha), q, 3)
 
     def shape_xy(self, q: Array, s: Array) -> Array:
         """(S, 2) m: places `s` (S,) of the beam."""
         alpha = self.angles(q)
-        return np.asarray(self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1))
+        return np.asarray(
+            self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1)
+        )
 
     def whole(self, q: Array) -> Array:
         """(Q,) the curvature at all nodes."""
@@ -118,13 +134,56 @@ class PushedBeam:
         alpha = self.angles(q)
         cos, sin = np.cos(alpha), np.sin(alpha)
         n = self.count
-        x, y = load[0] * self._pull + self._weight[:, 0], load[1] * self._pull + self._weight[:, 1]
-        across = y * cos[:n] - x * sin[:n]
-        along = x * cos[:n] + y * sin[:n]
+        across, tangent = self._pulled(load, cos[:n], sin[:n])
         unbalanced = self.stiff * (q - self.rest) - load[2] * self._twist - across @ self.square
-        tangent = self.square.T @ (along[:, None] * self.square)
-        tangent.reshape(-1)[:: n + 1] += self.stiff
         return unbalanced, tangent, cos, sin
+
+    def linear(self, q: Array, load: Array, cos: Array, sin: Array, loads: int) -> tuple[Array, bool]:
+        """(n, 1 + P) X = T^-1 g and Y = T^-1 R beside it, NaN for a singular T; whether T is positive definite."""
+        n = self.count
+        across, tangent = self._pulled(load, cos[:n], sin[:n])
+        rows = np.empty((3, n))
+        rows[0] = across
+        np.multiply(self._pull, sin[:n], out=rows[1])
+        np.multiply(self._pull, cos[:n], out=rows[2])
+        right = np.empty((n, 1 + loads), order="F")
+        np.matmul(rows, self.square, out=right[:, :3].T)
+        np.negative(right[:, :2], out=right[:, :2])
+        right[:, 0] += self.stiff * (q - self.rest) - load[2] * self._twist
+        if loads == 3:
+            right[:, 3] = self._twist
+        _, solved, info = dposv(tangent, right, lower=1)
+        if info == 0:
+            return np.asarray(solved), True
+        _, _, solved, info = dgesv(tangent, right)
+        return np.asarray(solved) if info == 0 else np.full_like(right, np.nan), False
+
+    def _pulled(self, load: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
+        """The pull across (n,), and the tangent (n, n) by the pull along."""
+        x, y = load[0] * self._pull, load[1] * self._pull
+        if self._heavy:
+            x, y = x + self._weight[:, 0], y + self._weight[:, 1]
+        along = x * cos + y * sin
+        tangent = self.square.T @ (along[:, None] * self.square)
+        tangent.reshape(-1)[:: self.count + 1] += self.stiff
+        return y * cos - x * sin, tangent
+
+    def place(self, cos: Array, sin: Array, q: Array, size: int) -> Array:
+        """(2,) m or (3,) m, m, rad: as `pose`, where cos and sin are known."""
+        x, y = float(self.row @ cos), float(self.row @ sin)
+        return np.array([x, y]) if size == 2 else np.array([x, y, self._turn(q)])
+
+    def sees(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
+        """(2 or 3, P): how the point moves with turns (Q, P) of the nodes by curvatures (n, P)."""
+        rows = np.empty((2, len(cos)))
+        np.multiply(self._minus_row, sin, out=rows[0])
+        np.multiply(self.row, cos, out=rows[1])
+        moved = rows @ turned
+        return moved if size == 2 else np.vstack([moved, self._angle_row[: self.count] @ curved])
+
+    def _turn(self, q: Array) -> float:
+        n = self.count
+        return float(self.problem.alpha0 + self._angle_row[:n] @ q + self._angle_row[n:] @ self.problem.q0[n:])
 
     def of_load(self, cos: Array, sin: Array) -> Array:
         """(n, 3) R: minus the derivative of the gradient with the load."""
@@ -156,55 +215,55 @@ class PushedBeam:
 
 
 def solve_goal(
-    on: PushedBeam, start: State, goal: Array, free: Array, *, most: int = 20, trust: float = math.inf
-) -> tuple[State, int, bool]:
-    """Newton from `start` to the goal (2,) or (3,); `free` (3, P) are the loads that may be given.
+    on: PushedBeam, start: State, goal: Array, loads: int = 2, *, most: int = 20, trust: float = math.inf
+) -> Landing:
+    """Newton from `start` to the goal (2,) or (3,) with the first 2 or all 3 `loads`.
 
-    Returns the state, the iterations, and whether it converged without turning the beam by more than `trust` rad.
-    With more loads than the goal has numbers, the smallest (in units of `on.scale`) is found.
+    It converges where it does without turning the beam by more than `trust` rad: updates u and v, one after the
+    other, leave `v (v / u)^2`. With more loads than the goal has numbers, the smallest (in units of `on.scale`) is
+    found.
     """
-    q, load, size = start.q, start.load, len(goal)
-    moved = np.zeros(len(on.problem.weights))
+    q, load, size = start.q, start.load.copy(), len(goal)
+    alpha = on.angles(q)
+    begin, before = alpha, 0.0
     for iteration in range(1, most + 1):
-        unbalanced, tangent, cos, sin = on.balance(q, load)
-        right = np.column_stack([unbalanced, on.of_load(cos, sin) @ free])
-        _, _, solved, info = dgesv(tangent, right, overwrite_a=1, overwrite_b=1)
-        if info != 0:
-            return State(q, load), iteration, False
-        j = on.of_shape(cos, sin)[:size]
-        at = np.array([on.row @ cos, on.row @ sin, on.pose(q)[2] if size == 3 else 0.0])[:size]
-        change = _step(j @ solved[:, 1:], goal - at + j @ solved[:, 0], load, on.scale, free)
-        step = solved[:, 1:] @ change - solved[:, 0]
-        turn = on.b @ step
-        largest = float(np.max(np.abs(turn)))
+        cos, sin = np.cos(alpha), np.sin(alpha)
+        solved, positive = on.linear(q, load, cos, sin, loads)
+        turned = on.b @ solved
+        moved = on.sees(cos, sin, turned, solved, size)  # (m, 1 + P): J X, J Y
+        away = goal - on.place(cos, sin, q, size)
+        change = _change(moved[:, 1:], away + moved[:, 0], load, on.scale)
+        by = np.concatenate([_MINUS, change])
+        turn = turned @ by
+        largest = max(float(turn.max()), -float(turn.min()))
         if not math.isfinite(largest):
-            return State(q, load), iteration, False
-        share = min(1.0, _CAP / max(largest, 1e-300))
-        q, load = q + share * step, load + share * (free @ change)
-        moved += share * turn
-        if not float(np.max(np.abs(moved))) < trust:
-            return State(q, load), iteration, False
-        if largest < TOLERANCE:
-            return State(q, load), iteration, True
-    return State(q, load), most, False
+            return Landing(State(q, load), iteration, False)
+        if largest > _CAP:
+            by, turn, change = by * (_CAP / largest), turn * (_CAP / largest), change * (_CAP / largest)
+        q, alpha = q + solved @ by, alpha + turn
+        load[:loads] += change
+        if trust < math.inf and not float(np.abs(alpha - begin).max()) < trust:
+            return Landing(State(q, load), iteration, False)
+        if largest < TOLERANCE or (iteration > 1 and largest**3 < _LEFT * before**2 and largest < _SMALL):
+            return Landing(State(q, load), iteration, True, positive, solved[:, 1:], moved[:, 1:])
+        before = min(largest, _CAP)
+    return Landing(State(q, load), most, False)
 
 
-def _step(s: Array, wanted: Array, load: Array, scale: Array, free: Array) -> Array:
-    """(P,) the change of the free loads: S dp = wanted, and of many the one that makes the load smallest."""
-    if s.shape[0] == s.shape[1] == 2:
-        det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
-        if det == 0.0:
-            return np.full(2, np.nan)
-        dx, dy = s[1, 1] * wanted[0] - s[0, 1] * wanted[1], s[0, 0] * wanted[1] - s[1, 0] * wanted[0]
-        return np.array([dx / det, dy / det])
-    if s.shape[0] == s.shape[1]:
+def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:
+    """(P,) the change of the loads: S dp = wanted, and of many the one that makes the load smallest; NaN for none."""
+    if s.shape == (2, 2):
+        (a, b), (c, d) = s.tolist()
+        x, y = wanted.tolist()
+        det = a * d - b * c
+        return np.array([(d * x - b * y) / det, (a * y - c * x) / det]) if det != 0.0 else np.full(2, np.nan)
+    if s.shape == (3, 3):
         _, _, out, info = dgesv(s, wanted)
-        return np.asarray(out) if info == 0 else np.full(len(wanted), np.nan)
-    units = free.T @ scale  # the free loads are components: one unit each
-    now = (free.T @ load) / units
-    s = s * units
-    inverse = np.linalg.pinv(s)
-    return np.asarray(units * (inverse @ (wanted + s @ now) - now))
+        return np.asarray(out) if info == 0 else np.full(3, np.nan)
+    if not np.all(np.isfinite(s)):
+        return np.full(3, np.nan)
+    now = load / scale
+    return np.asarray(scale * (np.linalg.pinv(s * scale) @ (wanted + s @ load) - now))
 
 
 def trace(on: PushedBeam, load: Array, *, start: State | None = None, widest: float = 1.0) -> Trail:
@@ -241,7 +300,7 @@ def trace(on: PushedBeam, load: Array, *, start: State | None = None, widest: fl
     return Trail(tuple(states), tuple(shares), True)
 
 
-def lead(on: PushedBeam, start: State, goal: Array, free: Array) -> Trail:
+def lead(on: PushedBeam, start: State, goal: Array, loads: int = 2) -> Trail:
     """Equilibria while the goal moves straight from where `start` has the point to `goal`, stable all the way.
 
     The loads follow the goal; `share` is of the way. It ends early where no force leads on (the edge of what can be
@@ -251,9 +310,9 @@ def lead(on: PushedBeam, start: State, goal: Array, free: Array) -> Trail:
     states, shares, step = [start], [0.0], 1.0
     while shares[-1] < 1.0 and step > _SHORTEST_LEAD:
         now = min(1.0, shares[-1] + step)
-        found, _, near = solve_goal(on, states[-1], begin + now * (goal - begin), free, most=8, trust=_LEAD)
-        if near and on.stable(found):
-            states.append(found)
+        found = solve_goal(on, states[-1], begin + now * (goal - begin), loads, most=8, trust=_LEAD)
+        if found.converged and on.stable(found.state):
+            states.append(found.state)
             shares.append(now)
             step *= 2.0
         else:

@@ -3,7 +3,9 @@
 Per turn: `theta <- theta0 + K^-1 J(s_a)^T F` with J at the theta before (line 2), the point by the forward kinematics
 (line 3), `F <- F + gamma J_F^+ (goal - point)` with `J_F = J(s_p) K^-1 J(s_a)^T` (lines 4, 5, (25)). K is that of (6),
 not the tangent. The modes are the paper's span of powers, carried by Legendre polynomials (the iteration does not
-depend on the basis). The paper leaves gamma and the tolerance open: ours are settings.
+depend on the basis). The paper leaves gamma and the tolerance open: ours are settings. So is the cutoff of the
+pseudo-inverse: a straight beam does not feel a force along itself, J_F is all but singular next to it, and without a
+cutoff the iteration runs away from rest at its second or third turn.
 """
 
 from __future__ import annotations
@@ -25,8 +27,9 @@ class PaperSettings:
 
     n: int = 5  # curvature modes
     gamma: float = 0.3  # step
-    tolerance: float = 1e-6  # m, epsilon
-    most: int = 2000  # turns
+    cutoff: float = 0.01  # singular values of J_F below this share of the largest count as none in its pseudo-inverse
+    tolerance: float = 1e-3  # m, epsilon; the paper reports errors of a millimetre or less
+    most: int = 500  # turns
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ def paper_force(
         if np.linalg.norm(away) <= settings.tolerance:
             return PaperForce(force, point, turn, True)
         both = jacobians(at, theta[None], beam.clamp_angle)[0]
-        step = np.linalg.pinv(both[1] @ flexible @ both[0].T, rcond=1e-9) @ away
+        step = np.linalg.pinv(both[1] @ flexible @ both[0].T, rcond=settings.cutoff) @ away
         force = force + settings.gamma * step
         if not np.all(np.isfinite(force)) or np.max(np.abs(theta)) > 1e3:
             return PaperForce(np.nan_to_num(force), point, turn, False)

@@ -11,12 +11,13 @@ from onebend.beam.problem import Resolution
 from onebend.control.reach_newton import PushedBeam, State, Trail, lead, solve_goal, trace
 from onebend.control.reach_settings import ReachSettings, broken_bound
 from onebend.control.reach_start import Starts, starts_of
-from onebend.control.reachable import ReachableSet
+from onebend.control.reachable import ReachableSet, reachable
 from onebend.records import Array
 
 _CANDIDATES = 8  # starts that are tried
 _SAMPLES = 5  # sampled equilibria that the goal is led from
 _SAME = 1e-6  # rad: shapes nearer than this are one
+_UNBOUNDED = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
 _FINER = 3  # halvings of the panels that are tried
 
 
@@ -31,11 +32,11 @@ class Found:
 
 
 def search(
-    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, sampled: Callable[[], ReachableSet]
+    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
 ) -> Found | None:
     """An equilibrium on the goal that the beam comes to from rest; one out of bounds where there is no other."""
     spare = None
-    for found in _tries(on, goal, settings, begin, sampled):
+    for found in _tries(on, goal, settings, begin, samples):
         wrong = broken_bound(on, found.states[-1], settings)
         if not wrong:
             return found
@@ -43,15 +44,15 @@ def search(
     return spare
 
 
-def solutions(on: PushedBeam, starts: Starts, goal: Array, free: Array) -> Iterator[tuple[State, int]]:
+def solutions(on: PushedBeam, starts: Starts, goal: Array, loads: int) -> Iterator[tuple[State, int]]:
     """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
     iterations = 0
     for first in (True, False):
         for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
-            found, count, near = solve_goal(on, begin, goal, free)
-            iterations += count
-            if near and on.stable(found):
-                yield found, iterations
+            found = solve_goal(on, begin, goal, loads)
+            iterations += found.iterations
+            if found.converged and on.stable(found.state):
+                yield found.state, iterations
 
 
 def from_rest(on: PushedBeam, found: State, *, widest: float = 1.0) -> Trail | None:
@@ -61,27 +62,42 @@ def from_rest(on: PushedBeam, found: State, *, widest: float = 1.0) -> Trail | N
     return trail if same else None
 
 
+def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
+    """What can be reached at all within the settings, sampled coarsely."""
+    return reachable(
+        on.beam,
+        push_s=on.push_s,
+        point_s=on.point_s,
+        max_force=settings.max_force or _UNBOUNDED * on.force_scale,
+        max_curvature=settings.max_curvature,
+        direction=settings.direction,
+        directions=36,
+        sizes=8,
+        gravity=settings.gravity,
+    )
+
+
 def _tries(
-    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, sampled: Callable[[], ReachableSet]
+    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
 ) -> Iterator[Found]:
     widest = 1.0 / settings.steps
     if begin is not None:
-        yield from _led(on, begin, goal, settings.free)
-    for state, count in solutions(on, starts_of(on), goal, settings.free):
+        yield from _led(on, begin, goal, settings.loads)
+    for state, count in solutions(on, starts_of(on), goal, settings.loads):
         trail = from_rest(on, state, widest=widest)
         if trail is not None:
             yield Found(on, trail.states, count)
-    for near in sampled().samples_near(goal[:2], _SAMPLES):
-        yield from _led(on, trace(on, near.load, widest=widest), goal, settings.free)
+    for near in samples().samples_near(goal[:2], _SAMPLES):
+        yield from _led(on, trace(on, near.load, widest=widest), goal, settings.loads)
 
 
-def _led(on: PushedBeam, trail: Trail, goal: Array, free: Array) -> Iterator[Found]:
+def _led(on: PushedBeam, trail: Trail, goal: Array, loads: int) -> Iterator[Found]:
     """The goal led on from the end of a way; its place first, then its angle."""
     if not trail.arrived:
         return
     states, arrived = trail.states, True
-    for wanted, loads in ((goal[:2], np.eye(3)[:, :2]), (goal, free))[: 1 if free.shape[1] == 2 else 2]:
-        led = lead(on, states[-1], wanted, loads)
+    for wanted, count in ((goal[:2], 2), (goal, 3))[: loads - 1]:
+        led = lead(on, states[-1], wanted, count)
         states, arrived = (*states, *led.states[1:]), arrived and led.arrived
     if arrived:
         yield Found(on, states, len(states) - 1)
@@ -96,10 +112,10 @@ def resolved(found: Found, goal: Array, settings: ReachSettings) -> Found:
         rows = on.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
         last = found.states[-1]
         there = trace(finer, last.load, start=State(rows @ on.whole(last.q), last.load)).states[-1]
-        exact, _, near = solve_goal(finer, there, goal, settings.free, trust=0.1)
+        exact = solve_goal(finer, there, goal, settings.loads, trust=0.1)
         moved = np.linalg.norm(finer.pose(there.q)[:2] - on.pose(last.q)[:2])
-        if moved < 0.1 * settings.tolerance or not (near and finer.stable(exact)):
+        if moved < 0.1 * settings.tolerance or not (exact.converged and finer.stable(exact.state)):
             break
         states = tuple(State(rows @ on.whole(one.q), one.load) for one in found.states[:-1])
-        found, on = replace(found, on=finer, states=(*states, exact)), finer
+        found, on = replace(found, on=finer, states=(*states, exact.state)), finer
     return found

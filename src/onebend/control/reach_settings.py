@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -27,7 +27,7 @@ class ReachSettings:
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
     tolerance: float = 1e-6  # m: a point this near to its goal is there
     steps: int = 20  # of the path of forces, at least
-    paper: PaperSettings = PaperSettings()
+    paper: PaperSettings = field(default_factory=PaperSettings)
 
     def __post_init__(self) -> None:
         if self.direction is not None and (self.moment or not math.isfinite(self.direction)):
@@ -43,9 +43,9 @@ class ReachSettings:
             raise ControlError("the paper's iteration knows no bounds, moment or weight; take method='newton'")
 
     @property
-    def free(self) -> Array:
-        """(3, P) the loads that may be given, of (N, N, N m)."""
-        return np.eye(3) if self.moment else np.eye(3)[:, :2]
+    def loads(self) -> int:
+        """How many of the two components of the force and the moment may be given."""
+        return 3 if self.moment else 2
 
 
 def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:

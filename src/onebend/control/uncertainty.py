@@ -1,13 +1,16 @@
-"""How far a reached point may be off, from the band on k(s): to first order in log k, through the exact equilibrium."""
+"""How far a reached point may be off, from the band on k(s), through the exact equilibrium."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
+from onebend.beam.continuation import refine
+from onebend.beam.model import Beam
+from onebend.beam.problem import pose_many
 from onebend.beam.sensitivity import of_stiffness, respond
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.control.reach import Reach
@@ -34,18 +37,20 @@ class Ellipse:
 class PredictedError:
     """The reached point as a normal variable."""
 
-    point: Array  # (2,) m, the most probable place
+    point: Array  # (2,) m, under the most probable k(s)
+    mean: Array  # (2,) m: bending is not linear in log k, so it lies a little beside
     covariance: Array  # (2, 2) m^2
+    lost: float  # share of the beams within the band that do not stand in a shape near by: they would snap away
 
     def ellipse(self, level: float = 0.95) -> Ellipse:
-        """The ellipse around `point` that holds the real one with probability `level`."""
+        """The ellipse around `mean` that holds the real point with probability `level`."""
         values, vectors = np.linalg.eigh(self.covariance)
         size = np.sqrt(np.maximum(values[::-1], 0.0) * chi2.ppf(level, 2))
         return Ellipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
 
     def distance(self, xy: Array) -> Array:
         """(...) squared Mahalanobis distance of places (..., 2): chi-square with 2 degrees of freedom."""
-        away = np.asarray(xy, dtype=float) - self.point
+        away = np.asarray(xy, dtype=float) - self.mean
         return np.asarray(np.einsum("...i,ij,...j->...", away, np.linalg.pinv(self.covariance), away))
 
     def holds(self, xy: Array, level: float = 0.95) -> bool:
@@ -54,30 +59,55 @@ class PredictedError:
 
 
 def predicted_error(
-    uncertain: UncertainStiffness, found: Reach, *, same_sensor: bool = False, s: float | None = None
+    beam: Beam,
+    uncertain: UncertainStiffness,
+    found: Reach,
+    *,
+    same_sensor: bool = False,
+    draws: int = 400,
+    seed: int = 0,
 ) -> PredictedError:
-    """How sure the place of the point (or of another, `s`) is under the force that was found.
+    """How sure the place of the point is under the load that was found.
 
     Args:
-        uncertain: the beam's k(s) with its band.
-        found: the beam must have the most probable k(s) of `uncertain`.
+        beam: the beam that was led to the goal.
+        uncertain: its k(s) with the band.
         same_sensor: the force is given by the sensor that the beam was learned with. Then its scale error, which
             makes all of k wrong alike, makes the force wrong as much, and cancels.
-        s: the point looked at; default: the one that was led to the goal.
+        draws: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which
+            takes a millisecond, and makes the ellipse too thin where it is long.
+        seed: of the draws.
 
     Raises:
-        ControlError: the beam's k(s) is another, or the shape is a limit point (the error has no bound).
+        ControlError: beam, band and result do not belong together; or so few of the beams within the band stand near
+            the shape that nothing can be said.
     """
+    s = np.linspace(0.0, 1.0, 41)
+    if beam != found.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):
+        raise ControlError("the band is not that of the beam that was led: give beam, band and result of one model")
+    known = replace(uncertain, gain_sd=0.0) if same_sensor else uncertain
+    if draws == 0:
+        return PredictedError(found.reached[:2], found.reached[:2], _first_order(known, found), 0.0)
+    beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=seed)]
+    problem = pose_many(beams, found.loads, found.resolution)
+    solved = refine(problem, np.repeat(found.solved.q, draws, axis=0))
+    stands = solved.converged & solved.stable
+    if np.sum(stands) < max(3, draws // 2):
+        raise ControlError(
+            f"{np.sum(~stands)} of {draws} beams within the band do not stand under this load: its error has no bound. "
+            "Learn the beam better, or take a goal with a smaller force"
+        )
+    places = solved.xy(np.array([found.point_s]))[stands, 0]
+    return PredictedError(found.reached[:2], np.mean(places, axis=0), np.cov(places.T), float(np.mean(~stands)))
+
+
+def _first_order(known: UncertainStiffness, found: Reach) -> Array:
+    """(2, 2) m^2, by the derivatives of the equilibrium with log k."""
     nodes = found.solved.problem.grid.nodes
-    k = np.asarray(found.beam.stiffness(nodes))
-    if not np.allclose(uncertain.profile(nodes), k, rtol=1e-6):
-        raise ControlError("the band is not that of this beam's k(s): give the beam and the band of one model")
-    functions = k[:, None] * np.column_stack([uncertain.basis(nodes), np.ones(len(nodes))])
-    place = np.array([found.point_s if s is None else s])
-    moved = respond(found.solved, of_stiffness(found.solved, functions)).xy(place)[0, 0]  # (2, p + 1)
+    basis = np.column_stack([known.basis(nodes), np.ones(len(nodes))])
+    functions = np.asarray(found.beam.stiffness(nodes))[:, None] * basis
+    moved = respond(found.solved, of_stiffness(found.solved, functions)).xy(np.array([found.point_s]))[0, 0]
     if not np.all(np.isfinite(moved)):
         raise ControlError("the shape is at a limit point, where the smallest error of k(s) is too much")
-    covariance = moved[:, :-1] @ uncertain.covariance @ moved[:, :-1].T
-    if not same_sensor:
-        covariance = covariance + uncertain.gain_sd**2 * np.outer(moved[:, -1], moved[:, -1])
-    return PredictedError(found.solved.xy(place)[0, 0], covariance)
+    common = known.gain_sd**2 * np.outer(moved[:, -1], moved[:, -1])
+    return np.asarray(moved[:, :-1] @ known.covariance @ moved[:, :-1].T + common)

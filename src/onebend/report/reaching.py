@@ -41,7 +41,7 @@ def reachable_places(within: ReachableSet) -> Figure:
     rest = within.on.shape_xy(within.on.start.q, s)
     axes.plot(*(MM * rest.T), color=MUTED, label="at rest")
     _plane(axes, f"What forces at s = {within.on.push_s:.3g} can do with the point s = {within.on.point_s:.3g}")
-    axes.legend(loc="center left", bbox_to_anchor=(1.25, 0.9))
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
@@ -61,8 +61,8 @@ def draw_reach(axes: Axes, found: Reach, error: PredictedError | None) -> None:
     axes.plot(*(MM * found.reached[:2]), "o", color=BLUE, markersize=5.5, zorder=5)
     _arrow(axes, found, MM * found.shapes(np.array([found.push_s]))[-1, 0])
     if error is not None:
-        outline = MM * (error.point + error.ellipse(SURE).outline())
-        axes.plot(*outline.T, color=GREEN, lw=1.4, zorder=5, label=f"{100 * SURE:.0f} % by the band on k(s)")
+        outline = MM * (error.mean + error.ellipse(SURE).outline())
+        axes.plot(*outline.T, color=GREEN, lw=1.6, zorder=8, label=f"{100 * SURE:.0f} % by the band on k(s)")
     _plane(axes, f"{significant(float(np.hypot(*found.force)))} N at s = {found.push_s:.3g}: {_outcome(found)}")
 
 

@@ -47,6 +47,8 @@ def reach_summary(model: str, found: Reach, error: PredictedError | None, *, wri
             "distance_m": nearest.distance,
         },
         "predicted_error": None if error is None else {
+            "mean_m": error.mean.tolist(),
+            "share_lost": error.lost,
             "covariance_m2": error.covariance.tolist(),
             "ellipse_level": SURE,
             "ellipse_semi_axes_m": error.ellipse(SURE).semi_axes.tolist(),
