@@ -1,4 +1,4 @@
-"""Fig. 8 of the paper: the tip and a point in the middle of three beams led to goals. Writes docs/images/reach-*.png."""
+"""Fig. 8 of the paper: the tip and a point in the middle of three beams led to goals, as docs/images/reach-*.png."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def solve() -> dict[tuple[str, str], Reach]:
 @styled
 def draw_tasks(found: dict[tuple[str, str], Reach]) -> Figure:
     """A row a beam."""
-    figure, axes = blank(9.6, 3, 2)
+    figure, axes = blank(7.6, 3, 2)
     for one, (name, task), each in zip(axes, found, found.values(), strict=True):
         draw_reach(one, each, None)
         one.set_title(f"{name}, {task}: {np.hypot(*each.force):.2f} N")

@@ -86,9 +86,8 @@ def _spread(axes: Axes, found: Shaped) -> None:
     """Two standard deviations, where positions are wanted, by the band on k(s)."""
     assert found.spread is not None
     at, sd = MM * found.xy(found.targets.s), 2.0 * MM * found.spread.xy
-    axes.errorbar(
-        *at.T, xerr=sd[:, 0], yerr=sd[:, 1], fmt="none", ecolor=GREEN, lw=1.2, label="2 sd by the band on k(s)"
-    )
+    label = "2 sd by the band on k(s)"
+    axes.errorbar(at[:, 0], at[:, 1], xerr=sd[:, 0], yerr=sd[:, 1], fmt="none", ecolor=GREEN, lw=1.2, label=label)
 
 
 def _targets(axes: Axes, found: Shaped, length: float) -> None:
