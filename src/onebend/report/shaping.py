@@ -49,13 +49,13 @@ def path_figure(way: Path) -> Figure:
     figure, (plane, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
     shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, SNAPSHOTS)).astype(int))
     shapes = way.hands.solved(way.q[shown], way.u[shown]).xy(S)
-    for i, one in enumerate(shapes):
-        plane.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * i / max(len(shown) - 1, 1), lw=1.4)
+    for j, one in enumerate(shapes):
+        plane.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * j / max(len(shown) - 1, 1), lw=1.4)
     wanted, _ = way.goals.along(np.linspace(way.goals.time[0], way.goals.time[-1], 400))
     for i in np.flatnonzero(way.goals.targets.placed):
-        plane.plot(*(MM * wanted[:, i].T), color=ORANGE, lw=1.2, label="goals in time" if i == 0 else None)
+        plane.plot(*(MM * wanted[:, i].T), color=ORANGE, lw=1.2)
         plane.plot(*(MM * way.goals.xy[:, i].T), "x", color=ORANGE, markersize=4)
-    _plane(plane, f"{SNAPSHOTS} of {len(way.time)} samples, the last the darkest")
+    _plane(plane, f"{len(shown)} of {len(way.time)} samples, the last the darkest; goals in orange")
     _hands_in_time(acting, way)
     lag.plot(way.time, MM * way.miss, color=INK, lw=1.6, clip_on=False)
     lag.set(xlabel="time [s]", ylabel="miss [mm]", title="Distance from the goals, rms")

@@ -75,8 +75,8 @@ def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
     table.add_row("from buckling", f"margin {found.margin:.3f} (1 without loads, 0 where it buckles)")
     table.add_row("sure to within", _sureness(found))
     console.print(table, highlight=False)
-    for one in found.warnings:
-        console.print(f"[yellow]![/] {escape(one)}", highlight=False)
+    for warning in found.warnings:
+        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
     _wrote(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
