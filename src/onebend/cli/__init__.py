@@ -15,6 +15,7 @@ from onebend.cli.control import reach
 from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
+from onebend.cli.making import design, mould, tags
 from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -28,6 +29,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "show": show,
     "export": export_command,
+    "design": design,
+    "mould": mould,
+    "tags": tags,
 }
 
 app = typer.Typer(
