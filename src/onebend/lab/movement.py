@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 
 import numpy as np
@@ -12,9 +12,9 @@ from onebend.beam.continuation import equilibrium
 from onebend.beam.dynamics import body
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.motion import Options, converged
+from onebend.beam.motion import converged
 from onebend.beam.problem import Resolution
-from onebend.beam.stiffness import Scaled
+from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.beam.vibration import settle
 from onebend.errors import MechanicsError
 from onebend.lab.pushes import Push
@@ -23,7 +23,7 @@ from onebend.records import Array
 
 PLACES = np.linspace(0.0, 1.0, 121)
 BATCH = 400  # equilibria at a time
-STEP, TOLERANCE = 4e-3, 2e-6  # s, the first step tried; m, of the markers
+STEP, TOLERANCE = 4e-3, 1e-5  # s, the first step tried; m, of the markers
 ORDER = 12  # curvature nodes of a moving beam
 
 
@@ -34,6 +34,7 @@ class Motive:
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the clamp's frame
     swings: bool = False
     damping: float = 0.006  # s, internal (Kelvin-Voigt) damping over stiffness
+    rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def standing(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
 
 def swinging(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
     """The equation of motion, from rest under the weight."""
-    moving = body(beam, damping=Scaled(motive.damping, beam.stiffness), resolution=Resolution(ORDER))
+    damping = Scaled(motive.damping, beam.stiffness)
+    moving = body(beam, rotary_inertia=motive.rotary_inertia, damping=damping, resolution=Resolution(ORDER))
     breaks = tuple(sorted({pushing.before, pushing.before + pushing.rise, *pushing.contact}))
     on_beam = Force(lambda t: pushing.force(np.array([t]))[0], pushing.at_s, breaks)
     actions = Actions(forces=(on_beam,), gravity=motive.gravity)
@@ -108,7 +110,7 @@ def swinging(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
     if not (isfinite(until) and until > 0.0):
         raise MechanicsError("a film lasts longer than 0 s")
     motion = converged(
-        moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0), options=Options()
+        moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0)
     )
     theta = motion.states_at(np.clip(time, 0.0, until))
     xy = np.concatenate([moving.xy(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
