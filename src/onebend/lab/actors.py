@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.lab.pushes import Push, smooth
-from onebend.lab.render import Layer
+from onebend.lab.render import Layer, Moment, Shadow
 from onebend.lab.scene import Colour, Scene
 from onebend.lab.tagprint import outlines, placed
 from onebend.records import Array
 
 SHADOW = np.array([0.0025, -0.003])  # m, from the thing that casts it
-STRIPS = ((1.0, 0.90), (0.82, 0.97), (0.5, 1.0))  # of the beam: share of its width, brightness
+STRIPS = ((1.0, 0.92), (0.75, 1.0))  # of the beam: share of its width, brightness
+PIECE = 30  # nodes of the beam
 TOOL_LENGTH = 0.25  # m
 RETREAT, APPROACH = 0.04, 0.8  # m, s: how far the tool waits, and how long it takes to come
 HAND = (0.035, 0.022)  # m, half axes
@@ -44,36 +45,42 @@ class Pose:
     tags: Array  # (m, 3)
 
 
-def clamp_layers(scene: Scene, base_angle: float) -> list[Layer]:
+def clamp_block(scene: Scene, base_angle: float) -> Moment:
     """The block that holds the beam: it ends at the base."""
     length, width = CLAMP
     block = np.array([[-length, -width / 2], [0.004, -width / 2], [0.004, width / 2], [-length, width / 2]])
     inner = 0.92 * (block - block.mean(axis=0)) + block.mean(axis=0)
     pose = np.array([0.0, 0.0, base_angle])
-    darker = tuple(0.8 * part for part in scene.clamp)
-    return [
-        Layer(placed(block, pose)[None] + SHADOW, (0.0, 0.0, 0.0), 0.35, 6.0),
-        Layer(placed(block, pose)[None], (darker[0], darker[1], darker[2])),
-        Layer(placed(inner, pose)[None], scene.clamp),
-    ]
+    outer = placed(block, pose)
+    layers = [Layer(outer, dimmed(scene.clamp, 0.8)), Layer(placed(inner, pose), scene.clamp)]
+    return Moment([Shadow(outer + SHADOW, soft=6.0)], layers)
 
 
-def layers_at(cast: Cast, pose: Pose) -> list[Layer]:
-    """Everything that moves, the nearest to the camera last."""
-    scene = cast.scene
-    beam = strip(pose, cast.half_width)
-    tool = tool_outline(cast, pose)
-    out = [Layer(beam[None] + SHADOW, (0.0, 0.0, 0.0), 0.35, 5.0)]
-    out += [
-        Layer(strip(pose, share * cast.half_width)[None], dimmed(scene.beam, bright)) for share, bright in STRIPS
+def moment_of(cast: Cast, pose: Pose) -> Moment:
+    """Everything that moves."""
+    scene, tool = cast.scene, tool_outline(cast, pose)
+    layers = [
+        Layer(strip(part, share * width), dimmed(scene.beam, bright))
+        for share, bright in STRIPS
+        for part, width in pieces(pose, cast.half_width)
     ]
-    prints = [(outlines(tag, cast.family), placed_at) for tag, placed_at in zip(cast.tags, pose.tags, strict=True)]
-    paper = np.concatenate([placed(cast.size * print_of.paper, at) for print_of, at in prints])
-    ink = np.concatenate([placed(cast.size * print_of.ink, at) for print_of, at in prints])
-    out += [Layer(paper, grey(scene.paper)), Layer(ink, grey(scene.ink))]
-    out += [Layer(tool[None] + SHADOW, (0.0, 0.0, 0.0), 0.3, 5.0), Layer(tool[None], scene.tool)]
+    for tag, at in zip(cast.tags, pose.tags, strict=True):
+        made = outlines(tag, cast.family)
+        layers.append(Layer(placed(cast.size * made.paper, at), grey(scene.paper)))
+        layers.append(Layer(placed(cast.size * made.ink, at), grey(scene.ink)))
+    layers.append(Layer(tool, scene.tool))
     if abs(pose.time - scene.hand_at) < HAND_TIME:
-        out.append(Layer(hand_outline(pose, scene.hand_at)[None], scene.hand))
+        layers.append(Layer(hand_outline(pose, scene.hand_at), scene.hand))
+    shadows = [Shadow(strip(pose, cast.half_width) + SHADOW), Shadow(tool + SHADOW, density=0.3)]
+    return Moment(shadows, layers)
+
+
+def pieces(pose: Pose, half_width: Array) -> list[tuple[Pose, Array]]:
+    """The beam cut along its length. Pieces overlap, so that no seam shows."""
+    out = []
+    for first in range(0, len(half_width) - 1, PIECE):
+        part = slice(first, first + PIECE + 2)
+        out.append((replace(pose, xy=pose.xy[part], angle=pose.angle[part]), half_width[part]))
     return out
 
 

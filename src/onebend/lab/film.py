@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.lab.actors import Cast, Pose, clamp_layers, layers_at
+from onebend.lab.actors import Cast, Pose, clamp_block, moment_of
 from onebend.lab.filming import DOWN, Filming, check, frame_times, motive_of
 from onebend.lab.folder import recording_toml
 from onebend.lab.log_file import in_log_axes, write_log
 from onebend.lab.movement import PLACES, Shapes, shapes_at
-from onebend.lab.render import Layer, Stage, frame_of, stage
+from onebend.lab.render import Moment, Stage, frame_of, stage
 from onebend.lab.scene import Picture, Scene
 from onebend.lab.sensors import log_of
 from onebend.lab.tagprint import outlines, placed
@@ -28,7 +28,7 @@ from onebend.recording.folder import FILE_NAME
 from onebend.recording.lens import project
 from onebend.records import Array, ForceLog, View
 
-STEPS = 0.4  # px: how far the picture may move from one drawn moment of an exposure to the next
+STEPS = 0.7  # px: how far the picture may move from one drawn moment of an exposure to the next
 MOST_MOMENTS = 8
 
 
@@ -116,7 +116,7 @@ def stage_of(filming: Filming, cast: Cast, view: View, beam: Array, seed: int) -
     xy = beam[:: max(1, len(beam) // 100), :, :2].reshape(-1, 2)
     corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * reach
     moving = (xy[:, None] + corners).reshape(-1, 2)
-    still = clamp_layers(filming.scene, filming.base_angle)
+    still = clamp_block(filming.scene, filming.base_angle)
     return stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
 
 
@@ -127,8 +127,8 @@ def pictures(
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
         moments = moments_of(staged, beam[part], tags[part])
-        layers = [drawn(cast, staged.scene, now, u, beam[part], tags[part]) for u in moments]
-        yield now, frame_of(staged, layers, now, rng)
+        shown = [drawn(cast, staged.scene, now, u, beam[part], tags[part]) for u in moments]
+        yield now, frame_of(staged, shown, now, rng)
 
 
 def moments_of(staged: Stage, beam: Array, tags: Array) -> list[float]:
@@ -139,11 +139,11 @@ def moments_of(staged: Stage, beam: Array, tags: Array) -> list[float]:
     return ((2.0 * np.arange(count) + 1.0) / count - 1.0).tolist()
 
 
-def drawn(cast: Cast, scene: Scene, time: float, u: float, beam: Array, tags: Array) -> list[Layer]:
+def drawn(cast: Cast, scene: Scene, time: float, u: float, beam: Array, tags: Array) -> Moment:
     """All that moves at moment `u` of an exposure, by a parabola through its begin, middle and end."""
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
     shape, at = np.tensordot(weights, beam, 1), np.tensordot(weights, tags, 1)
-    return layers_at(cast, Pose(time + 0.5 * u * scene.exposure, shape[:, :2], shape[:, 2], at))
+    return moment_of(cast, Pose(time + 0.5 * u * scene.exposure, shape[:, :2], shape[:, 2], at))
 
 
 def force_log(filming: Filming, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:

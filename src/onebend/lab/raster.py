@@ -80,5 +80,6 @@ def coverage(loops: Array, box: Box) -> Image:
     part = x - pixel
     at = (line // LINES) * (columns + 2) + pixel
     size = rows * (columns + 2)
-    steps = np.bincount(at, sign * (1.0 - part), size) + np.bincount(at + 1, sign * part, size)
-    return np.minimum(np.abs(np.cumsum(steps.reshape(rows, -1), axis=1)[:, :columns]), 1.0).astype(np.float32)
+    steps = np.bincount(np.concatenate([at, at + 1]), np.concatenate([sign * (1.0 - part), sign * part]), size)
+    sums = np.cumsum(steps.astype(np.float32).reshape(rows, -1), axis=1)[:, :columns]
+    return np.asarray(np.minimum(np.abs(sums), np.float32(1.0)))
