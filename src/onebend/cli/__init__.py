@@ -10,10 +10,11 @@ from typing import Annotated
 import typer
 
 from onebend.cli.common import BY
+from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 
-COMMANDS = (learn, validate, plan, new, check, show)
+COMMANDS = (learn, validate, plan, new, check, show, film)
 
 app = typer.Typer(
     help="Learn how stiff a soft slender object is along its length from one filmed push.",

@@ -59,7 +59,9 @@ def clamp_block(scene: Scene, base_angle: float) -> Moment:
 def moment_of(cast: Cast, pose: Pose) -> Moment:
     """Everything that moves."""
     scene, tool = cast.scene, tool_outline(cast, pose)
-    layers = [
+    above = scene.overlap > 0.0  # else it pushes the beam's flank, below the tags
+    layers = [] if above else [Layer(tool, scene.tool)]
+    layers += [
         Layer(strip(part, share * width), dimmed(scene.beam, bright))
         for share, bright in STRIPS
         for part, width in pieces(pose, cast.half_width)
@@ -68,7 +70,8 @@ def moment_of(cast: Cast, pose: Pose) -> Moment:
         made = outlines(tag, cast.family)
         layers.append(Layer(placed(cast.size * made.paper, at), grey(scene.paper)))
         layers.append(Layer(placed(cast.size * made.ink, at), grey(scene.ink)))
-    layers.append(Layer(tool, scene.tool))
+    if above:
+        layers.append(Layer(tool, scene.tool))
     if abs(pose.time - scene.hand_at) < HAND_TIME:
         layers.append(Layer(hand_outline(pose, scene.hand_at), scene.hand))
     shadows = [Shadow(strip(pose, cast.half_width) + SHADOW), Shadow(tool + SHADOW, density=0.3)]

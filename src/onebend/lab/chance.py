@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -44,9 +43,9 @@ def random_bench(rng: np.random.Generator, chance: Chance = Chance(), *, name: s
     The force's gain is told with its sd, as the maker of a sensor would. The same state of `rng` gives the same bench.
     """
     beam, width = random_beam(rng, chance)
-    sensor, called, gain_sd = random_sensor(rng, chance, name_of(rng, chance.sensors))
+    sensor, called, gain_sd = random_sensor(rng, chance.sensors[int(rng.integers(len(chance.sensors)))])
     placement = float(rng.uniform(2e-4, 6e-4))
-    tags = random_tags(rng, beam.length, placement)
+    tags = random_tags(rng, placement)
     offset = float(rng.uniform(20.0, 400.0))
     bench = Bench(
         beam=beam,
@@ -72,10 +71,6 @@ def random_bench(rng: np.random.Generator, chance: Chance = Chance(), *, name: s
         mass_told=bool(rng.random() < 0.7),
         lost=float(rng.choice([0.0, 0.0, 0.01, 0.03])),
     )
-
-
-def name_of(rng: np.random.Generator, names: Sequence[SensorName]) -> SensorName:
-    return names[int(rng.integers(len(names)))]
 
 
 def random_beam(rng: np.random.Generator, chance: Chance) -> tuple[Beam, Table]:
@@ -109,7 +104,7 @@ def random_push(rng: np.random.Generator, beam: Beam, chance: Chance) -> Push:
     )
 
 
-def random_tags(rng: np.random.Generator, length: float, placement: float) -> tuple[Tag, ...]:
+def random_tags(rng: np.random.Generator, placement: float) -> tuple[Tag, ...]:
     """Three to five tags, the last at the tip, put on by hand with a ruler."""
     count = int(rng.integers(3, 6))
     first = int(rng.integers(1, 20))
@@ -121,7 +116,7 @@ def random_tags(rng: np.random.Generator, length: float, placement: float) -> tu
     )
 
 
-def random_sensor(rng: np.random.Generator, chance: Chance, name: SensorName) -> tuple[ForceSensor, str, float]:
+def random_sensor(rng: np.random.Generator, name: SensorName) -> tuple[ForceSensor, str, float]:
     """A sensor of one kind, what it is called, and the sd of its gain as told."""
     sensor, called = SENSORS[name]
     if name == "ideal":
@@ -176,7 +171,7 @@ def random_scene(rng: np.random.Generator, bench: Bench) -> Scene:
         exposure=float(rng.uniform(0.004, 0.016)),
         blur=float(rng.uniform(0.5, 1.0)),
         noise=float(rng.uniform(0.8, 3.0)),
-        overlap=float(rng.uniform(0.0, 0.004)),
+        overlap=float(rng.uniform(0.0, 0.004) * (rng.random() < 0.1)),
         slant=float(rng.uniform(-0.5, 0.5)),
         hand_at=float(rng.uniform(begin, end)) if rng.random() < 0.2 else float("nan"),
         crf=int(rng.integers(16, 25)),

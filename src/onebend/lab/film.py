@@ -1,4 +1,4 @@
-"""A recording folder of a known beam: the film as pixels, the force log, `recording.toml`, and the truth beside them."""
+"""A recording folder of a known beam: the film as pixels, the force log, `recording.toml`, and the truth."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from onebend.lab.filming import DOWN, Filming, check, frame_times, motive_of
 from onebend.lab.folder import recording_toml
 from onebend.lab.log_file import in_log_axes, write_log
 from onebend.lab.movement import PLACES, Shapes, shapes_at
-from onebend.lab.render import Moment, Stage, frame_of, stage
-from onebend.lab.scene import Picture, Scene
+from onebend.lab.render import Exposed, Moment, Stage, frame_of, stage
+from onebend.lab.scene import Scene
 from onebend.lab.sensors import log_of
 from onebend.lab.tagprint import outlines, placed
 from onebend.lab.truth_file import Made, write_truth
@@ -122,8 +122,8 @@ def stage_of(filming: Filming, cast: Cast, view: View, beam: Array, seed: int) -
 
 def pictures(
     staged: Stage, cast: Cast, time: Array, beam: Array, tags: Array, rng: np.random.Generator
-) -> Iterator[tuple[float, Picture]]:
-    """Frames in order with their times. `beam` (3 T, S, 3) and `tags` (3 T, m, 3): begin, middle and end of exposures."""
+) -> Iterator[tuple[float, Exposed]]:
+    """Frames in order with their times. `beam` (3 T, S, 3), `tags` (3 T, m, 3): begin, middle, end of exposures."""
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
         moments = moments_of(staged, beam[part], tags[part])
@@ -136,7 +136,7 @@ def moments_of(staged: Stage, beam: Array, tags: Array) -> list[float]:
     ends = project(staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
     count = int(np.clip(np.ceil(moved / STEPS), 1, MOST_MOMENTS))
-    return ((2.0 * np.arange(count) + 1.0) / count - 1.0).tolist()
+    return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]
 
 
 def drawn(cast: Cast, scene: Scene, time: float, u: float, beam: Array, tags: Array) -> Moment:
@@ -161,7 +161,8 @@ def force_log(filming: Filming, rng: np.random.Generator) -> tuple[ForceLog, For
 def entries(filming: Filming, folder: Path) -> Recording:
     """What `recording.toml` says."""
     bench, told = filming.bench, written(filming.bench)
-    assert told.video is not None and told.force is not None
+    assert told.video is not None
+    assert told.force is not None
     mass = nan
     if filming.mass_told and float(np.min(bench.beam.mass_per_length(PLACES))) > 0.0:
         mass = round(float(np.trapezoid(bench.beam.mass_per_length(PLACES), PLACES)) * bench.beam.length, 5)

@@ -48,5 +48,3 @@ def as_toml(value: Any, key: Key) -> str:
     if isinstance(value, float):
         return f"{math.degrees(value) if key.name.endswith('_deg') else value:.10g}"
     return str(value)
-
-

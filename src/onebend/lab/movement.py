@@ -109,9 +109,7 @@ def swinging(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
     until = float(time[-1])
     if not (isfinite(until) and until > 0.0):
         raise MechanicsError("a film lasts longer than 0 s")
-    motion = converged(
-        moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0)
-    )
+    motion = converged(moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0))
     theta = motion.states_at(np.clip(time, 0.0, until))
     xy = np.concatenate([moving.xy(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
     angle = np.concatenate([moving.angle(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])

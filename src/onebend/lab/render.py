@@ -1,10 +1,11 @@
-"""Frames of the scene: what moves is drawn over the table for several moments of the exposure, and their mean is seen."""
+"""Frames of the scene: what moves is drawn over the table for moments of the exposure, and their mean is seen."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from onebend.lab.raster import Box, Image, box_around, coverage
@@ -12,6 +13,7 @@ from onebend.lab.scene import Colour, Picture, Scene, backdrop, blend, lamp, lig
 from onebend.recording.lens import project
 from onebend.records import Array, View
 
+Bytes = NDArray[np.uint8]
 BLURRED = 4  # px: how far beyond what moves the lens blurs
 BLACK, RANGE = 16.0, 219.0  # luma of a video
 GREY, COLOUR_RANGE = 128.0, 224.0  # of its colour differences
@@ -45,6 +47,15 @@ class Moment:
 
 
 @dataclass(frozen=True)
+class Exposed:
+    """A frame as a video holds it: luma (H, W) and the two chroma planes at half the size."""
+
+    y: Bytes
+    u: Bytes
+    v: Bytes
+
+
+@dataclass(frozen=True)
 class Stage:
     """What does not change over a film."""
 
@@ -58,7 +69,7 @@ class Stage:
 
 
 def stage(scene: Scene, view: View, size: tuple[int, int], still: Moment, moving: Array, seed: int) -> Stage:
-    """The table with what stands `still`, seen in `size` (width, height); all that moves stays within `moving` (N, 2) m.
+    """The table with what stands `still`, seen in `size` (width, height); all that moves is within `moving` (N, 2) m.
 
     Two stages of one seed look alike.
     """
@@ -104,7 +115,7 @@ def clipped(box: Box, scope: Box) -> Box:
     return Box(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
 
 
-def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.Generator) -> Picture:
+def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.Generator) -> Exposed:
     """The frame around `time` [s] as 8 bit planes: the mean over `moments` of its exposure, light, blur and noise.
 
     Shadows are those of the middle moment.
@@ -128,7 +139,7 @@ def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.G
     return exposed(staged, seen, np.float32(light_at(staged.scene, time)), rng)
 
 
-def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.Generator) -> Picture:
+def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.Generator) -> Exposed:
     """Light, noise and rounding: planes of 8 bit. The noise is a part of one large field, anew for each frame."""
     scene = staged.scene
     size = np.float32(scene.noise / 255.0)
@@ -145,7 +156,7 @@ def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.G
         level *= np.float32(span)
         level += np.float32(low + 0.5)
         out.append(np.clip(level, 0.0, 255.0, out=level).astype(np.uint8))
-    return Picture(*out)
+    return Exposed(out[0], out[1], out[2])
 
 
 def grain_of(field: Image, shape: tuple[int, int], rng: np.random.Generator) -> Image:

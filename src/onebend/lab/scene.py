@@ -1,4 +1,4 @@
-"""What is in the picture apart from beam and tags: table, light, tool, hand; and the sensor's noise. Colours are RGB."""
+"""What is in the picture apart from beam and tags: table, light, tool, hand; and the camera's noise."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Scene:
     exposure: float = 0.01  # s
     blur: float = 0.7  # px, sd of the lens's point image
     noise: float = 1.5  # of 255, sd of the sensor's noise in a pixel of middle brightness
-    overlap: float = 0.0  # m, how far the tool reaches over the beam's edge
+    overlap: float = 0.0  # m, how far the tool reaches over the beam's edge, and over tags there
     tool_width: float = 0.007  # m
     slant: float = 0.3  # rad, of the tool against the push
     hand_at: float = nan  # s, when a hand passes before the beam's middle; NaN: never
@@ -59,7 +59,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Picture:
-    """Brightness (H, W), and the two colour differences at half the size; reflectances, or what the sensor sees."""
+    """What the table reflects: brightness (H, W), and the two colour differences at half the size."""
 
     y: Image
     u: Image
@@ -101,7 +101,8 @@ def octaves(shape: tuple[int, int], grain: tuple[int, int], rng: np.random.Gener
     """A random field, about -1 to 1, with structures of `grain` (rows, columns) px and larger."""
     total = np.zeros(shape, dtype=np.float32)
     for octave in range(5):
-        rows, columns = (max(2, round(side / (cell * 2.0**octave)) + 2) for side, cell in zip(shape, grain, strict=True))
+        sides = zip(shape, grain, strict=True)
+        rows, columns = (max(2, round(side / (cell * 2.0**octave)) + 2) for side, cell in sides)
         coarse = rng.standard_normal((rows, columns)).astype(np.float32)
         factors = (shape[0] / (rows - 1) + 1e-3, shape[1] / (columns - 1) + 1e-3)
         fine = zoom(coarse, factors, order=1)[: shape[0], : shape[1]]

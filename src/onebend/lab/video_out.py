@@ -10,14 +10,16 @@ import av
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.scene import Picture
+from onebend.lab.render import Exposed
 
 TIME_BASE = Fraction(1, 90_000)
 PRESET = "veryfast"
 
 
-def write_video(path: Path, frames: Iterable[tuple[float, Picture]], size: tuple[int, int], fps: float, crf: int) -> int:
-    """Write frames (time [s], 8 bit planes) that come in order; return their number. Bits depend on nothing but them.
+def write_video(
+    path: Path, frames: Iterable[tuple[float, Exposed]], size: tuple[int, int], fps: float, crf: int
+) -> int:
+    """Write frames (time [s], 8 bit planes) that come in order; return their number.
 
     Raises
     ------
@@ -43,7 +45,7 @@ def write_video(path: Path, frames: Iterable[tuple[float, Picture]], size: tuple
     return count
 
 
-def video_frame(picture: Picture) -> av.VideoFrame:
+def video_frame(picture: Exposed) -> av.VideoFrame:
     """The planes as the encoder takes them."""
     rows, columns = picture.y.shape
     stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
