@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from onebend.errors import RecordingError
 from onebend.lab.actors import Cast, Pose, clamp_block, moment_of
 from onebend.lab.filming import DOWN, Filming, check, frame_times, motive_of
 from onebend.lab.folder import recording_toml
@@ -30,6 +31,7 @@ from onebend.records import Array, ForceLog, View
 
 STEPS = 0.7  # px: how far the picture may move from one drawn moment of an exposure to the next
 MOST_MOMENTS = 8
+SHARPEST = 0.8  # half widths a radius
 
 
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
@@ -47,6 +49,7 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     time = frame_times(filming, np.random.default_rng([seed, 2]))
     before, middle, after = (time + part * 0.5 * filming.scene.exposure for part in (-1.0, 0.0, 1.0))
     shapes = shapes_at(bench.beam, bench.push, np.stack([before, middle, after], axis=1).ravel(), motive_of(filming))
+    refuse_sharp_bends(filming, shapes)
     tags = in_room(tag_poses(filming, shapes), filming.base_angle)
     beam = in_room(np.concatenate([shapes.xy, shapes.angle[..., None]], axis=-1), filming.base_angle)
     cast = cast_of(filming)
@@ -69,6 +72,18 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     shown = Shapes(time, shapes.force[inner], shapes.xy[inner], shapes.angle[inner])
     write_truth(folder / "truth", Made(filming, shown, tags[inner], view, log, clean, seed))
     return folder
+
+
+def refuse_sharp_bends(filming: Filming, shapes: Shapes) -> None:
+    """An error where a bend's inner side would fold: no beam of this width bends so."""
+    turn = np.abs(np.diff(shapes.angle, axis=1)) / np.diff(PLACES) / filming.bench.beam.length
+    half = 0.5 * np.asarray(filming.width(0.5 * (PLACES[1:] + PLACES[:-1])))
+    tightest = float(np.max(turn * half))
+    if tightest >= SHARPEST:
+        raise RecordingError(
+            f"{filming.bench.push.peak:.3g} N would bend the beam to a radius of {1e3 * half.mean() / tightest:.2g} mm, "
+            f"which its width of {2e3 * half.mean():.2g} mm does not allow. Give a smaller force."
+        )
 
 
 def tag_poses(filming: Filming, shapes: Shapes) -> Array:
