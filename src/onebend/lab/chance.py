@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import get_args
 
 import numpy as np
@@ -173,6 +174,6 @@ def random_scene(rng: np.random.Generator, bench: Bench) -> Scene:
         noise=float(rng.uniform(0.8, 3.0)),
         overlap=float(rng.uniform(0.0, 0.004) * (rng.random() < 0.1)),
         slant=float(rng.uniform(-0.5, 0.5)),
-        hand_at=float(rng.uniform(begin, end)) if rng.random() < 0.2 else float("nan"),
+        hand_at=float(rng.uniform(begin, end)) if rng.random() < 0.2 else inf,
         crf=int(rng.integers(16, 25)),
     )

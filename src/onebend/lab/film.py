@@ -80,9 +80,10 @@ def refuse_sharp_bends(filming: Filming, shapes: Shapes) -> None:
     half = 0.5 * np.asarray(filming.width(0.5 * (PLACES[1:] + PLACES[:-1])))
     tightest = float(np.max(turn * half))
     if tightest >= SHARPEST:
+        peak, middle = filming.bench.push.peak, 1e3 * float(half.mean())
         raise RecordingError(
-            f"{filming.bench.push.peak:.3g} N would bend the beam to a radius of {1e3 * half.mean() / tightest:.2g} mm, "
-            f"which its width of {2e3 * half.mean():.2g} mm does not allow. Give a smaller force."
+            f"{peak:.3g} N would bend the beam to a radius of {middle / tightest:.2g} mm, which its width of "
+            f"{2.0 * middle:.2g} mm does not allow. Give a smaller force."
         )
 
 

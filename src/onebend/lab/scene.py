@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, nan
+from math import inf
 from typing import Literal, get_args
 
 import numpy as np
@@ -43,7 +43,7 @@ class Scene:
     overlap: float = 0.0  # m, how far the tool reaches over the beam's edge, and over tags there
     tool_width: float = 0.007  # m
     slant: float = 0.3  # rad, of the tool against the push
-    hand_at: float = nan  # s, when a hand passes before the beam's middle; NaN: never
+    hand_at: float = inf  # s, when a hand passes before the beam's middle
     crf: int = 20  # of H.264: 0 is lossless, 51 the worst
 
     def __post_init__(self) -> None:

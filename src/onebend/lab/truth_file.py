@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,17 @@ def write_truth(folder: Path, made: Made) -> None:
         log_t=made.log.time,
         log_F=made.clean.force,
     )
-    text = json.dumps(facts_of(made), indent=1, allow_nan=True)
+    text = json.dumps(plain(facts_of(made)), indent=1, allow_nan=False)
     (folder / "truth.json").write_text(text + "\n", encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """The same for JSON, which knows no infinity: null where a number is not finite."""
+    if isinstance(value, dict):
+        return {name: plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def facts_of(made: Made) -> dict[str, Any]:
