@@ -1,8 +1,8 @@
 """`python -m benchmarks [NAME ...] [--write]`: run every benchmark (or those named), each in its own process.
 
 A benchmark is a module of this folder with a `main()` that prints Markdown. What it prints goes to the screen and to
-out/benchmarks/NAME.md, under the module's own first line and the command that makes it again. With --write, all that
-stands in out/benchmarks is put together as docs/accuracy.md.
+out/benchmarks/NAME.md, under the module's own first line and the command that makes it again. With --write, the tables
+that were made replace those in docs/accuracy.md; the others stay there as they are.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ from __future__ import annotations
 import argparse
 import ast
 import platform
+import re
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
@@ -51,11 +53,18 @@ def run(name: str, title: str) -> bool:
     return done.returncode == 0
 
 
-def write_page(known: dict[str, str]) -> None:
-    """docs/accuracy.md from the last table of every benchmark that was run."""
-    tables = [OUT / f"{name}.md" for name in known]
-    parts = [table.read_text(encoding="utf-8") for table in tables if table.is_file()]
-    PAGE.write_text("\n".join([PREFACE, *parts]), encoding="utf-8")
+def sections(text: str) -> dict[str, str]:
+    """The tables in `text` by the name of the benchmark that made them."""
+    parts = re.split(r"(?m)^(?=## )", text)[1:]
+    named = ((re.search(r"`python -m benchmarks\.(\w+)`", part), part) for part in parts)
+    return {found[1]: part.rstrip() + "\n" for found, part in named if found}
+
+
+def write_page(names: Iterable[str], known: dict[str, str]) -> None:
+    """docs/accuracy.md with the tables of `names` renewed; those of other benchmarks stay as they stand there."""
+    tables = sections(PAGE.read_text(encoding="utf-8")) if PAGE.is_file() else {}
+    tables |= {name: (OUT / f"{name}.md").read_text(encoding="utf-8") for name in names}
+    PAGE.write_text("\n".join([PREFACE, *(tables[name] for name in known if name in tables)]), encoding="utf-8")
 
 
 def main() -> None:
@@ -67,11 +76,12 @@ def main() -> None:
     unknown = [name for name in asked.names if name not in known]
     if unknown:
         parser.error(f"no benchmark {unknown[0]}; there are {', '.join(known)}")
-    failed = [name for name in asked.names or known if not run(name, known[name])]
+    names = asked.names or list(known)
+    failed = [name for name in names if not run(name, known[name])]
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
     if asked.write:
-        write_page(known)
+        write_page(names, known)
 
 
 if __name__ == "__main__":

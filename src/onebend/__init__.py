@@ -11,6 +11,8 @@ from onebend.errors import (
     RecordingError,
     ResultsError,
 )
+from onebend.lab.design_file import read_design
+from onebend.lab.designs import DESIGNS, Design
 from onebend.learning.identifiability import information, information_along
 from onebend.learning.learn import learn
 from onebend.learning.online import OnlineLearner, OnlineSettings, Update
@@ -31,10 +33,12 @@ from onebend.results.observed import load_observations, save_observations
 __version__ = "0.1.0"
 
 __all__ = [
+    "DESIGNS",
     "Band",
     "Beam",
     "Bench",
     "Comparison",
+    "Design",
     "FitSettings",
     "Gaussians",
     "Learned",
@@ -70,6 +74,7 @@ __all__ = [
     "load_uncertain",
     "observe",
     "plan",
+    "read_design",
     "read_recording",
     "replay",
     "save_model",

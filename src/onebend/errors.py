@@ -25,3 +25,7 @@ class MechanicsError(OnebendError):
 
 class ResultsError(OnebendError):
     """Results cannot be written or read: the folder is taken, the model file is damaged or of another version."""
+
+
+class ExportError(OnebendError):
+    """A beam cannot be written for other software: no mass, an unknown kind of file, a setting without meaning."""

@@ -45,7 +45,8 @@ class Pieces:
         piece = np.searchsorted(edges[1:-1], places, side="right")
         x = 2.0 * (places - edges[piece]) / np.diff(edges)[piece] - 1.0
         series = np.asarray(self.coefficients).reshape(-1, self.degree + 1)
-        return np.asarray(np.sum(np.polynomial.legendre.legvander(x, self.degree) * series[piece], axis=-1))
+        values = np.sum(np.polynomial.legendre.legvander(x, self.degree) * series[piece], axis=-1)
+        return np.asarray(values).reshape(places.shape)
 
     def as_dict(self) -> dict[str, Any]:
         return {

@@ -5,16 +5,31 @@ Exit codes: 0 done; 2 the input or the request cannot be used, with one message 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from onebend.cli.common import BY
+from onebend.cli.exporting import export_command
 from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
+from onebend.cli.making import design, mould, tags
 
-COMMANDS = (learn, validate, plan, new, check, show, film)
+COMMANDS: dict[str, Callable[..., None]] = {
+    "learn": learn,
+    "validate": validate,
+    "plan": plan,
+    "new": new,
+    "check": check,
+    "show": show,
+    "export": export_command,
+    "design": design,
+    "mould": mould,
+    "tags": tags,
+    "film": film,
+}
 
 app = typer.Typer(
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
@@ -23,8 +38,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in COMMANDS:
-    app.command()(_command)
+for _name, _command in COMMANDS.items():
+    app.command(_name)(_command)
 
 
 def _say_version(asked: bool) -> None:

@@ -1,0 +1,50 @@
+"""Design a beam with a soft middle, say what it will do, and write what is to be printed: mould, clamp, carriers, tags.
+
+python examples/make_a_beam.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+from onebend import Design
+from onebend.lab.clamp import carriers, clamp
+from onebend.lab.designs import width_table
+from onebend.lab.expected import Expected, expect
+from onebend.lab.materials import silicone
+from onebend.lab.mould import MouldSettings, mould
+from onebend.lab.paper import write_pages
+from onebend.lab.sheet import Sheet, tag_pages
+from onebend.lab.solids import write_mesh
+
+
+def main(folder: Path) -> Expected:
+    product = silicone("Dragon Skin 20")
+    design = Design(
+        name="soft-middle",
+        length=0.16,
+        depth=0.025,
+        width=width_table((0.0, 0.4, 0.55, 0.7, 1.0), (0.016, 0.014, 0.009, 0.014, 0.016)),
+        modulus=product.stiffness.modulus,
+        modulus_log_sd=product.stiffness.log_sd,
+        density=product.density,
+        source=product.stiffness.source,
+    )
+    expected = expect(design)
+    for one in expected.bends:
+        print(f"{math.degrees(one.turn):.0f} degrees: {one.force:.3f} N, strain {100 * one.strain:.0f} %")
+
+    settings = MouldSettings(kind="halves", tag_places=(0.3, 0.65, 1.0))
+    made = mould(design, settings)
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in (*made.parts, *clamp(design, settings), carriers(design, settings)):
+        write_mesh(folder / f"{part.name}.stl", part.mesh)
+    write_pages(folder / "tags.pdf", tag_pages(Sheet(ids=(0, 1, 2, 3), size=0.012)), "tags of the soft beam")
+    print(f"Pour {1e6 * made.volume:.0f} ml, {1e3 * made.pour:.0f} g. Files are in {folder}.")
+    return expected
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "soft-middle"))

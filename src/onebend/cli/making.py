@@ -1,0 +1,234 @@
+"""Commands for making beams: designs, moulds to print, sheets of tags."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.errors import MechanicsError
+from onebend.lab.clamp import TagSeat, carriers, clamp
+from onebend.lab.design_file import find_design, write_design_template
+from onebend.lab.designs import Design
+from onebend.lab.expected import expect
+from onebend.lab.materials import Stiffness, from_shore_00, from_shore_a, silicone
+from onebend.lab.mould import Mould, MouldSettings, PrintedPart
+from onebend.lab.mould import mould as make_mould
+from onebend.lab.paper import write_pages
+from onebend.lab.sheet import Sheet, strip_page, tag_pages
+from onebend.lab.solids import write_mesh
+from onebend.recording.entries import FAMILIES
+from onebend.recording.folder import read_recording
+from onebend.report.parts import design_figure, parts_figure
+from onebend.report.style import png_of
+from onebend.results.folder import SUMMARY, files_in, publish
+from onebend.results.model import save_model
+from onebend.results.summary import to_json
+from onebend.terminal.making import show_design, show_parts, stiffness_rows
+from onebend.terminal.options import Json, Overwrite
+from onebend.terminal.options_making import (
+    Csv,
+    DesignName,
+    DesignOf,
+    Draft,
+    Ids,
+    Kind,
+    ModelFile,
+    Modulus,
+    NewDesign,
+    NoCuts,
+    NoLabels,
+    Paper,
+    PartsOutput,
+    Picture,
+    Rim,
+    Shape,
+    SheetFile,
+    ShoreA,
+    ShoreZero,
+    Shrinkage,
+    SiliconeName,
+    StripOf,
+    TagFamily,
+    TagsAt,
+    TagSize,
+    TagsSize,
+    Wall,
+)
+
+DESIGN_FORMAT = "onebend-design-1"
+MOULD_FORMAT = "onebend-mould-1"
+TAGS_FORMAT = "onebend-tags-1"
+MOST_TAGS = 1000
+RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
+
+
+def design(
+    name: DesignName = None,
+    *,
+    new: NewDesign = None,
+    silicone: SiliconeName = None,
+    shore_a: ShoreA = None,
+    shore_zero: ShoreZero = None,
+    modulus: Modulus = None,
+    csv_file: Csv = None,
+    picture: Picture = None,
+    model: ModelFile = None,
+    as_json: Json = False,
+) -> None:
+    """Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration."""
+    with clean_errors():
+        if new is not None:
+            typer.echo(f"Wrote {write_design_template(new)}. Fill it in, then: onebend design {new}")
+            return
+        if name is None:
+            raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
+        found = _of_material(find_design(name), silicone, shore_a, shore_zero, modulus)
+        expected = expect(found)
+        if csv_file is not None:
+            with csv_file.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m"))
+                writer.writerows([f"{value:.9g}" for value in row] for row in stiffness_rows(found))
+        if picture is not None:
+            picture.write_bytes(png_of(design_figure(found)))
+        if model is not None:
+            save_model(model, found.beam(), written_by=BY, uncertain=found.uncertain())
+    if as_json:
+        print_json({"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()})
+    else:
+        show_design(Console(), expected)
+
+
+def mould(
+    name: DesignOf,
+    *,
+    output: PartsOutput,
+    kind: Kind = "open",
+    wall: Wall = 4.0,
+    draft: Draft = 0.0,
+    shrinkage: Shrinkage = 0.0,
+    size: TagSize = 12.0,
+    tag_at: TagsAt = None,
+    shape: Shape = "stl",
+    picture: Picture = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
+    with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
+        settings = MouldSettings(
+            kind=kind,
+            wall=1e-3 * wall,
+            draft=math.radians(draft),
+            shrinkage=1e-2 * shrinkage,
+            tag_places=tuple(tag_at) if tag_at else MouldSettings().tag_places,
+        )
+        made = make_mould(find_design(name), settings)
+        seat = TagSeat(1e-3 * size)
+        others = (*clamp(made.design, settings, seat), carriers(made.design, settings, seat))
+        parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
+        publish(place, _parts_writer(made, parts, shape))
+        if picture is not None:
+            picture.write_bytes(png_of(parts_figure(parts)))
+    if as_json:
+        print_json(_parts_summary(made, parts))
+    else:
+        show_parts(Console(), made, parts, output)
+
+
+def tags(
+    recording: StripOf = None,
+    *,
+    output: SheetFile,
+    ids: Ids = None,
+    size: TagsSize = None,
+    family: TagFamily = None,
+    rim: Rim = 1.0,
+    page: Paper = "a4",
+    no_cut_marks: NoCuts = False,
+    no_labels: NoLabels = False,
+    as_json: Json = False,
+) -> None:
+    """Draw a sheet of tags at exact size, with rulers to check the printer by."""
+    with clean_errors():
+        known = None if recording is None else read_recording(recording)
+        if (known is None) == (ids is None):
+            raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
+        if known is not None and (size is not None or family is not None):
+            raise MechanicsError("the recording says the tags' size and family: leave --size-mm and --family out")
+        if known is None:
+            numbers, side, named = parse_ids(ids or ""), 1e-3 * (size or 12.0), family or FAMILIES[0]
+        else:
+            numbers = tuple(tag.id for tag in (*known.tags.on_base, *known.tags.on_beam))
+            side, named = known.tags.size, known.tags.family
+        sheet = Sheet(numbers, side, named, rim, page, not no_cut_marks, not no_labels)
+        pages = tag_pages(sheet)
+        if known is not None:
+            pages = (*pages, strip_page(known, page=page, rim=rim))
+        written = write_pages(output, pages, f"{named}, {1e3 * side:g} mm")
+    if as_json:
+        data = {"format": TAGS_FORMAT, "written_by": BY, "family": named, "size_m": side, "ids": list(numbers)}
+        print_json({**data, "pages": len(pages), "files": [str(path) for path in written]})
+    else:
+        what = f"{len(numbers)} tag{'s' if len(numbers) > 1 else ''} of {named}, {1e3 * side:g} mm"
+        typer.echo(f"Wrote {', '.join(map(str, written))}: {what}. Print at 100 % and measure both rulers.")
+
+
+def parse_ids(text: str) -> tuple[int, ...]:
+    """Numbers of tags from text such as `0-4,7`. Raises `MechanicsError` where it is something else."""
+    found: list[int] = []
+    for piece in text.split(","):
+        match = RANGE.fullmatch(piece.strip())
+        first, last = (0, -1) if match is None else (int(match[1]), int(match[2] or match[1]))
+        if last < first or last - first >= MOST_TAGS:
+            raise MechanicsError(
+                f"--ids {text!r}: {piece.strip()!r} is no tag and no range of tags. Write 0-4 or 0,3,7-9"
+            )
+        found += range(first, last + 1)
+    return tuple(found)
+
+
+def _of_material(
+    found: Design, named: str | None, shore_a: float | None, shore_zero: float | None, modulus: float | None
+) -> Design:
+    """The design cast of what the options say."""
+    given = [value for value in (named, shore_a, shore_zero, modulus) if value is not None]
+    if len(given) > 1:
+        raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
+    if named is not None:
+        product = silicone(named)
+        return found.of(product.stiffness, product.density)
+    if shore_a is not None:
+        return found.of(from_shore_a(shore_a))
+    if shore_zero is not None:
+        return found.of(from_shore_00(shore_zero))
+    return found if modulus is None else found.of(Stiffness(1e3 * modulus, 0.0, "given"))
+
+
+def _parts_summary(made: Mould, parts: tuple[PrintedPart, ...]) -> dict[str, object]:
+    return {
+        "format": MOULD_FORMAT,
+        "written_by": BY,
+        "design": made.design.name,
+        "kind": made.settings.kind,
+        "pour_m3": made.volume,
+        "pour_kg": made.pour,
+        "parts": {part.name: {"size_mm": part.mesh.extents.tolist(), "volume_mm3": part.mesh.volume} for part in parts},
+    }
+
+
+def _parts_writer(made: Mould, parts: tuple[PrintedPart, ...], shape: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        for part in parts:
+            write_mesh(folder / f"{part.name}.{shape}", part.mesh)
+        summary = {**_parts_summary(made, parts), "files": [*files_in(folder), SUMMARY]}
+        (folder / SUMMARY).write_text(to_json(summary) + "\n", encoding="utf-8")
+
+    return write
