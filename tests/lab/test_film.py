@@ -27,7 +27,7 @@ from onebend.lab.virtual import Bench, Clock, Tag
 from onebend.pipeline import learn_recording
 from onebend.recording.camera import measure_markers
 from onebend.recording.folder import read_recording
-from onebend.recording.force import read_force_log
+from onebend.recording.force_log import read_force_log
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import read_frames
 
