@@ -58,6 +58,11 @@ def read_force_log(path: Path | str, columns: Sequence[str], push_column: str = 
     remarks = (
         *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
         *remark(int(np.sum(full)) - len(data), len(read), "rows of the force log repeat a time; their mean is taken"),
+        *(
+            Remark("warning", f"The column {name} of the force log never changes ({value:g} N): is it connected?")
+            for name, value, span in zip(columns[1:], data[0, 1:3], np.ptp(data[:, 1:3], axis=0), strict=True)
+            if span == 0.0
+        ),
     )
     push_s = data[:, 3] if push_column else None
     return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
