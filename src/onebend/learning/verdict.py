@@ -10,6 +10,7 @@ from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
+_TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
 _MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 _SEEN = 3.0  # times the tags' own noise: less is no miss, however little they move
@@ -91,7 +92,7 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
         for i in np.flatnonzero(away > _FAR):
             tag = ids[i] if block.name in ("along", "across", "turn") else -1
-            if (block.name, tag) not in told:
+            if (_TESTED_AS.get(block.name, block.name), tag) not in told:
                 text = (
                     f"{block.labels[i]} came out {away[i]:.1f} times as far off as recording.toml and the priors allow "
                     "(one sd): something may not be as it is written there"

@@ -58,7 +58,6 @@ class Reading:
         left = self.unexplained["as it is"]
         return best if self.unexplained[best] < BETTER * left and left > 0.2 else ""
 
-
     @property
     def askew(self) -> bool:
         """The log explains the bending far better when its axes are turned by `turn`."""
