@@ -16,7 +16,7 @@ from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.spline import Spline
 from onebend.learning.verdict import fit_remarks
-from onebend.records import Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 
 FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
@@ -76,7 +76,14 @@ def test_derivatives_are_those_of_the_prediction(name: str) -> None:
         np.testing.assert_allclose(exact[..., i], change, atol=1e-4 * np.max(np.abs(change)) + 1e-12)
 
 
-def learned(at_s: float = 1.0, said: float = np.nan, turn: float = 0.0, bend: float = 1.0, **off: float) -> Posterior:
+def learned(
+    at_s: float = 1.0,
+    said: float = np.nan,
+    turn: float = 0.0,
+    bend: float = 1.0,
+    place_sd: float = PLACE_SD,
+    direction_sd: float = DIRECTION_SD,
+) -> Posterior:
     """A push of known beam, place and axes, through the real way, with the tolerances that are said (Observations)."""
     peak = force_that_bends(SOFT, bend, 1.75) / at_s
     sensor = ForceSensor(white_sd=0.02 * peak, coloured_sd=0.02 * peak)
@@ -84,7 +91,7 @@ def learned(at_s: float = 1.0, said: float = np.nan, turn: float = 0.0, bend: fl
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))
-    seen = replace(observe_virtual(replace(made, log=log)), **off)
+    seen = replace(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
     return fit([seen], 0.02, settings=FitSettings(functions=16, most_frames=80, first_frames=40))
 
 
