@@ -24,6 +24,7 @@ class Priors:
     scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
     mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
     mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
+    mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
     clock: float | None = None  # s; None: as the clock's own estimate says
 
 
@@ -87,19 +88,21 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     placement = first.placement_sd if priors.placement is None else priors.placement
     curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
     weighs = any(bool(np.any(r.gravity != 0.0)) for r in recordings)
+    mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", -1, "1", priors.mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("mass", -1, "1", mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
         ("turn", -1, "rad", priors.mounting, tuple(f"{t} turn" for t in tags)),
     ]
     for r, one in enumerate(recordings):
         origin = one.placement_sd if priors.origin is None else priors.origin
+        clamp = one.clamp_sd if np.isfinite(one.clamp_sd) else priors.clamp
         scale = priors.scale if one.view is not None and not one.view.calibrated else 0.0
         wanted += [
-            ("clamp", r, "rad", priors.clamp, (f"{one.name}: clamp angle",)),
+            ("clamp", r, "rad", clamp, (f"{one.name}: clamp angle",)),
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
             ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
@@ -110,7 +113,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         free = sd > 0.0 and len(labels) > 0
         sds = np.full(len(labels), sd)
         if name == "mass":
-            sds[1:] = priors.mass_spread
+            sds[1:] = priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
