@@ -26,6 +26,7 @@ from onebend.recording.pairing import check_direction, cleaned, match_clocks, pa
 from onebend.recording.photos import photo_observations
 from onebend.recording.pose_tables import pose_observations
 from onebend.recording.tags import detect_tags
+from onebend.recording.turns import check_turns
 from onebend.records import Detections, ForceLog, Markers, Observations
 
 FEWEST_FRAMES = 10
@@ -85,7 +86,9 @@ def observe(
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
-    return assemble(rec, measure_markers(detections, rec), log, base, settings)
+    markers = measure_markers(detections, rec)
+    check_turns(markers, rec)
+    return assemble(rec, markers, log, base, settings)
 
 
 @one_blas_thread
