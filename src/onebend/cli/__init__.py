@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from onebend.cli.bags import topics
 from onebend.cli.common import BY
 from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
@@ -21,6 +22,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "validate": validate,
     "plan": plan,
     "new": new,
+    "topics": topics,
     "check": check,
     "show": show,
     "export": export_command,

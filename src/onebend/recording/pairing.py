@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import ObservationError
+from onebend.recording.bag_force import read_bag_force
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
 from onebend.recording.entries import Recording
@@ -32,7 +33,10 @@ def read_log(rec: Recording) -> ForceLog | None:
     """The force log, where the recording has one."""
     if rec.force is None:
         return None
-    return read_force_log(rec.force.file, rec.force.columns, rec.push.column if rec.push else "")
+    if rec.force.topic:
+        return read_bag_force(rec.force)
+    column = rec.push.column if rec.push else ""
+    return read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
 
 
 def match_clocks(
