@@ -18,19 +18,19 @@ from onebend.records import Remark
 
 HEADERS_DOUBT = 0.1  # s: exposure, transfer and filters between an event and the stamp of its message
 RECEIPT_DOUBT = 0.3  # s: queues besides
+BAG_KEYS = ("topic", "field", "axes", "definitions", "damaged")  # only for bags
+TEXT_KEYS = ("columns", "time_unit", "frame_times")  # not for bags
 
 
-def check_bag(name: str, entry: VideoEntry | ForceEntry, mistakes: Mistakes) -> None:
-    """Note what is wrong with the bag that `entry` names, or with naming a topic of something else."""
+def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, Any], mistakes: Mistakes) -> None:
+    """Note what is wrong with the bag that `entry` names, and keys of its table, as `written`, that do not fit it."""
     bag = is_bag(entry.file)
-    if entry.topic and not bag:
-        mistakes.add((name, "topic"), f"[{name}] topic: {entry.file} is no bag. Remove topic, or name a bag in file.")
-    if not entry.topic and not bag and (entry.definitions or entry.damaged == "keep"):
-        mistakes.add((name,), f"[{name}]: definitions and damaged are for bags; {entry.file} is none. Remove them.")
+    for key in TEXT_KEYS if bag else BAG_KEYS:
+        if key in written:
+            kind = "a bag, whose messages have types" if bag else "no bag"
+            mistakes.add((name, key), f"[{name}] {key}: {entry.file} is {kind}. Remove {key}.")
     if isinstance(entry, ForceEntry) and len({axis[-1] for axis in entry.axes}) < 2:
         mistakes.add((name, "axes"), f"[{name}] axes names one axis twice. Name the two of the plane of bending.")
-    if isinstance(entry, VideoEntry) and entry.topic and entry.frame_times != "container":
-        mistakes.add((name, "frame_times"), "[video] frame_times: a bag's images have times of their own. Remove it.")
     if not bag:
         return
     try:

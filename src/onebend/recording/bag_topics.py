@@ -14,7 +14,8 @@ from onebend.recording.bag_clock import stamp_of
 from onebend.recording.bag_film import PACKED, RAW
 from onebend.recording.bag_force import FIELDS
 from onebend.recording.bag_types import decoder
-from onebend.records import Array
+from onebend.recording.dropped import missing
+from onebend.recording.signals import step
 
 LIKELY: dict[str, tuple[str, ...]] = {"force": tuple(FIELDS), "image": (RAW, PACKED)}
 
@@ -77,8 +78,8 @@ def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
                 decode = None
     stamped = decode is not None and len(stamps) > 0 and all(stamps)
     time = np.sort(np.array(stamps if stamped else received, dtype=np.int64))
-    steps = np.diff(time) * 1e-9
-    usual = float(np.median(steps)) if len(steps) else np.nan
+    since = np.asarray((time - time[:1]) * 1e-9, dtype=np.float64)
+    usual = step(since) if len(since) > 1 else np.nan
     return TopicRow(
         topic.channel.topic,
         topic.channel.type,
@@ -87,16 +88,8 @@ def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
         float(time[0]) * 1e-9 if len(time) else np.nan,
         float(time[-1]) * 1e-9 if len(time) else np.nan,
         "header" if stamped else "receipt",
-        missing(steps),
+        missing(since),
     )
-
-
-def missing(steps: Array) -> int:
-    """How many samples lack between samples `steps` [s] apart; 0 where they do not come evenly."""
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    if usual <= 0 or np.mean(np.abs(steps - usual) > usual / 2) > 0.1:
-        return 0
-    return int(np.sum(np.maximum(np.rint(steps / usual) - 1, 0)))
 
 
 def guess(bag: Bag, what: Literal["force", "image"]) -> str:

@@ -70,7 +70,7 @@ def read_recording(folder: Path | str) -> Recording:
     if not mistakes.found:
         for name in BAGS:
             if found[name] is not None:
-                check_bag(name, found[name], mistakes)
+                check_bag(name, found[name], data[name], mistakes)
     if mistakes.found or beam is None or tags is None:
         raise RecordingError(str(mistakes))
     rec = Recording(
@@ -169,6 +169,8 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
 def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
     """What no table can say alone."""
     push, gravity = found["push"], found["gravity"]
+    if push is not None and push.column and found["force"] is not None and found["force"].topic:
+        mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
     if push is not None and math.isnan(push.at) == (push.column == ""):
         mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
     if "force" in data and "push" not in data:

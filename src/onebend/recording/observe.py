@@ -141,6 +141,7 @@ def assemble(
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
         view=seen.view,
         video=rec.video.file if rec.video else None,
+        video_topic=rec.video.topic if rec.video else "",
         mass_line=line,
         remarks=(
             *rec.remarks,

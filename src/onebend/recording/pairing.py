@@ -81,7 +81,8 @@ def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
     if apart * FEWEST_ROWS > film:
         raise ObservationError(
             f"{rec.name}: the force log has a row every {apart:.3g} s, fewer than {FEWEST_ROWS} during the film of "
-            f"{film:.3g} s. Times must be in seconds: divide those in milliseconds by 1000. Or log more often."
+            f"{film:.3g} s. Times must be in seconds: for milliseconds write "
+            'time_unit = "ms" in [force]. Or log more often.'
         )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from onebend.errors import RecordingError
 from onebend.recording.bag_film import bag_film, bag_frames, picture_of
+from onebend.recording.dropped import missing_remarks
 from onebend.recording.entries import VideoEntry
 from onebend.records import Array, Remark
 
@@ -106,6 +107,11 @@ def frame_count(video: VideoEntry) -> int | None:
 
 
 def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
+    """Remarks where the written frame rate is not the one found, and where a bag lacks frames."""
+    return (*wrong_rate(video, time), *(missing_remarks(time, "images of the bag") if video.topic else ()))
+
+
+def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     """A remark where the written frame rate is not the one found."""
     if math.isnan(video.fps) or len(time) < 2:
         return ()

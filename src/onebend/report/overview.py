@@ -98,7 +98,7 @@ def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]
     how = "not calibrated: the tags' size gives the scale"
     if camera is not None:
         how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
-    video = recording.video.file.name
+    video = " ".join((recording.video.file.name, recording.video.topic)).strip()
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
 
@@ -128,10 +128,11 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     column = recording.push.column
     place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
     start, doubt = recording.start
+    source = " ".join((recording.force.file.name, recording.force.topic)).strip()
     what = "the video starts" if recording.video is not None else "the tracks start"
     said = f"{what} at {start:.3f} s of the log, give or take {doubt:.2g} s"
     return [
-        ("force log", f"{recording.force.file.name}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
+        ("force log", f"{source}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
         ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "
                                    f"{np.rad2deg(recording.force.rotation):.4g} deg"),
         ("push", place),

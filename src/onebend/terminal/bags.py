@@ -15,20 +15,40 @@ from onebend.report.wording import significant
 
 def show_bag(console: Console, found: BagContents) -> None:
     """A table of the topics, and a warning where the bag breaks off."""
-    table = Table(title=escape(str(found.path)), title_justify="left")
-    for name in ("topic", "type", "messages", "rate", "from", "lasts", "times by"):
-        table.add_column(name, justify="right" if name in ("messages", "rate", "lasts") else "left", overflow="fold")
+    first = min((row.start for row in found.rows if not math.isnan(row.start)), default=math.nan)
+    console.print(f"[bold]{escape(str(found.path))}[/]{begins(first)}")
+    table = Table()
+    for name in ("topic", "type"):
+        table.add_column(name, overflow="fold", min_width=20)
+    for name in ("count", "lost", "Hz", "from, s", "to, s", "times"):
+        table.add_column(name, justify="right", no_wrap=True)
     for row in found.rows:
-        table.add_row(*cells(row))
+        table.add_row(*cells(row, first))
     console.print(table)
     if found.fault:
         console.print(f"[red]The bag is damaged:[/] {escape(found.fault)}. The table counts what comes before that.")
 
 
-def cells(row: TopicRow) -> tuple[str, ...]:
-    """One row of the table, in words."""
-    begins = "" if math.isnan(row.start) else datetime.fromtimestamp(row.start, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")
-    lasts = "" if math.isnan(row.start) else f"{row.end - row.start:.3f} s"
-    rate = "" if math.isnan(row.rate) else f"{significant(row.rate)} Hz"
-    count = f"{row.count}" + (f" ({row.gaps} missing)" if row.gaps else "")
-    return escape(row.topic), escape(row.type), count, rate, begins[:-3], lasts, row.by if row.count else ""
+def begins(first: float) -> str:
+    """When the first message was, in words."""
+    if math.isnan(first):
+        return ""
+    return f", from {datetime.fromtimestamp(first, UTC).strftime('%Y-%m-%d %H:%M:%S')} UTC ({first:.6f} s)"
+
+
+def cells(row: TopicRow, first: float) -> tuple[str, ...]:
+    """One row of the table, in words; times count from `first`."""
+    kind = row.type.replace("/msg/", "/")
+    if not row.count:
+        return escape(row.topic), escape(kind), "0", "", "", "", "", ""
+    rate = "" if math.isnan(row.rate) else significant(row.rate)
+    span = (f"{row.start - first:.3f}", f"{row.end - first:.3f}")
+    return (
+        escape(row.topic),
+        escape(kind),
+        f"{row.count}",
+        f"{row.gaps or ''}",
+        rate,
+        *span,
+        {"header": "stamps", "receipt": "received"}[row.by],
+    )
