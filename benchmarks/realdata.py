@@ -71,7 +71,7 @@ def rod_flats(s: Array) -> Array:
     """(...) m, the rod's width across its flats, as measured."""
     table = rows_of("bamboo_rod_RM_taper.csv")
     at, flats = (np.array([float(row[name]) for row in table]) for name in ("station_in_from_tip", "across_flats_m"))
-    return np.interp(ROD_LENGTH_IN * (1 - np.asarray(s)), at, flats)
+    return np.asarray(np.interp(ROD_LENGTH_IN * (1 - np.asarray(s)), at, flats))
 
 
 def rod_inertia(s: Array) -> Array:

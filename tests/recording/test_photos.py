@@ -36,13 +36,19 @@ def true() -> Array:
     return np.asarray(np.concatenate([found.xy(S), found.angle(S)[..., None]], axis=-1))
 
 
-def folder_of(
-    folder: Path, *, seen: list[View] | None = None, loads: str = LOADS, more: str = "", calibrated: bool = True
-) -> Path:
-    (folder / "photos").mkdir(parents=True)
-    for i, (poses, look) in enumerate(zip(true(), seen or [view()] * 5, strict=True)):
+@cache
+def pictures(in_the_hand: bool) -> tuple[np.ndarray, ...]:
+    """The five photos, from a tripod or not."""
+    out = []
+    for i, (poses, look) in enumerate(zip(true(), moved() if in_the_hand else [view()] * 5, strict=True)):
         noise = 1.5 * np.random.default_rng(i).standard_normal((HEIGHT, WIDTH))
-        shown = np.clip(np.rint(picture(poses, range(4), look) + noise), 0, 255).astype(np.uint8)
+        out.append(np.clip(np.rint(picture(poses, range(4), look) + noise), 0, 255).astype(np.uint8))
+    return tuple(out)
+
+
+def folder_of(folder: Path, *, in_the_hand: bool = False, loads: str = LOADS, more: str = "") -> Path:
+    (folder / "photos").mkdir(parents=True)
+    for i, shown in enumerate(pictures(in_the_hand)):
         Image.fromarray(shown).save(folder / "photos" / f"{i}.png")
     (folder / "loads.csv").write_text(loads)
     tags = "".join(f"[[tags.on_beam]]\nid = {i}\ns = {S[i]}\n" for i in (1, 2, 3))
@@ -54,7 +60,7 @@ def folder_of(
     (folder / "recording.toml").write_text(
         f"format = 1\n[beam]\nlength_m = {LENGTH}\n[tags]\nsize_m = {SIZE}\nplacement_sd_m = 0.0002\n"
         f'[[tags.on_base]]\nid = 0\ns = 0.0\n{tags}[photos]\nfolder = "photos"\nloads = "loads.csv"\n{more}'
-        f"{camera if calibrated else ''}"
+        f"{camera}"
     )
     return folder
 
@@ -83,7 +89,7 @@ def test_photos_give_the_poses_and_k(tmp_path: Path) -> None:
 
 
 def test_a_camera_in_the_hand(tmp_path: Path) -> None:
-    o = observe(folder_of(tmp_path, seen=moved(), more="camera_moves = true\n"))
+    o = observe(folder_of(tmp_path, in_the_hand=True, more="camera_moves = true\n"))
     sd = np.sqrt(np.einsum("tmii->tmi", o.covariance))[..., :2]
     assert np.abs((o.xy - true()[:, 1:, :2]) / sd).max() < 5.0
     assert np.abs(o.xy - true()[:, 1:, :2]).max() < 1e-3

@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Table, Uniform
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 from tests.made_up import LENGTH
 from tests.recording.pushed import Pushed
 
@@ -38,7 +38,7 @@ def track_folder(
     markers: str = "",
     force: bool = True,
     unit: float = 1.0,
-    keep: Array | None = None,
+    keep: BoolArray | None = None,
     base_way: Array | None = None,
 ) -> Path:
     """The push of `PUSHED` as tracks, in a plane turned by 0.4 rad or (`axes`) in space; `keep` (T, m) hides points.

@@ -13,7 +13,7 @@ from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import distances, loads_of, mass_profile, usable_frames
-from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass
+from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass, weighs
 from onebend.learning.outcome import Learned
 from onebend.learning.validation import RESOLUTION
 from onebend.records import BoolArray, Observations
@@ -32,6 +32,11 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
     frames = [_some(o) for o in recordings]
+    if mass_is_open(recordings):
+        names = ", ".join(o.name for o in recordings if weighs(o))
+        raise LearningError(
+            f"{names}: gravity acts in the plane, so beam.mass_kg must be given (or guessed first, with `with_mass`)"
+        )
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
     beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in _TRIED]
     beams += [] if learned is None else [learned.beam]

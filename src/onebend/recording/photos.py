@@ -131,7 +131,9 @@ def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[M
     bare &= ~np.any(loads.gravity != 0.0, axis=1)
     if bare.any():
         turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
-        return turned, said, remarks
+        reach = rec.beam.length * float(np.linalg.norm(markers.s))
+        seen = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD  # as for a film that shows its rest
+        return turned, said if math.isfinite(said) else seen, remarks
     sure = said if math.isfinite(said) else MOUNTING_SD
     text = (
         f"No picture shows the bare beam: x is along the base tag, which may be turned by {math.degrees(sure):.2g} deg"

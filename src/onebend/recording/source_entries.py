@@ -106,7 +106,7 @@ class PosesEntry:
         degrees(),
         "how exactly the clamp's angle is known (one sd), degrees",
         example="1.0",
-        default=math.nan,
+        default=math.radians(0.2),
     )  # rad
 
 
