@@ -7,12 +7,14 @@ import struct
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from mcap_ros2.writer import Writer as McapWriter
+from PIL import Image
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from onebend.records import Array
 
@@ -120,6 +122,20 @@ def image(stamp: int, picture: np.ndarray, encoding: str = "mono8") -> dict[str,
     }
 
 
+def write_packed(path: Path, pictures: Sequence[tuple[int, np.ndarray]]) -> Path:
+    """PNGs on /image."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        schema = writer.register_msgdef("sensor_msgs/msg/CompressedImage", PACKED)
+        for at, picture in pictures:
+            png = BytesIO()
+            Image.fromarray(picture).save(png, "png")
+            message = {"header": header(at, "camera"), "format": "mono8; png compressed", "data": png.getvalue()}
+            writer.write_message("/image", schema, message, log_time=at)
+        writer.finish()
+    return path
+
+
 def cdr_wrench(stamp: int, frame: str, force: Sequence[float]) -> bytes:
     """A WrenchStamped in little-endian CDR, by hand: four bytes say so, the rest is aligned from there."""
     name = frame.encode() + b"\0"
@@ -128,7 +144,16 @@ def cdr_wrench(stamp: int, frame: str, force: Sequence[float]) -> bytes:
     return b"\0\1\0\0" + body + struct.pack("<6d", *map(float, force), 0.0, 0.0, 0.0)
 
 
-def write_db3(folder: Path, log: Log, *, metadata: bool = True, topic: str = "/wrench", parts: int = 1) -> Path:
+def write_db3(
+    folder: Path,
+    log: Log,
+    *,
+    metadata: bool = True,
+    topic: str = "/wrench",
+    parts: int = 1,
+    kind: str = "geometry_msgs/msg/WrenchStamped",
+    frames: Sequence[str] = ("panda_link0",),
+) -> Path:
     """A sqlite3 bag as ROS 2 wrote it before it kept definitions, with or without its metadata.yaml."""
     folder.mkdir()
     for part, rows in enumerate(np.array_split(np.arange(len(log.stamp)), parts)):
@@ -138,9 +163,10 @@ def write_db3(folder: Path, log: Log, *, metadata: bool = True, topic: str = "/w
             base.execute(
                 "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
             )
-            base.execute("INSERT INTO topics VALUES (1, ?, 'geometry_msgs/msg/WrenchStamped', 'cdr', '')", (topic,))
+            base.execute("INSERT INTO topics VALUES (1, ?, ?, 'cdr', '')", (topic, kind))
             packed = [
-                (int(log.stamp[i]) + 500, cdr_wrench(int(log.stamp[i]), "panda_link0", log.force[i])) for i in rows
+                (START + 10_000_000 * int(i), cdr_wrench(int(log.stamp[i]), frames[i % len(frames)], log.force[i]))
+                for i in rows
             ]
             base.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", packed)
             base.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
@@ -157,7 +183,7 @@ def write_db3(folder: Path, log: Log, *, metadata: bool = True, topic: str = "/w
   starting_time: {{nanoseconds_since_epoch: {int(log.stamp[0])}}}
   message_count: {len(log.stamp)}
   topics_with_message_count:
-  - topic_metadata: {{name: {topic}, type: geometry_msgs/msg/WrenchStamped, serialization_format: cdr,
+  - topic_metadata: {{name: {topic}, type: {kind}, serialization_format: cdr,
       offered_qos_profiles: ""}}
     message_count: {len(log.stamp)}
   compression_format: ""
@@ -176,8 +202,6 @@ FRANKA_STATE = (
 
 def write_ros1(path: Path, log: Log, pictures: Sequence[tuple[int, np.ndarray]] = (), *, franka: bool = False) -> Path:
     """A ROS 1 bag: /wrench (or Franka's state) and mono8 pictures on /image."""
-    from rosbags.typesys import get_types_from_msg
-
     store = get_typestore(Stores.ROS1_NOETIC)
     kind = "geometry_msgs/msg/WrenchStamped"
     if franka:

@@ -11,12 +11,10 @@ from typing import Any
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1 import ReaderError as Ros1Error
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2 import ReaderError as Ros2Error
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_scan import BrokenOffError, Channel, scan
+from onebend.recording.bag_scan import BrokenOffError, Channel, lacking, scan
 from onebend.recording.bag_types import decoder
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
@@ -84,11 +82,11 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     if not files:
         raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
     refuse_journals(files)
-    if not keep:
+    if not keep and not any(lacking(file) for file in files):
         parts = (path,) if path.is_dir() and (path / METADATA).is_file() else files
         try:
             return Bag(path, parts, scanned=False, topics=together(connections(part) for part in parts))
-        except (Ros1Error, Ros2Error, *ODDITIES) as wrong:
+        except Exception as wrong:  # the readers' own, or what numbers that make no sense lead to
             why = str(wrong).rstrip(".")
     else:
         why = ""
@@ -98,10 +96,6 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     if not found.count and why:
         raise RecordingError(f"{path} cannot be read: {why}.")
     return found
-
-
-# What the readers let through where a file is not what it says.
-ODDITIES = (ValueError, TypeError, KeyError, IndexError, AssertionError, EOFError, OSError, RuntimeError, UnicodeError)
 
 
 def refuse_journals(files: Sequence[Path]) -> None:
@@ -227,7 +221,7 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
                 if wanted:
                     for _, received, data in reader.messages(wanted):
                         yield received, data
-        except (Ros1Error, Ros2Error, *ODDITIES) as wrong:
+        except Exception as wrong:  # the readers' own, the unpackers', or what senseless numbers lead to
             found = scan_bag(bag.path, files_of(bag.path))
             raise damaged(found, found.fault or str(wrong).rstrip(".")) from None
 

@@ -33,8 +33,8 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
     """
     bag = open_bag(entry.file, keep=entry.damaged == "keep")
     topic = topic_of(bag, entry.topic, "[force] topic")
-    clock = clock_of(bag, topic, entry.definitions)
     field = entry.field or default_field(topic, entry)
+    clock = clock_of(bag, topic, entry.definitions)
     rows: list[tuple[float, float, float]] = []
     frames: dict[str, None] = {}
     picks = [(AXES[axis[-1]], -1.0 if axis.startswith("-") else 1.0) for axis in entry.axes]

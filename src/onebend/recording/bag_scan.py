@@ -255,4 +255,20 @@ def scan_sqlite(path: Path) -> Iterator[Item]:
                 if key in channels:
                     yield channels[key], received, data
     except sqlite3.Error as wrong:
-        raise BrokenOffError(str(wrong)) from None
+        raise BrokenOffError(lacking(path) or str(wrong)) from None
+    if lack := lacking(path):
+        raise BrokenOffError(lack)
+
+
+def lacking(path: Path) -> str:
+    """What a database lacks of the length that it says it has, in words; "" for a whole one, or for another file.
+
+    The database's own reader does not always notice."""
+    with path.open("rb") as stream:
+        head = stream.read(100)
+    if not head.startswith(SQLITE_MAGIC) or len(head) < 100:
+        return ""
+    page, pages = struct.unpack(">H", head[16:18])[0], struct.unpack(">I", head[28:32])[0]
+    said, size = (65536 if page == 1 else page) * pages, path.stat().st_size
+    known = head[24:28] == head[92:96]  # else an old writer did not keep the number of pages
+    return f"it ends at byte {size} and says that it has {said}" if known and size < said else ""

@@ -46,12 +46,4 @@ def cells(row: TopicRow, first: float) -> tuple[str, ...]:
         return escape(row.topic), escape(kind), "0", "", "", "", ""
     rate = "" if math.isnan(row.rate) else significant(row.rate)
     span = (f"{row.start - first:.3f}", f"{row.end - first:.3f}")
-    return (
-        escape(row.topic),
-        escape(kind),
-        f"{row.count}",
-        f"{row.gaps or ''}",
-        rate,
-        *span,
-        {"header": "stamps", "receipt": "received"}[row.by],
-    )
+    return escape(row.topic), escape(kind), f"{row.count}", f"{row.gaps or ''}", rate, *span
