@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap_ros2.writer import Writer as McapWriter
@@ -86,7 +87,9 @@ def write_mcap(
         }
         schema = writer.register_msgdef(*types[kind])
         films = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE)
-        events = [] if log is None else [(int(at), force, None) for at, force in zip(log.stamp, log.force, strict=True)]
+        events: list[tuple[int, Any, Any]] = []
+        if log is not None:
+            events += [(int(at), force, None) for at, force in zip(log.stamp, log.force, strict=True)]
         events += [(int(at), None, picture) for at, picture in pictures]
         for at, force, picture in sorted(events, key=lambda event: event[0]):
             top = header(at if stamped else 0, frame)
@@ -105,7 +108,7 @@ def write_mcap(
                 writer.write_message("/wrench", schema, message, log_time=at + delay)
             else:
                 writer.write_message("/image", films, image(at if stamped else 0, picture), log_time=at + delay)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -132,7 +135,7 @@ def write_packed(path: Path, pictures: Sequence[tuple[int, np.ndarray]]) -> Path
             Image.fromarray(picture).save(png, "png")
             message = {"header": header(at, "camera"), "format": "mono8; png compressed", "data": png.getvalue()}
             writer.write_message("/image", schema, message, log_time=at)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -209,7 +212,7 @@ def write_ros1(path: Path, log: Log, pictures: Sequence[tuple[int, np.ndarray]] 
         store.register({kind: get_types_from_msg(FRANKA_STATE, kind)[kind]})
     types = store.types
 
-    def top(stamp: int, frame: str, seq: int) -> object:
+    def top(stamp: int, frame: str, seq: int) -> Any:
         time = types["builtin_interfaces/msg/Time"](sec=int(stamp) // EPOCH, nanosec=int(stamp) % EPOCH)
         return types["std_msgs/msg/Header"](seq=seq, stamp=time, frame_id=frame)
 

@@ -50,13 +50,14 @@ at_s = 1.0
 BOTH = (
     '[video]\nfile = "run.mcap"\ntopic = "/image"\n[force]\nfile = "run.mcap"\ntopic = "/wrench"\nacts_on = "robot"\n'
 )
-FORCED = replace(bagged.log(300, 100.0), stamp=bagged.START - 400_000_000 + np.arange(300) * 10_000_000)
+FRAMES = 24
+FORCED = replace(bagged.log(200, 100.0), stamp=bagged.START - 400_000_000 + np.arange(200) * 10_000_000)
 
 
 @cache
 def film() -> list[np.ndarray]:
     """Pictures of a beam that bends and straightens."""
-    frames = filmed.film(filmed.poses(40), [0, 1, 2, 3], filmed.view())
+    frames = filmed.film(filmed.poses(FRAMES), [0, 1, 2, 3], filmed.view())
     return [frame.luma for frame in frames]
 
 
@@ -69,7 +70,7 @@ def folder_of(folder: Path, sources: str, toml: str = TOML) -> Path:
 def pushed_force() -> bagged.Log:
     """A log whose force along y follows the film's bend, with a little noise; it begins 0.4 s before the film."""
     at = (FORCED.stamp - bagged.START) * 1e-9
-    bend = np.where((at > 0) & (at < 40 / 30), np.sin(np.pi * at / (40 / 30)) ** 2, 0.0)
+    bend = np.where((at > 0) & (at < FRAMES / 30), np.sin(np.pi * at / (FRAMES / 30)) ** 2, 0.0)
     noise = 0.01 * np.random.default_rng(3).standard_normal((len(at), 3))
     return replace(FORCED, force=noise - bend[:, None] * [0.0, 0.3, 0.0])
 
@@ -82,15 +83,20 @@ def look(folder: Path) -> Observations:
 @cache
 def observed_twice() -> tuple[Observations, Observations]:
     """One push in a film and a CSV file, and in a bag."""
-    log, ticks = pushed_force(), [round(1000 * i / 30) for i in range(40)]
+    log, ticks = pushed_force(), [round(1000 * i / 30) for i in range(FRAMES)]
     with TemporaryDirectory() as place:
         video = '[video]\nfile = "film.mkv"\nstart_s = 0.4\nstart_uncertainty_s = 0.1\n'
-        plain = folder_of(Path(place) / "plain", f'{video}[force]\nfile = "force.csv"\nacts_on = "robot"\n')
+        matrix, dist = filmed.view().matrix, filmed.view().dist.tolist()
+        camera = (
+            f"[camera]\nwidth = {filmed.WIDTH}\nheight = {filmed.HEIGHT}\nfx = {matrix[0, 0]}\nfy = {matrix[1, 1]}\n"
+        )
+        camera += f"cx = {matrix[0, 2]}\ncy = {matrix[1, 2]}\ndist = {dist}\n"
+        plain = folder_of(Path(place) / "plain", f'{camera}{video}[force]\nfile = "force.csv"\nacts_on = "robot"\n')
         write_video(plain / "film.mkv", film(), ticks, pixels="gray")
         rows = zip(((log.stamp - log.stamp[0]) / 1e9).tolist(), log.force.tolist(), strict=True)
         text = "".join(f"{at!r},{x!r},{y!r}\n" for at, (x, y, _) in rows)
         (plain / "force.csv").write_text(f"time_s,fx_N,fy_N\n{text}", encoding="utf-8")
-        robot = folder_of(Path(place) / "robot", BOTH)
+        robot = folder_of(Path(place) / "robot", camera + BOTH)
         stamps = [bagged.START + tick * 1_000_000 for tick in ticks]
         bagged.write_mcap(robot / "run.mcap", log, list(zip(stamps, film(), strict=True)), chunk=1 << 20)
         return look(plain), look(robot)
@@ -98,7 +104,7 @@ def observed_twice() -> tuple[Observations, Observations]:
 
 def test_a_push_in_a_bag_is_observed_as_the_same_push_in_a_film_and_a_file() -> None:
     plain, robot = observed_twice()
-    assert len(plain.time) == 40
+    assert len(plain.time) == FRAMES
     assert np.array_equal(robot.xy, plain.xy)
     assert np.array_equal(robot.angle, plain.angle)
     assert robot.time == pytest.approx(plain.time, abs=1e-6)
@@ -185,9 +191,7 @@ def test_a_cut_bag_shows_what_it_holds_and_is_used_where_that_is_wished(tmp_path
     assert 10 < forces < 60
     assert 'damaged = "keep"' in CliRunner().invoke(app, ["topics", str(bag)]).stdout
     folder_of(tmp_path, BOTH)
-    with pytest.raises(
-        RecordingError, match=rf"{images + forces} messages can be read .*{forces} of /wr"
-    ):
+    with pytest.raises(RecordingError, match=rf"{images + forces} messages can be read .*{forces} of /wr"):
         read_recording(tmp_path)
     folder_of(tmp_path, BOTH.replace("\n[force]", '\ndamaged = "keep"\n[force]\ndamaged = "keep"'))
     said = [remark.text for remark in read_recording(tmp_path).remarks if remark.level == "warning"]
