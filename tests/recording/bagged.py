@@ -15,6 +15,8 @@ import numpy as np
 from mcap_ros2.writer import Writer as McapWriter
 from PIL import Image
 from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from onebend.records import Array
@@ -194,6 +196,19 @@ def write_db3(
 """,
             encoding="utf-8",
         )
+    return folder
+
+
+def write_compressed(folder: Path, log: Log, *, mcap: bool, mode: CompressionMode) -> Path:
+    """A ROS 2 bag with packed files or packed messages."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+    writer = Ros2Writer(folder, version=8, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/wrench", "geometry_msgs/msg/WrenchStamped", typestore=store)
+        for at, force in zip(log.stamp, log.force, strict=True):
+            writer.write(topic, int(at) + 500, cdr_wrench(int(at), "panda_link0", force))
     return folder
 
 

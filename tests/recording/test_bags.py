@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from rosbags.rosbag2 import CompressionMode
 
 from onebend.errors import RecordingError
 from onebend.recording.bag import natural, open_bag
@@ -53,6 +54,16 @@ def test_forces_and_stamps_come_out_exactly(tmp_path: Path, writer: str, keep: s
     assert np.array_equal(found.time, (LOG.stamp - LOG.stamp[0]) * 1e-9)
     assert np.array_equal(found.force, LOG.force[:, [2, 0]] * [1, -1])
     assert not [remark for remark in found.remarks if remark.level == "warning"]
+
+
+@pytest.mark.parametrize("keep", ["refuse", "keep"])
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
+@pytest.mark.parametrize("mcap", [True, False])
+def test_packed_bags_are_read(tmp_path: Path, mcap: bool, mode: CompressionMode, keep: str) -> None:
+    if mode == CompressionMode.STORAGE and not mcap:
+        return  # there is no such thing
+    bag = bagged.write_compressed(tmp_path / "run", LOG, mcap=mcap, mode=mode)
+    assert np.array_equal(read_bag_force(force_of(bag, damaged=keep)).force, LOG.force[:, :2])
 
 
 @pytest.mark.parametrize("writer", ["MCAP", "ROS 1"])

@@ -82,7 +82,8 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     if not files:
         raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
     refuse_journals(files)
-    if not keep and not any(lacking(file) for file in files):
+    packed = any(file.suffix == ".zstd" for file in files)  # as a whole: there is no way in but the usual one
+    if packed or (not keep and not any(lacking(file) for file in files)):
         parts = (path,) if path.is_dir() and (path / METADATA).is_file() else files
         try:
             return Bag(path, parts, scanned=False, topics=together(connections(part) for part in parts))

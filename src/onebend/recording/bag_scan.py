@@ -14,12 +14,13 @@ from typing import BinaryIO
 
 from rosbags.rosbag1.reader import decompressors
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import decompress
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, decompress
 from rosbags.typesys.msg import normalize_msgtype
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with a zero
 SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 3, 4, 5, 6, 15  # records of MCAP
 ROS1_MESSAGE, ROS1_HEADER, ROS1_CHUNK, ROS1_CHUNK_INFO, ROS1_CONNECTION = 2, 3, 5, 6, 7
 
@@ -56,16 +57,23 @@ def scan(path: Path) -> Iterator[Item]:
             size = path.stat().st_size
             if magic.startswith(MCAP_MAGIC):
                 stream.seek(len(MCAP_MAGIC))
-                yield from scan_mcap(stream, size)
+                yield from map(opened, scan_mcap(stream, size))
             elif magic.startswith(ROS1_MAGIC):
                 stream.seek(len(ROS1_MAGIC))
                 yield from scan_ros1(stream, size)
             elif magic == SQLITE_MAGIC:
-                yield from scan_sqlite(path)
+                yield from map(opened, scan_sqlite(path))
             else:
                 raise BrokenOffError("it begins like no MCAP, ROS 1 bag or sqlite3 file")
     except OSError as wrong:
         raise BrokenOffError(wrong.strerror or str(wrong)) from None
+
+
+def opened(item: Item) -> Item:
+    """The item with its message unpacked, where a recorder packs each for itself."""
+    if isinstance(item, Channel) or not item[2].startswith(ZSTD_MAGIC):
+        return item
+    return item[0], item[1], guarded(lambda: DECOMPRESSORS["zstd"](item[2], 0))
 
 
 def scan_mcap(stream: BinaryIO, size: int) -> Iterator[Item]:
