@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -15,10 +14,12 @@ from typer.testing import CliRunner
 from onebend.cli import app
 from onebend.errors import RecordingError
 from onebend.recording.bag_topics import bag_contents
+from onebend.recording.camera import measure_markers
 from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force_log import read_force_log
 from onebend.recording.observe import ObserveSettings, observe
+from onebend.recording.pairing import read_log
 from onebend.recording.tags import detect_tags
 from onebend.records import Observations
 from onebend.report.overview import overview
@@ -50,7 +51,7 @@ at_s = 1.0
 BOTH = (
     '[video]\nfile = "run.mcap"\ntopic = "/image"\n[force]\nfile = "run.mcap"\ntopic = "/wrench"\nacts_on = "robot"\n'
 )
-FRAMES = 24
+FRAMES = 20
 FORCED = replace(bagged.log(200, 100.0), stamp=bagged.START - 400_000_000 + np.arange(200) * 10_000_000)
 
 
@@ -80,30 +81,46 @@ def look(folder: Path) -> Observations:
     return observe(folder, settings=ObserveSettings(threads=2, check_force=False))
 
 
-@cache
-def observed_twice() -> tuple[Observations, Observations]:
-    """One push in a film and a CSV file, and in a bag."""
+@pytest.fixture(scope="module")
+def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Folders of one push: in a film and a CSV file, and in a bag."""
+    place = tmp_path_factory.mktemp("twice")
     log, ticks = pushed_force(), [round(1000 * i / 30) for i in range(FRAMES)]
-    with TemporaryDirectory() as place:
-        video = '[video]\nfile = "film.mkv"\nstart_s = 0.4\nstart_uncertainty_s = 0.1\n'
-        matrix, dist = filmed.view().matrix, filmed.view().dist.tolist()
-        camera = (
-            f"[camera]\nwidth = {filmed.WIDTH}\nheight = {filmed.HEIGHT}\nfx = {matrix[0, 0]}\nfy = {matrix[1, 1]}\n"
-        )
-        camera += f"cx = {matrix[0, 2]}\ncy = {matrix[1, 2]}\ndist = {dist}\n"
-        plain = folder_of(Path(place) / "plain", f'{camera}{video}[force]\nfile = "force.csv"\nacts_on = "robot"\n')
-        write_video(plain / "film.mkv", film(), ticks, pixels="gray")
-        rows = zip(((log.stamp - log.stamp[0]) / 1e9).tolist(), log.force.tolist(), strict=True)
-        text = "".join(f"{at!r},{x!r},{y!r}\n" for at, (x, y, _) in rows)
-        (plain / "force.csv").write_text(f"time_s,fx_N,fy_N\n{text}", encoding="utf-8")
-        robot = folder_of(Path(place) / "robot", camera + BOTH)
-        stamps = [bagged.START + tick * 1_000_000 for tick in ticks]
-        bagged.write_mcap(robot / "run.mcap", log, list(zip(stamps, film(), strict=True)), chunk=1 << 20)
-        return look(plain), look(robot)
+    video = '[video]\nfile = "film.mkv"\nstart_s = 0.4\nstart_uncertainty_s = 0.1\n'
+    matrix, dist = filmed.view().matrix, filmed.view().dist.tolist()
+    camera = f"[camera]\nwidth = {filmed.WIDTH}\nheight = {filmed.HEIGHT}\nfx = {matrix[0, 0]}\n"
+    camera += f"fy = {matrix[1, 1]}\ncx = {matrix[0, 2]}\ncy = {matrix[1, 2]}\ndist = {dist}\n"
+    plain = folder_of(place / "plain", f'{camera}{video}[force]\nfile = "force.csv"\nacts_on = "robot"\n')
+    write_video(plain / "film.mkv", film(), ticks, pixels="gray")
+    rows = zip(((log.stamp - log.stamp[0]) / 1e9).tolist(), log.force.tolist(), strict=True)
+    text = "".join(f"{at!r},{x!r},{y!r}\n" for at, (x, y, _) in rows)
+    (plain / "force.csv").write_text(f"time_s,fx_N,fy_N\n{text}", encoding="utf-8")
+    robot = folder_of(place / "robot", camera + BOTH)
+    stamps = [bagged.START + tick * 1_000_000 for tick in ticks]
+    bagged.write_mcap(robot / "run.mcap", log, list(zip(stamps, film(), strict=True)), chunk=1 << 20)
+    return plain, robot
 
 
-def test_a_push_in_a_bag_is_observed_as_the_same_push_in_a_film_and_a_file() -> None:
-    plain, robot = observed_twice()
+def test_a_bag_shows_the_markers_and_forces_that_the_files_show(twice: tuple[Path, Path]) -> None:
+    plain, robot = (read_recording(folder) for folder in twice)
+    assert robot.start == pytest.approx(plain.start, abs=1e-9)
+    found = []
+    for rec in (plain, robot):
+        assert rec.video is not None
+        found.append(measure_markers(detect_tags(rec.video, rec.tags, threads=2), rec))
+    assert np.array_equal(found[0].xy, found[1].xy)
+    assert np.array_equal(found[0].angle, found[1].angle)
+    assert found[0].time == pytest.approx(found[1].time, abs=1e-9)
+    logs = [read_log(rec) for rec in (plain, robot)]
+    assert logs[0] is not None
+    assert logs[1] is not None
+    assert np.array_equal(logs[0].force, logs[1].force)
+    assert logs[0].time == pytest.approx(logs[1].time, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_a_push_in_a_bag_is_observed_as_the_same_push_in_a_film_and_a_file(twice: tuple[Path, Path]) -> None:
+    plain, robot = (look(folder) for folder in twice)
     assert len(plain.time) == FRAMES
     assert np.array_equal(robot.xy, plain.xy)
     assert np.array_equal(robot.angle, plain.angle)
