@@ -189,6 +189,7 @@ class Observations:
     gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %), as declared; 0 where it was not, or without a force
     view: View | None = None  # of the beam's plane and frame
     video: Path | None = None
+    video_topic: str = ""  # where `video` is a bag
     static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
     sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
     known: KnownLoads | None = None

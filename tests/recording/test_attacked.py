@@ -46,7 +46,8 @@ def test_a_column_that_never_changes_is_named(tmp_path: Path, dead: str) -> None
     rows = [row + ("" if dead == "fx_N" else ",0.3") for row in rows]
     log = read_force_log(log_file(tmp_path, [GOOD[0], *rows]), COLUMNS)
     assert [one.level for one in log.remarks] == ["warning"]
-    assert f"The column {dead} of the force log never changes (0.3 N)" in log.remarks[0].text
+    which = "first" if dead == "fx_N" else "second"
+    assert f"The {which} force of the log never changes (0.3 N)" in log.remarks[0].text
 
 
 @pytest.mark.parametrize("off", [-30, 60, 90])

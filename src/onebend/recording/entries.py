@@ -16,6 +16,7 @@ from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEnt
 from onebend.records import DIRECTION_SD, PLACE_SD, Remark, Rest
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
+DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
 
 
@@ -105,7 +106,7 @@ class CameraEntry:
 class VideoEntry:
     """[video]: the film and its clock."""
 
-    file: Path = key("file", text, "the video file, relative to this folder", example='"video.mp4"')
+    file: Path = key("file", text, "the video file or a bag, relative to this folder", example='"video.mp4"')
     fps: float = key(
         "fps", number(above=0), "the frame rate, only checked against the file's own", example="30", default=math.nan
     )
@@ -115,6 +116,13 @@ class VideoEntry:
         '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
         example='"container"',
         default="container",
+    )
+    topic: str = key("topic", text, "the image topic, where file is a bag", example='"/camera/image_raw"', default="")
+    definitions: Path | None = key(
+        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
+    )
+    damaged: Literal["refuse", "keep"] = key(
+        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
     )
     start: float = key(
         "start_s", number(), "the time of the first frame on the force log's clock, s", example="0.0", default=math.nan
@@ -132,13 +140,37 @@ class VideoEntry:
 class ForceEntry:
     """[force]: the force log, and what is known of its sensor."""
 
-    file: Path = key("file", text, "the force log, a CSV file, relative to this folder", example='"force.csv"')
+    file: Path = key("file", text, "the force log, a CSV file or a bag, relative to this folder", example='"force.csv"')
     columns: tuple[str, str, str] = key(
         "columns",
         several(text, 3),
         "the columns with the time [s] and the two forces [N]",
         example='["time_s", "fx_N", "fy_N"]',
         default=("time_s", "fx_N", "fy_N"),
+    )
+    time_unit: Literal["s", "ms", "us", "ns"] = key(
+        "time_unit", one_of("s", "ms", "us", "ns"), "the unit of the column with the time", example='"s"', default="s"
+    )
+    topic: str = key("topic", text, "the force's topic, where file is a bag", example='"/wrench"', default="")
+    field: str = key(
+        "field",
+        text,
+        "where the force stands in the topic's messages; known for wrenches and Franka's states",
+        example='"wrench.force"',
+        default="",
+    )
+    axes: tuple[str, str] = key(
+        "axes",
+        several(one_of("x", "y", "z", "-x", "-y", "-z"), 2),
+        "the two axes of the bag's forces that span the plane of bending, in the order of x and y",
+        example='["x", "y"]',
+        default=("x", "y"),
+    )
+    definitions: Path | None = key(
+        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
+    )
+    damaged: Literal["refuse", "keep"] = key(
+        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
     )
     rotation: float = key(
         "rotation_deg",

@@ -143,6 +143,7 @@ def assemble(
         place_sd=PLACE_SD if rec.push is None else rec.push.at_sd,
         direction_sd=DIRECTION_SD if rec.force is None else rec.force.rotation_sd,
         video=rec.video.file if rec.video else None,
+        video_topic=rec.video.topic if rec.video else "",
         mass_line=line,
         remarks=(
             *rec.remarks,
