@@ -16,6 +16,7 @@ from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.rehearsing import rehearse
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
@@ -29,6 +30,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "mould": mould,
     "tags": tags,
     "film": film,
+    "rehearse": rehearse,
 }
 
 app = typer.Typer(

@@ -12,16 +12,17 @@ from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import WRIST, ForceSensor
 from onebend.learning.candidates import Limits, reaches
+from onebend.learning.identifiability import solve_push
 from onebend.learning.proposals import Quality, direction_words
 from onebend.progress import Progress, Silent, track
-from onebend.rehearse.instruments import instruments
+from onebend.rehearse.instruments import even_push, instruments
 from onebend.rehearse.prediction import Predicted, derivatives, outcome_with, told_by
 from onebend.rehearse.setup import Setup
 
 AT_S = (0.5, 0.65, 0.8, 1.0)
 DIRECTIONS_DEG = (70.0, 100.0, 130.0)
 SIZES = (1.0, 0.6)  # of the largest force within the limits
-LIMITS = Limits(tip_turn=0.5 * np.pi)
+LIMITS = Limits()  # the tip turns by no more than 90 deg, and nothing bends by more than 1.25 times what is planned
 BETTER = 5.0  # times: a placement or a sensor that much better
 GAIN_SD = 0.01  # after a calibration with a weight
 SYNCHRONISED = 0.005  # s
@@ -84,7 +85,8 @@ def _tags(setup: Setup) -> Iterator[Thought]:
 
 def _pushes(setup: Setup) -> Iterator[Thought]:
     """The first push made otherwise, and one more push."""
-    bench, first = instruments(setup), setup.pushes[0]
+    first = setup.pushes[0]
+    bench = replace(instruments(setup), curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
     side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
     for reach in reaches(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
@@ -97,6 +99,15 @@ def _pushes(setup: Setup) -> Iterator[Thought]:
             except RecordingError:
                 continue  # the setup itself would be refused
     yield "second push", "the same push once more", replace(setup, pushes=(*setup.pushes, first))
+
+
+def sharpest(setup: Setup) -> float:
+    """rad: the largest |q - q0| of the pushes that are planned."""
+    bench, bent = instruments(setup), []
+    for push in setup.pushes:
+        solved = solve_push(setup.beam, bench, even_push(push))
+        bent.append(float(np.max(np.abs(solved.q - solved.problem.q0))))
+    return max(bent)
 
 
 def _instruments(setup: Setup) -> Iterator[Thought]:

@@ -75,7 +75,9 @@ class Rehearsal:
                 "rho": p.rho,
                 "band": vars(p.quality),
             },
-            "obtained": None if o is None else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
+            "obtained": None
+            if o is None
+            else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
             "doubts": [vars(one) for one in self.doubts],
             "advice": [one.as_dict() for one in self.advice],
         }
