@@ -131,25 +131,27 @@ def told_by(setup: Setup, bench: Bench, seen: tuple[Seen, ...]) -> Array:
 
 def _outcome(setup: Setup, bench: Bench, told: Array) -> Predicted:
     k = np.asarray(setup.beam.stiffness(PLACES))
-    fine = np.linspace(0.0, 1.0, 401)
-    truth = np.linalg.lstsq(SPLINE.basis(fine), np.log(np.asarray(setup.beam.stiffness(fine))), rcond=None)[0]
-    away = float(np.mean(np.log(k))) - truth
+    away = _away(k)
     return _with_scales(k, away, told, bench.gain_sd, *likely_scales(told, away))
 
 
 def outcome_with(now: Predicted, bench: Bench, told: Array) -> Predicted:
     """The same beam with other information; the prior's sizes are kept, so that only the data differ."""
-    fine = np.asarray(np.log(now.k))
-    away = float(np.mean(fine)) - np.linalg.lstsq(BASIS, fine, rcond=None)[0]
-    return _with_scales(now.k, away, told, bench.gain_sd, now.tau, now.rho)
+    return _with_scales(now.k, _away(now.k), told, bench.gain_sd, now.tau, now.rho)
+
+
+def _away(k: Array) -> Array:
+    """(p,) coefficients of the prior's mean, an even k, less those of `k` (101,)."""
+    log_k = np.log(k)
+    return np.asarray(float(np.mean(log_k)) - np.linalg.lstsq(BASIS, log_k, rcond=None)[0])
 
 
 def _with_scales(k: Array, away: Array, told: Array, gain_sd: float, tau: float, rho: float) -> Predicted:
     prior = SPLINE.precision(tau, rho)
-    left = np.linalg.inv(told + prior)
+    left = np.asarray(np.linalg.inv(told + prior))
     own = _along(left)
     sd = np.hypot(own, gain_sd)
-    scatter = np.hypot(_along(left @ told @ left), gain_sd)
+    scatter = np.hypot(_along(np.asarray(left @ told @ left)), gain_sd)
     pull = np.asarray(BASIS @ left @ prior @ away)
     return Predicted(k, sd, own, scatter, pull, tau, rho, quality_of(sd, own))
 

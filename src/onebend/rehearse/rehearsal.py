@@ -117,7 +117,7 @@ def obtained_of(runs: tuple[Run, ...]) -> Obtained | None:
     failures = [one.failure for one in runs if one.failure]
     if not len(error):
         return None
-    inside = np.abs(error) <= LEVEL_SD * sd
+    inside = np.asarray(np.abs(error) <= LEVEL_SD * sd)
     covered, doubt = _share(np.sum(inside & known, axis=1), np.sum(known, axis=1))
     return Obtained(
         runs=len(error),

@@ -23,7 +23,7 @@ from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.proposals import PLACES
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, track
-from onebend.records import Array, Observations
+from onebend.records import Array, BoolArray, Observations
 from onebend.rehearse.instruments import FUNCTIONS, MOST_FRAMES
 from onebend.rehearse.setup import Setup
 
@@ -171,7 +171,7 @@ def _deaf() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def errors_of(runs: Iterable[Run]) -> tuple[Array, Array, Array]:
+def errors_of(runs: Iterable[Run]) -> tuple[Array, Array, BoolArray]:
     """(R, 101) of the runs that came out: error and sd of log k, and where k was identified."""
     good = [one for one in runs if not one.failure]
     shape = (len(good), len(PLACES))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan
 from pathlib import Path
 
@@ -40,7 +40,7 @@ class Setup:
     pushes: tuple[Push, ...]
     tags: tuple[float, ...] = THIRDS
     sensor: ForceSensor = FRANKA
-    noise: TagNoise = TagNoise()
+    noise: TagNoise = field(default_factory=TagNoise)
     fps: float = 30.0
     placement_sd: float = 5e-4  # m, a tag's place along and across
     turn_sd: float = Priors().mounting  # rad, a tag's turn on the beam
@@ -63,16 +63,7 @@ class Setup:
 
 def check(setup: Setup) -> None:
     """Raises `RecordingError` where a setup makes no sense, with what to change."""
-    tags = setup.tags
-    if not tags:
-        raise RecordingError("a rehearsal needs at least one tag on the beam. Give --tags, such as 0.33,0.67,1")
-    for s in tags:
-        if not 0.0 < s <= 1.0:
-            where = "beyond the tip (s = 1)" if s > 1.0 else "not on the beam: s = 0 is the clamp"
-            raise RecordingError(f"a tag at s = {s:g} is {where}. Give places in (0, 1]")
-    for one, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
-        if other - one < NEAREST_TAGS:
-            raise RecordingError(f"tags at s = {one:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
+    _check_tags(setup.tags)
     if not setup.pushes:
         raise RecordingError("a rehearsal needs at least one push")
     for push in setup.pushes:
@@ -84,12 +75,24 @@ def check(setup: Setup) -> None:
         raise RecordingError("the frame rate, and the clock's sd where it is given, must be above zero")
 
 
+def _check_tags(tags: tuple[float, ...]) -> None:
+    if not tags:
+        raise RecordingError("a rehearsal needs at least one tag on the beam. Give --tags, such as 0.33,0.67,1")
+    for s in tags:
+        if not 0.0 < s <= 1.0:
+            where = "beyond the tip (s = 1)" if s > 1.0 else "not on the beam: s = 0 is the clamp"
+            raise RecordingError(f"a tag at s = {s:g} is {where}. Give places in (0, 1]")
+    for one, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
+        if other - one < NEAREST_TAGS:
+            raise RecordingError(f"tags at s = {one:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
+
+
 def _check_push(setup: Setup, push: Push) -> None:
     first = min(setup.tags)
     if push.at_s < first - 1e-6:
         raise RecordingError(
-            f"a push at s = {push.at_s:g} is before the first tag (s = {first:.3g}): nothing would be seen between clamp "
-            "and push. Push farther out, or put a tag nearer to the clamp"
+            f"a push at s = {push.at_s:g} is before the first tag (s = {first:.3g}): nothing would be seen between "
+            "clamp and push. Push farther out, or put a tag nearer to the clamp"
         )
     if not (isfinite(push.peak) and push.peak > 0.0):
         raise RecordingError(f"a push needs a force above zero, got {push.peak} N")
