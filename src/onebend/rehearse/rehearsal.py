@@ -17,7 +17,7 @@ from onebend.records import Array
 from onebend.rehearse.advice import Change, advise
 from onebend.rehearse.prediction import Doubt, Predicted, doubts, predict, ranges
 from onebend.rehearse.runs import Run, errors_of, simulate
-from onebend.rehearse.setup import Setup
+from onebend.rehearse.setup import Setup, check_bending
 
 LEVEL_SD = 1.959964  # half the 95 % band
 MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
@@ -100,10 +100,11 @@ def rehearse(
 
     Raises:
         LearningError: a number of runs or processes that cannot be.
-        MechanicsError: the beam buckles or snaps through under a push.
+        MechanicsError: the beam buckles or snaps through under a push, hardly bends, or bends too far.
     """
     if runs < 0 or jobs < 1 or seed < 0:
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
+    check_bending(setup)
     predicted = predict(setup)
     costs = doubts(setup)
     changes = advise(setup, predicted, count=count, progress=progress)

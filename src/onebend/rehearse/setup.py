@@ -28,6 +28,7 @@ THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 CORNER_SD = 0.1  # px, of a tag's corner: the centre is good to half of it
 TAG_SHARE = 0.08  # of the length: a tag's side
 NEAREST_TAGS = 0.02  # in s: nearer tags would overlap
+LEAST_TURN_DEG, MOST_TURN_DEG = 3.0, 150.0  # of the pushed place
 FEWEST_FRAMES = 20  # of a push
 
 
@@ -163,6 +164,22 @@ def setup_of(
         if push.peak < 1e-9:
             raise MechanicsError(f"the beam buckles under any push at s = {push.at_s:g} in this direction")
     return replace(setup, noise=tag_noise(camera, setup))
+
+
+def check_bending(setup: Setup) -> None:
+    """Raises `MechanicsError` where a push does not bend the beam, or bends it beyond what a tool can follow."""
+    rest = Bench(setup.beam, setup.pushes[0], tags=(LabTag(0, 1.0),))
+    for push in setup.pushes:
+        bench = replace(rest, push=push, tags=(LabTag(0, push.at_s),))
+        angle = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))[:, 0, 2]
+        turn = float(np.rad2deg(np.max(np.abs(angle - angle[0]))))
+        what = f"{push.peak:.3g} N at s = {push.at_s:g} would turn the beam there by"
+        if turn < LEAST_TURN_DEG:
+            raise MechanicsError(
+                f"{what} only {turn:.2g} deg, from which nothing is learned. Push harder, or across the beam"
+            )
+        if turn > MOST_TURN_DEG:
+            raise MechanicsError(f"{what} {turn:.0f} deg, which no tool can follow. Give a smaller force")
 
 
 def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
