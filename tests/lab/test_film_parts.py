@@ -90,7 +90,7 @@ def test_a_camera_stands_as_near_as_shows_everything(camera: Camera) -> None:
 def test_a_camera_that_cannot_be_is_refused() -> None:
     for wrong in ({"width": 641}, {"focal": 0.0}, {"distance": 0.01}, {"tilt": (1.2, 0.0)}):
         with pytest.raises(RecordingError):
-            Camera(**wrong)  # type: ignore[arg-type]
+            Camera(**wrong)
 
 
 def test_a_tag_of_polygons_is_found_where_it_was_put() -> None:

@@ -11,17 +11,22 @@ from typing import Annotated
 import typer
 
 from onebend.cli.common import BY
+from onebend.cli.control import reach
 from onebend.cli.exporting import export_command
 from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
 from onebend.cli.rehearsing import rehearse
+from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
+    "reach": reach,
+    "shape": shape,
+    "path": path,
     "new": new,
     "check": check,
     "show": show,

@@ -22,7 +22,8 @@ from onebend.learning.score import Score, linear, pulls, scores
 from onebend.learning.search import Optimum
 from onebend.records import Array
 
-ALARM = -4.0  # log10 p of one test of about 45; a test that goes beyond must also matter for k(s) to count
+# log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
+ALARM = -5.0
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
 _SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
 _MOST = 3  # causes and symptoms that are named

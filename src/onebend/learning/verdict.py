@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.learning.criticism_words import criticism_remarks
-from onebend.learning.parameters import Priors
+from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
@@ -62,7 +62,7 @@ def _search(posterior: Posterior) -> list[Remark]:
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:
-    usual = Priors().clamp
+    usual = max(clamp_sd(film.observations, Priors()) for film in posterior.films)
     sd = max((float(b.prior_sd[0]) for b in posterior.at.blocks if b.name == "clamp"), default=usual)
     if sd <= 1.001 * usual:
         return []
