@@ -54,8 +54,7 @@ def test_more_information_never_widens_the_band() -> None:
 
 def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
     twice = replace(WRIST, pushes=WRIST.pushes * 2)
-    tags = {"placement_sd": 1e-12, "turn_sd": 1e-9}
-    one, two = (replace(instruments(s), **tags, origin_sd=1e-12) for s in (WRIST, twice))
+    one, two = (replace(instruments(s), placement_sd=1e-12, turn_sd=1e-9, origin_sd=1e-12) for s in (WRIST, twice))
     single = told_by(WRIST, one, derivatives(WRIST, one))
     double = told_by(twice, two, derivatives(twice, two))
     assert double == pytest.approx(2.0 * single, rel=1e-4, abs=1e-6 * np.max(single))
@@ -165,7 +164,7 @@ def test_command_line() -> None:
     told = CliRunner().invoke(app, asked)
     assert told.exit_code == 0
     assert "What to change" in told.stdout
-    out = CliRunner().invoke(app, [*asked, *twice, "--json"])
+    out = CliRunner().invoke(app, [*asked, *twice, "--json", "--count", "0"])
     assert [p["at_s"] for p in json.loads(out.stdout)["setup"]["pushes"]] == [1.0, 0.7]
     for wrong, says in ((["--tags", "a,b"], "write places"), ([*twice, *["--force-N", "1"] * 3], "once a push")):
         refused = CliRunner().invoke(app, [*asked, *wrong])

@@ -56,6 +56,8 @@ def advise(setup: Setup, now: Predicted, *, count: int = 8, progress: Progress =
     Raises:
         MechanicsError: the setup's own push has no stable equilibrium.
     """
+    if count < 1:
+        return ()
     thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]
     found = []
     for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):

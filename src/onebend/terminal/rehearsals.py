@@ -38,7 +38,7 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     if rehearsal.advice:
         console.print(advice_table(rehearsal))
     else:
-        console.print("Nothing that was thought of would make the band narrower by more than 1 %.")
+        console.print("No change to name.")
 
 
 def errors_table(rehearsal: Rehearsal) -> Table:
