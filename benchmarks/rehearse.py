@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import nan
 
@@ -54,17 +55,16 @@ def _cells(values: Array, digits: int = 3) -> str:
     return " / ".join(f"{v:.{digits}f}" for v in values)
 
 
-def study(case: Case, runs: int, jobs: int) -> list[str]:
+def study(case: Case, runs: int, jobs: int) -> Iterator[str]:
     """The case as it is, and with its first advice followed."""
-    setup, out = case.setup, []
+    setup = case.setup
     now = predict(setup)
     first = advise(setup, now, count=1)
     asked = [(f"{case.design}, {case.sensor}", setup, now)]
     asked += [(f"- {one.text}", one.setup, predict(one.setup)) for one in first]
     for name, one, predicted in asked:
         obtained = obtained_of(simulate(one, range(runs), jobs=jobs))
-        out.append(f"| {name} | no fit came out |" if obtained is None else row(name, predicted, obtained))
-    return out
+        yield f"| {name} | no fit came out |" if obtained is None else row(name, predicted, obtained)
 
 
 def main() -> None:
@@ -80,7 +80,8 @@ def main() -> None:
     )
     print("| in the 95 % band [%] |\n| --- | --- | --- | --- | --- | --- | --- |")
     for i in np.asarray(list(asked.cases)):
-        print("\n".join(study(CASES[int(i)], asked.runs, asked.jobs)), flush=True)
+        for line in study(CASES[int(i)], asked.runs, asked.jobs):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":
