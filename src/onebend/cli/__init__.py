@@ -12,7 +12,7 @@ import typer
 
 from onebend.cli.common import BY
 from onebend.cli.control import reach
-from onebend.cli.exporting import export_command
+from onebend.cli.exporting import export_command, rerun_command
 from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
@@ -31,6 +31,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "show": show,
     "export": export_command,
+    "rerun": rerun_command,
     "design": design,
     "mould": mould,
     "tags": tags,
