@@ -18,6 +18,7 @@ from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.rehearsing import rehearse
 from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -37,6 +38,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "mould": mould,
     "tags": tags,
     "film": film,
+    "rehearse": rehearse,
 }
 
 app = typer.Typer(
