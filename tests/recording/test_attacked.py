@@ -37,7 +37,7 @@ def test_rows_without_numbers_are_left_out_and_counted(tmp_path: Path) -> None:
     left = np.delete(np.arange(40), [6, 8, 10, 39])
     assert np.allclose(log.time, 0.1 * left)
     assert np.allclose(log.force[:, 0], 0.01 * left)
-    assert [(one.level, one.text[:8]) for one in log.remarks] == [("note", "4 of 40 ")]
+    assert ("note", "4 of 40 ") in [(one.level, one.text[:8]) for one in log.remarks]
 
 
 @pytest.mark.parametrize("dead", ["fx_N", "fy_N"])
@@ -109,7 +109,7 @@ def test_a_short_film_from_the_middle_of_the_push_is_not_drawn_to_the_quiet(push
 
 def test_milliseconds_are_named(pushed: Virtual) -> None:
     log = replace(pushed.log, time=1000.0 * pushed.log.time)
-    with pytest.raises(ObservationError, match="divide those in milliseconds by 1000"):
+    with pytest.raises(ObservationError, match='for milliseconds write time_unit = "ms"'):
         observe_virtual(replace(pushed, log=log))
 
 
