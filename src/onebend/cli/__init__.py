@@ -12,6 +12,7 @@ import typer
 
 from onebend.cli.common import BY
 from onebend.cli.exporting import export_command
+from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
@@ -27,6 +28,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "design": design,
     "mould": mould,
     "tags": tags,
+    "film": film,
 }
 
 app = typer.Typer(
