@@ -27,5 +27,9 @@ class ResultsError(OnebendError):
     """Results cannot be written or read: the folder is taken, the model file is damaged or of another version."""
 
 
+class ControlError(OnebendError):
+    """What was asked of a beam cannot be done: a goal that no force reaches, a place or a bound without a meaning."""
+
+
 class ExportError(OnebendError):
     """A beam cannot be written for other software: no mass, an unknown kind of file, a setting without meaning."""

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from onebend.cli.common import BY
+from onebend.cli.control import reach
 from onebend.cli.exporting import export_command
 from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
@@ -21,6 +22,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
+    "reach": reach,
     "new": new,
     "check": check,
     "show": show,

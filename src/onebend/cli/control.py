@@ -1,0 +1,80 @@
+"""Commands that bend a learned beam."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.control.reach import ReachSettings
+from onebend.control.reach import reach as solve_reach
+from onebend.control.reachable import reachable
+from onebend.control.uncertainty import predicted_error
+from onebend.errors import ControlError
+from onebend.report.reaching import reaching
+from onebend.report.style import png_of
+from onebend.results.folder import publish
+from onebend.results.model import read_model
+from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
+from onebend.terminal.options import Json, Model, Output, Overwrite
+from onebend.terminal.reaching import (
+    Direction,
+    Goal,
+    GoalAngle,
+    MaxCurvature,
+    Moment,
+    Point,
+    PushAt,
+    ReachMaxForce,
+    ReachMethod,
+    show_reach,
+)
+
+
+def reach(
+    model: Model,
+    *,
+    goal: Goal,
+    push_at: PushAt = 1.0,
+    point: Point = 1.0,
+    goal_angle: GoalAngle = None,
+    method: ReachMethod = "newton",
+    max_force: ReachMaxForce = None,
+    max_curvature: MaxCurvature = None,
+    direction: Direction = None,
+    moment: Moment = False,
+    output: Output = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
+    with clean_errors():
+        stored = read_model(model)
+        settings = ReachSettings(
+            method=method,
+            max_force=max_force,
+            max_curvature=max_curvature,
+            direction=None if direction is None else math.radians(direction),
+            moment=moment,
+        )
+        wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
+        found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
+        if not found.converged:
+            raise ControlError(found.reason)
+        error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
+        summary = reach_summary(str(model), found, error, written_by=BY)
+        if output is not None:
+            within = None
+            if max_force is not None:
+                within = reachable(
+                    stored.beam, push_s=push_at, point_s=point, max_force=max_force, max_curvature=max_curvature
+                )
+            with workplace(output, REACH_FORMAT, overwrite) as place:
+                picture = png_of(reaching(found, error, within))
+                publish(place, reach_writer(found, picture, summary))
+    if as_json:
+        print_json(summary if output is None else {**summary, "output": str(output)})
+    else:
+        show_reach(Console(), found, error, output)

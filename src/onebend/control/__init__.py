@@ -1,0 +1,1 @@
+"""Forces that bend a beam where it is wanted."""

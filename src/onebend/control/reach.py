@@ -1,0 +1,213 @@
+"""The force that puts a point of a beam on a goal: (23)-(25), exactly or by the paper's own iteration.
+
+`method="newton"`: Newton's method on shape and force together (`reach_newton.py`) from a start near the goal
+(`reach_start.py`). What it finds counts only if it is stable and if the beam comes there from rest: while the force
+grows in proportion, or else while the goal is led there from a sampled equilibrium (`reach_search.py`).
+`method="paper"`: Algorithm 1 to the letter (`reach_paper.py`), its force put on the exact beam.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache, partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.continuation import refine
+from onebend.beam.loads import Loads, push, twist, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, pose
+from onebend.beam.statics import Equilibrium
+from onebend.control.reach_newton import PushedBeam, Trail, trace
+from onebend.control.reach_paper import paper_force
+from onebend.control.reach_search import Found, from_rest, resolved, sampled, search
+from onebend.control.reach_settings import ReachSettings, checked_goal
+from onebend.control.reachable import Nearest, ReachableSet
+from onebend.errors import ControlError
+from onebend.records import Array
+
+__all__ = ["Reach", "ReachSettings", "reach"]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """A force for a goal, or why there is none; then force and shape are those of the nearest point that was found."""
+
+    beam: Beam
+    push_s: float
+    point_s: float
+    goal: Array  # (2,) m, or (3,) m, m, rad
+    settings: ReachSettings
+    force: Array  # (2,) N
+    moment: float  # N m
+    reached: Array  # (3,) m, m, rad: the point and the tangent's angle there
+    converged: bool  # the point is on its goal, within all bounds, and the beam comes there from rest
+    reason: str
+    iterations: int  # of Newton's method, or of Algorithm 1
+    path: Array  # (P, 3) N, N, N m: loads from rest, each an equilibrium on one branch
+    path_points: Array  # (P, 2) m: where they hold the point
+    path_shapes: tuple[Array, ...]  # P times (n,) rad: curvature at the first n nodes of `solved`, beyond as at rest
+    solved: Equilibrium  # the last shape
+    resolution: Resolution  # its nodes
+    nearest: Nearest | None  # to a goal that cannot be reached
+
+    @property
+    def error(self) -> float:
+        """m, distance of the point from its goal."""
+        return float(np.linalg.norm(self.reached[:2] - self.goal[:2]))
+
+    @property
+    def stable(self) -> bool:
+        """Whether the shape is a stable equilibrium."""
+        return bool(self.solved.stable[0])
+
+    @property
+    def loads(self) -> Loads:
+        """All that acts on the beam at last."""
+        return _loads(self.settings, np.append(self.force, self.moment), self.push_s)
+
+    def shapes(self, s: Array) -> Array:
+        """(P, S, 2) m: places `s` (S,) of the beam along the path."""
+        q = np.array([np.append(one, self.solved.problem.q0[len(one) :]) for one in self.path_shapes])
+        return replace(self.solved, q=q).xy(s)
+
+
+def reach(
+    beam: Beam,
+    goal: ArrayLike,
+    *,
+    push_s: float = 1.0,
+    point_s: float = 1.0,
+    settings: ReachSettings = ReachSettings(),
+    start: Reach | None = None,
+) -> Reach:
+    """The force at `push_s` that puts the point at `point_s` on `goal`.
+
+    Args:
+        goal: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment.
+        start: an earlier result for the same beam and places, from which the goal is led first.
+
+    Returns:
+        the result; look at `converged` and `reason`: a goal that cannot be reached is not an error.
+
+    Raises:
+        ControlError: a goal, place or bound without meaning.
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    wanted = checked_goal(goal, settings)
+    on = PushedBeam(beam, push_s, point_s, gravity=settings.gravity)
+    if settings.method == "paper":
+        return _by_paper(on, wanted, settings)
+    samples = cache(partial(sampled, on, settings))
+    begin = None if start is None else _way_of(on, start)
+    far, found = _too_far(on, wanted), None
+    if not far and settings.direction is None:
+        found = search(on, wanted, settings, begin, samples)
+        if found is not None and not found.wrong:
+            return _result(resolved(found, wanted, settings), wanted, settings, "")
+    return _unreached(on, wanted, settings, far or (found.wrong if found else ""), samples())
+
+
+def _way_of(on: PushedBeam, start: Reach) -> Trail:
+    """The way to where an earlier result stands."""
+    if (start.push_s, start.point_s) != (on.push_s, on.point_s) or start.beam != on.beam:
+        raise ControlError("`start` is a result for another beam or other places; leave it out")
+    states = [on.start]
+    for load in start.path[1:]:
+        step = trace(on, load, start=states[-1])
+        if not step.arrived:
+            return Trail(tuple(states), (0.0,), False)
+        states.append(step.states[-1])
+    return Trail(tuple(states), (1.0,), True)
+
+
+def _too_far(on: PushedBeam, goal: Array) -> str:
+    """Why no shape whatever brings the point to the goal; empty where that is not so plain."""
+    arm, away = float(on.problem.length) * on.point_s, float(np.hypot(*goal[:2]))
+    if away >= arm:
+        return f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
+    return ""
+
+
+def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
+    """The nearest point to a goal that was not found; where that lies within the tolerance, the goal is reached."""
+    nearest = samples.nearest(goal[:2])
+    last = nearest.states[-1]
+    trail = from_rest(on, last, widest=1.0 / settings.steps)
+    states = nearest.states if trail is None else trail.states
+    there = not known and nearest.distance <= settings.tolerance and len(goal) == 2
+    why = "" if there else _why(on, goal, settings, known, nearest)
+    return _result(Found(on, states, len(states) - 1), goal, settings, why, None if there else nearest)
+
+
+def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: Nearest) -> str:
+    """One sentence on what stands in the way, one on what can be had instead."""
+    if not known:
+        way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
+        most = "" if settings.max_force is None else f" of up to {settings.max_force:.3g} N"
+        bent = "" if settings.max_curvature is None else f" within {settings.max_curvature:.3g} 1/m"
+        known = f"no force{most}{way} has a stable shape{bent} there to which the beam comes from rest"
+    by = "a force and a moment" if settings.moment else "a force"
+    at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
+    return (
+        f"the point s = {on.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm by {by} at "
+        f"s = {on.push_s:.4g}: {known}. The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, "
+        f"{1e3 * nearest.distance:.3g} mm away; it needs {nearest.size:.3g} N at {turn:.4g} deg"
+    )
+
+
+def _result(found: Found, goal: Array, settings: ReachSettings, why: str, nearest: Nearest | None = None) -> Reach:
+    """The record, from a second solution at the fixed load by the beam's own statics; `why` not, or empty."""
+    on, last = found.on, found.states[-1]
+    solved = refine(pose(on.beam, _loads(settings, last.load, on.push_s), on.resolution), on.whole(last.q)[None])
+    at = np.array([on.point_s])
+    reached = np.append(solved.xy(at)[0, 0], solved.angle(at)[0, 0])
+    allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance
+    close = np.linalg.norm(reached[:2] - goal[:2]) <= allowed
+    if not why and not (close and solved.stable[0]):
+        why = "the force was found, but the shape under it is not stable or not there when it is solved again"
+    return Reach(
+        beam=on.beam,
+        push_s=on.push_s,
+        point_s=on.point_s,
+        goal=goal,
+        settings=settings,
+        force=last.load[:2].copy(),
+        moment=float(last.load[2]),
+        reached=reached,
+        converged=not why,
+        reason=why or "reached",
+        iterations=found.iterations,
+        path=np.array([one.load for one in found.states]),
+        path_points=np.array([on.pose(one.q)[:2] for one in found.states]),
+        path_shapes=tuple(one.q for one in found.states),
+        solved=solved,
+        resolution=on.resolution,
+        nearest=nearest,
+    )
+
+
+def _loads(settings: ReachSettings, load: Array, push_s: float) -> Loads:
+    return weight(settings.gravity) + push(load[:2], push_s) + twist(load[2], push_s)
+
+
+def _by_paper(on: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
+    """Algorithm 1, and what its force does to the exact beam."""
+    found = paper_force(on.beam, goal, on.push_s, on.point_s, settings.paper)
+    trail = trace(on, np.append(found.force, 0.0), widest=1.0 / settings.steps)
+    last = trail.states[-1]
+    if not found.converged:
+        why = f"the paper's iteration did not settle within {found.iterations} turns"
+    elif not trail.arrived:
+        why = "the paper's iteration ends at a force under which the exact beam has no stable shape on its branch"
+    else:
+        off = float(np.linalg.norm(on.pose(last.q)[:2] - goal))
+        near = off <= 2.0 * settings.paper.tolerance
+        why = (
+            ""
+            if near
+            else f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
+        )
+    return _result(Found(on, trail.states, found.iterations), goal, settings, why)

@@ -1,0 +1,121 @@
+"""Ways to an equilibrium with the point on its goal, the quickest first; each is one that the beam takes from rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.problem import Resolution
+from onebend.control.reach_newton import PushedBeam, State, Trail, lead, solve_goal, trace
+from onebend.control.reach_settings import ReachSettings, broken_bound
+from onebend.control.reach_start import Starts, starts_of
+from onebend.control.reachable import ReachableSet, reachable
+from onebend.records import Array
+
+_CANDIDATES = 8  # starts that are tried
+_SAMPLES = 5  # sampled equilibria that the goal is led from
+_SAME = 1e-6  # rad: shapes nearer than this are one
+_UNBOUNDED = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
+_FINER = 3  # halvings of the panels that are tried
+
+
+@dataclass(frozen=True)
+class Found:
+    """Equilibria from rest to the last, which has the point on its goal."""
+
+    on: PushedBeam
+    states: tuple[State, ...]
+    iterations: int
+    wrong: str = ""  # the bound it breaks
+
+
+def search(
+    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
+) -> Found | None:
+    """An equilibrium on the goal that the beam comes to from rest; one out of bounds where there is no other."""
+    spare = None
+    for found in _tries(on, goal, settings, begin, samples):
+        wrong = broken_bound(on, found.states[-1], settings)
+        if not wrong:
+            return found
+        spare = spare or replace(found, wrong=wrong)
+    return spare
+
+
+def solutions(on: PushedBeam, starts: Starts, goal: Array, loads: int) -> Iterator[tuple[State, int]]:
+    """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
+    iterations = 0
+    for first in (True, False):
+        for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
+            found = solve_goal(on, begin, goal, loads)
+            iterations += found.iterations
+            if found.converged and on.stable(found.state):
+                yield found.state, iterations
+
+
+def from_rest(on: PushedBeam, found: State, *, widest: float = 1.0) -> Trail | None:
+    """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
+    trail = trace(on, found.load, widest=widest)
+    same = trail.arrived and float(np.max(np.abs(on.b @ (trail.states[-1].q - found.q)))) < _SAME
+    return trail if same else None
+
+
+def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
+    """What can be reached at all within the settings, sampled coarsely."""
+    return reachable(
+        on.beam,
+        push_s=on.push_s,
+        point_s=on.point_s,
+        max_force=settings.max_force or _UNBOUNDED * on.force_scale,
+        max_curvature=settings.max_curvature,
+        direction=settings.direction,
+        directions=36,
+        sizes=8,
+        gravity=settings.gravity,
+    )
+
+
+def _tries(
+    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
+) -> Iterator[Found]:
+    widest = 1.0 / settings.steps
+    if begin is not None:
+        yield from _led(on, begin, goal, settings.loads)
+    for state, count in solutions(on, starts_of(on), goal, settings.loads):
+        trail = from_rest(on, state, widest=widest)
+        if trail is not None:
+            yield Found(on, trail.states, count)
+    for near in samples().samples_near(goal[:2], _SAMPLES):
+        yield from _led(on, trace(on, near.load, widest=widest), goal, settings.loads)
+
+
+def _led(on: PushedBeam, trail: Trail, goal: Array, loads: int) -> Iterator[Found]:
+    """The goal led on from the end of a way; its place first, then its angle."""
+    if not trail.arrived:
+        return
+    states, arrived = trail.states, True
+    for wanted, count in ((goal[:2], 2), (goal, 3))[: loads - 1]:
+        led = lead(on, states[-1], wanted, count)
+        states, arrived = (*states, *led.states[1:]), arrived and led.arrived
+    if arrived:
+        yield Found(on, states, len(states) - 1)
+
+
+def resolved(found: Found, goal: Array, settings: ReachSettings) -> Found:
+    """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance."""
+    on, resolution = found.on, Resolution()
+    for _ in range(_FINER):
+        resolution = resolution.finer()
+        finer = PushedBeam(on.beam, on.push_s, on.point_s, gravity=settings.gravity, resolution=resolution)
+        rows = on.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
+        last = found.states[-1]
+        there = trace(finer, last.load, start=State(rows @ on.whole(last.q), last.load)).states[-1]
+        exact = solve_goal(finer, there, goal, settings.loads, trust=0.1)
+        moved = np.linalg.norm(finer.pose(there.q)[:2] - on.pose(last.q)[:2])
+        if moved < 0.1 * settings.tolerance or not (exact.converged and finer.stable(exact.state)):
+            break
+        states = tuple(State(rows @ on.whole(one.q), one.load) for one in found.states[:-1])
+        found, on = replace(found, on=finer, states=(*states, exact.state)), finer
+    return found

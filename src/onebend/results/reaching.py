@@ -1,0 +1,77 @@
+"""What `onebend reach` leaves in a folder: the path of forces, the picture, and a summary."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.control.reach import Reach
+from onebend.control.uncertainty import PredictedError
+from onebend.results.folder import files_in
+from onebend.results.summary import write_summary
+
+REACH_FORMAT = "onebend-reach-1"
+PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
+SURE = 0.95  # of the ellipse
+
+
+def reach_summary(model: str, found: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
+    """What `onebend reach --json` prints and `summary.json` holds (there with `files`); SI and radians."""
+    nearest = found.nearest
+    return {
+        "format": REACH_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "method": found.settings.method,
+        "push_s": found.push_s,
+        "point_s": found.point_s,
+        "goal_m": found.goal[:2].tolist(),
+        "goal_angle_rad": float(found.goal[2]) if len(found.goal) == 3 else None,
+        "converged": found.converged,
+        "reason": found.reason,
+        "force_N": found.force.tolist(),
+        "force_size_N": float(np.hypot(*found.force)),
+        "moment_N_m": found.moment,
+        "reached_m": found.reached[:2].tolist(),
+        "reached_angle_rad": float(found.reached[2]),
+        "error_m": found.error,
+        "stable": found.stable,
+        "iterations": found.iterations,
+        "nearest": None if nearest is None else {
+            "point_m": nearest.point.tolist(),
+            "force_N": nearest.force.tolist(),
+            "distance_m": nearest.distance,
+        },
+        "predicted_error": None if error is None else {
+            "mean_m": error.mean.tolist(),
+            "share_lost": error.lost,
+            "covariance_m2": error.covariance.tolist(),
+            "ellipse_level": SURE,
+            "ellipse_semi_axes_m": error.ellipse(SURE).semi_axes.tolist(),
+            "ellipse_angle_rad": error.ellipse(SURE).angle,
+        },
+    }  # fmt: skip
+
+
+def write_path(path: Path, found: Reach) -> None:
+    """One row a step from rest: the load, and where it holds the point; each an equilibrium on one branch."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(PATH_COLUMNS)
+        for step, (load, point) in enumerate(zip(found.path, found.path_points, strict=True)):
+            writer.writerow([step, *(f"{value:.9g}" for value in (*load, *point))])
+
+
+def reach_writer(found: Reach, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder."""
+
+    def write(folder: Path) -> None:
+        write_path(folder / "path.csv", found)
+        (folder / "reach.png").write_bytes(picture)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write

@@ -1,0 +1,71 @@
+"""What `onebend reach` takes and says."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from onebend.control.reach import Reach
+from onebend.control.uncertainty import PredictedError
+from onebend.report.wording import significant
+
+SURE = 0.95
+
+PushAt = Annotated[float, typer.Option("--push-at", metavar="S", help="Where the force acts: s in (0, 1], 1 the tip.")]
+Point = Annotated[float, typer.Option("--point", metavar="S", help="The point that is led to the goal: s in (0, 1].")]
+Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
+GoalAngle = Annotated[
+    float | None,
+    typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
+]
+ReachMethod = Annotated[
+    Literal["newton", "paper"],
+    typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
+]
+ReachMaxForce = Annotated[
+    float | None, typer.Option("--max-force-N", metavar="N", help="No larger force; default: no bound.")
+]
+MaxCurvature = Annotated[
+    float | None,
+    typer.Option("--max-curvature-per-m", metavar="1/M", help="The beam bends no more than this from rest."),
+]
+Direction = Annotated[
+    float | None,
+    typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
+]
+Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
+
+
+def show_reach(console: Console, found: Reach, error: PredictedError | None, output: Path | None) -> None:
+    """The force, the point and how sure it is."""
+    turn = math.degrees(math.atan2(found.force[1], found.force[0]))
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    size = significant(float(np.hypot(*found.force)))
+    table.add_row(
+        f"force at s = {found.push_s:.3g}",
+        f"[bold]{size} N[/] at {turn:.1f} deg: ({found.force[0]:.4g}, {found.force[1]:.4g}) N",
+    )
+    if found.settings.moment:
+        table.add_row("moment there", f"[bold]{found.moment:.4g} N m[/]")
+    x, y = 1e3 * found.reached[:2]
+    angle = math.degrees(found.reached[2])
+    table.add_row(f"point s = {found.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
+    table.add_row("from the goal", f"{1e3 * found.error:.2g} mm in the model, after {found.iterations} iterations")
+    table.add_row("sure to within", _sureness(error))
+    table.add_row("way there", f"{len(found.path) - 1} steps from rest, each a stable equilibrium on one branch")
+    console.print(table, highlight=False)
+    if output is not None:
+        console.print(f"\nWrote {output}: path.csv, reach.png, summary.json", highlight=False, markup=False)
+
+
+def _sureness(error: PredictedError | None) -> str:
+    if error is None:
+        return "not known: the model has no band on k(s)"
+    long, short = 1e3 * error.ellipse(SURE).semi_axes
+    return f"{significant(long, 2)} x {significant(short, 2)} mm ({100 * SURE:.0f} % ellipse, from the band on k(s))"
