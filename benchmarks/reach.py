@@ -25,9 +25,10 @@ from onebend.control.reach import ReachSettings, reach
 from onebend.control.reach_paper import paper_force
 from onebend.control.reach_warm import WarmReach
 from onebend.errors import ControlError
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 
 RIGHT = 1e-6  # m
+FINE = Resolution(16, 1.0 / 16.0)  # forces without a bound can be a thousand times k / L
 EACH = 25  # goals on a beam
 WALK = 400  # goals in a row, half a millimetre apart
 
@@ -82,7 +83,7 @@ def paper(beams: int, *, seed: int, within: float) -> Tally:
     return tally
 
 
-def _judge(tally: Tally, one: Goals, force: Array, claimed: Array, within: float = RIGHT) -> None:
+def _judge(tally: Tally, one: Goals, force: Array, claimed: BoolArray, within: float = RIGHT) -> None:
     there, stands = places_under(one.beam, force, one.push_s, one.point_s)
     right = claimed & stands & (np.linalg.norm(there - one.goals, axis=1) <= within)
     tally.right += int(np.sum(right))
@@ -107,10 +108,10 @@ def anywhere(beams: int, *, seed: int) -> tuple[Tally, int]:
         found = reach(one.beam, goal, push_s=one.push_s, point_s=one.point_s, settings=ReachSettings(max_force=bound))
         tally.seconds.append(time.perf_counter() - began)
         if found.converged:
-            there, stands = places_under(one.beam, found.force[None], one.push_s, one.point_s)
-            good = stands[0] and np.linalg.norm(there[0] - goal) < RIGHT
-            good = good and (bound is None or np.hypot(*found.force) <= bound * (1.0 + 1e-9))
-            tally.right, tally.wrong = tally.right + good, tally.wrong + (not good)
+            there, stands = places_under(one.beam, found.force[None], one.push_s, one.point_s, FINE)
+            good = bool(stands[0]) and float(np.linalg.norm(there[0] - goal)) < RIGHT
+            good = good and (bound is None or float(np.hypot(*found.force)) <= bound * (1.0 + 1e-9))
+            tally.right, tally.wrong = tally.right + int(good), tally.wrong + int(not good)
             continue
         tally.refused += 1
         sizes = largest * np.sqrt(rng.uniform(size=1000))

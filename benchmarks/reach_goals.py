@@ -12,7 +12,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
 from onebend.beam.stiffness import LogSpline, Powers, Profile, Uniform
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 
 RESOLUTION = Resolution(16)
 LARGEST = 25.0  # times k / (L s_a^2): of the forces
@@ -73,10 +73,12 @@ def _reached(beam: Beam, push_s: float, point_s: float, count: int, rng: np.rand
     return Goals(beam, push_s, point_s, solved.xy(np.array([point_s]))[good, 0], force[good])
 
 
-def places_under(beam: Beam, force: Array, push_s: float, point_s: float) -> tuple[Array, Array]:
+def places_under(
+    beam: Beam, force: Array, push_s: float, point_s: float, resolution: Resolution = RESOLUTION
+) -> tuple[Array, BoolArray]:
     """(G, 2) m of the point under forces (G, 2), on the branch from rest, and (G,) whether it is stable there.
 
     By load continuation alone: it knows nothing of how the forces were found.
     """
-    solved = follow(pose(beam, push(force, push_s), RESOLUTION))
+    solved = follow(pose(beam, push(force, push_s), resolution))
     return solved.xy(np.array([point_s]))[:, 0], solved.converged & solved.stable

@@ -127,7 +127,8 @@ def attempt(known: Known, task: Task) -> Outcome:
 
 def many(known: Known, count: int, *, seed: int) -> list[Outcome]:
     """Tasks with random goals that the learned beam can reach, tips turned by 0.3 to 1.2 rad."""
-    rng, out = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    out: list[Outcome] = []
     while len(out) < count:
         push_s = float(rng.choice([1.0, 0.8, 0.6]))
         turn = float(rng.choice([-1.0, 1.0]) * rng.uniform(np.pi / 4, 3 * np.pi / 4))

@@ -80,6 +80,7 @@ class ForceLog:
     time: Array  # (N,) s, rising
     force: Array  # (N, 2) N
     push_s: Array | None = None  # (N,) place of the push, where the log has such a column
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,9 @@ def test_pictures_show_force_goal_and_ellipse() -> None:
     found = reach(BEAM, GOAL)
     within = reachable(BEAM, max_force=0.3, directions=24, sizes=4)
     figure = reaching(found, predicted_error(BEAM, BAND, found, draws=0), within)
-    labels = {text.get_text() for text in figure.axes[0].get_legend().get_texts()}
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    labels = {text.get_text() for text in legend.get_texts()}
     assert {"goal", "force", "at rest", "under the force", "95 % by the band on k(s)"} <= labels
     assert "on its goal" in figure.axes[0].get_title(loc="left")
     assert len(png_of(reachable_places(within))) > 10_000

@@ -176,3 +176,20 @@ def test_gravity_and_uncalibrated_cameras_are_said() -> None:
     heavy = replace(seen, gravity=seen.gravity - 9.81, view=replace(seen.view, calibrated=False))
     assert "weight acts in the plane" in assumptions(replace(made_up.findings(0), recordings=(heavy,)))[0]
     assert any("not calibrated" in text for _, text in inputs(heavy))
+
+
+def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
+    found = made_up.findings(1)
+    assert found.posterior is not None
+    clean = Links(page(found, {}, version="1")).text
+    assert "this band is not to be trusted" not in clean
+    assert "would be noticed only if" in clean
+    critic = found.posterior.criticism
+    worst = critic.findings[0]
+    score = replace(worst.score, log10_p=-30.0)
+    doubted = replace(critic, findings=(replace(worst, score=score, sds=9.0), *critic.findings[1:]))
+    wrong = replace(found, posterior=replace(found.posterior, criticism=doubted))
+    text = Links(page(wrong, {}, version="1")).text
+    assert "this band is not to be trusted" in text
+    assert "NOT TO BE TRUSTED" in text
+    assert "1 in 1e+09 or less" in text

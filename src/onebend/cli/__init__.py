@@ -17,12 +17,15 @@ from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
     "reach": reach,
+    "shape": shape,
+    "path": path,
     "new": new,
     "check": check,
     "show": show,

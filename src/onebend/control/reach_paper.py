@@ -53,10 +53,10 @@ def paper_force(
     mass = phi.T @ (weights[:, None] * phi)
     rest = np.linalg.solve(mass, phi.T @ (weights * beam.rest_curvature(grid.nodes)))
     at = places(beam.length, modes, np.array([push_s, point_s]))
-    theta, force, point = rest, np.zeros(2), np.full(2, np.nan)
+    theta, force, point = np.asarray(rest, dtype=float), np.zeros(2), np.full(2, np.nan)
     for turn in range(1, settings.most + 1):
         push = jacobians(at, theta[None], beam.clamp_angle)[0, 0]
-        theta = rest + flexible @ (push.T @ force)
+        theta = np.asarray(rest + flexible @ (push.T @ force), dtype=float)
         point = positions(at, theta[None], beam.clamp_angle)[0, 1]
         away = goal - point
         if np.linalg.norm(away) <= settings.tolerance:

@@ -68,7 +68,7 @@ def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
         on.beam,
         push_s=on.push_s,
         point_s=on.point_s,
-        max_force=settings.max_force or _UNBOUNDED * on.force_scale,
+        max_force=settings.max_force or float(_UNBOUNDED * on.force_scale),
         max_curvature=settings.max_curvature,
         direction=settings.direction,
         directions=36,

@@ -52,7 +52,7 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
     """The goal as an array (2,) or (3,). Raises `ControlError` where it has no meaning."""
     wanted = np.asarray(goal, dtype=float)
     if wanted.shape not in ((2,), (3,)) or not np.all(np.isfinite(wanted)):
-        raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {goal}")
+        raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {goal!r}")
     if len(wanted) == 3 and not settings.moment:
         raise ControlError("a force alone cannot hold a point at an angle: allow a moment, or leave the angle out")
     return wanted

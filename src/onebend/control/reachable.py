@@ -64,7 +64,7 @@ class ReachableSet:
         """
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
-            raise ControlError(f"a goal has two finite coordinates [m], got {goal}")
+            raise ControlError(f"a goal has two finite coordinates [m], got {goal!r}")
         trails = [trace(self.on, one.load) for one in self.samples_near(wanted, _STARTS)]
         ways = [(self.on.start,), *(one.states for one in trails if one.arrived)]
         return min((self._refine(way, wanted) for way in ways), key=lambda one: one.distance)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from onebend.learning.spline import Spline
+from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
 
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
@@ -19,7 +20,7 @@ class Priors:
     curvature: float = 0.15  # rad, Legendre states of q0; frozen where rest = "straight"
     mounting: float = np.deg2rad(1.5)  # rad, a tag's turn on the beam
     placement: float | None = None  # m, a tag's place along and across; None: as the recording says
-    clamp: float = 3e-3  # rad, the clamp's direction in the beam's frame
+    clamp: float = 3e-3  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
     origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
     scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
     mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
@@ -99,7 +100,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         origin = one.placement_sd if priors.origin is None else priors.origin
         scale = priors.scale if one.view is not None and not one.view.calibrated else 0.0
         wanted += [
-            ("clamp", r, "rad", priors.clamp, (f"{one.name}: clamp angle",)),
+            ("clamp", r, "rad", clamp_sd(one, priors), (f"{one.name}: clamp angle",)),
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
             ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
@@ -114,6 +115,22 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
+
+
+def clamp_sd(one: Observations, priors: Priors) -> float:
+    """rad, of the clamp's direction in the recording's frame before the data.
+
+    The frame's x axis is the line through the tags at rest: it is off by what their places are, and the fit knows those
+    from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
+    no more is known than how well a base tag is put on.
+    """
+    if priors.clamp == 0.0:
+        return 0.0
+    reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
+    if one.rest == "unknown" or not np.any(reach > 0.0):
+        return float(np.hypot(priors.clamp, MOUNTING_SD))
+    placement = one.placement_sd if priors.placement is None else priors.placement
+    return float(np.hypot(priors.clamp, 2.0 * placement / np.linalg.norm(reach)))
 
 
 def _clock_sd(one: Observations, priors: Priors) -> float:

@@ -19,6 +19,7 @@ from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.forward import Film, film
 from onebend.learning.frames import usable_frames
 from onebend.learning.gauss_newton import FilmNoise, Scales, prior
@@ -28,6 +29,7 @@ from onebend.learning.spline import Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
+_FEWEST = 5  # frames of a recording
 TAU, RHO = 8.0, 0.3  # expected roughness and steps of log k; their prior spans a factor of ten either way
 
 
@@ -63,6 +65,7 @@ class Posterior:
     optimum: Optimum
     prior_covariance: Array  # (P, P)
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
+    criticism: Criticism  # whether the model holds
 
     @property
     def mean(self) -> Array:
@@ -77,8 +80,7 @@ class Posterior:
     @property
     def stiffness(self) -> UncertainStiffness:
         """k(s) and its band; the force's declared gain widens all of it alike."""
-        where = self.at.index["stiffness", -1].where
-        return UncertainStiffness(self.at.spline.knots, self.mean[where], self.covariance[where, where], self.gain_sd)
+        return stiffness_of(self.at, self.optimum, self.gain_sd)
 
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) with its band."""
@@ -107,6 +109,12 @@ class Posterior:
             rest_curvature=_from_legendre(self.at.get(self.mean, "curvature")),
             mass_per_length=_from_legendre(uneven),
         )
+
+
+def stiffness_of(at: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
+    """k(s) and its band at an optimum."""
+    where = at.index["stiffness", -1].where
+    return UncertainStiffness(at.spline.knots, optimum.x[where], optimum.covariance[where, where], gain_sd)
 
 
 def _from_legendre(states: Array) -> Profile:
@@ -147,7 +155,8 @@ def fit(
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)
-    return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd)
+    criticism = criticise(films, at, optimum, level, stiffness_of(at, optimum, gain_sd))
+    return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd, criticism)
 
 
 def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
@@ -164,8 +173,11 @@ def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
 def _frames(o: Observations, most: int) -> BoolArray:
     """At most `most` usable frames, evenly spread."""
     usable = np.flatnonzero(usable_frames(o))
-    if len(usable) < 5:
-        raise LearningError(f"{o.name}: {len(usable)} frames have a load, a force and a tag; at least 5 are needed")
+    if len(usable) < _FEWEST:
+        raise LearningError(
+            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {_FEWEST} are needed. Push "
+            "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
+        )
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
     out = np.zeros(len(o.time), dtype=bool)
     out[chosen] = True

@@ -31,9 +31,12 @@ CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
 # One sd of their logs. Roughness and steps are known to a factor of three (from a ruler-drawn taper to a joint); the
 # coloured noise behind the filter to a factor of two in size and two and a half in correlation time (the clock search
 # takes part of the force for it); the walk, of which one push is one draw, to a factor of three.
-_SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
+SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
 _MOST = 4.0
 _CENTRE = 0.25  # share of the node in the middle
+# Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
+# below this the solver's own error (1e-8 L) would have to be fitted.
+_LEAST = 0.02
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Known:
 
     def scaled(self, start: Scales, z: Array) -> Scales:
         """Scales z (5,) sd from what was expected."""
-        logs = np.log(_chosen(self.expected)) + _SPREAD * np.clip(z, -_MOST, _MOST)
+        logs = np.log(_chosen(self.expected)) + SPREAD * np.clip(z, -_MOST, _MOST)
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Scales) -> Callable[[Array], float]:
@@ -75,7 +78,7 @@ class Known:
 
     def place(self, scales: Scales) -> Array:
         """(5,) sd of scales from what was expected."""
-        return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / _SPREAD)
+        return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / SPREAD)
 
 
 def _chosen(scales: Scales) -> Array:
@@ -138,13 +141,13 @@ def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
         explained = np.einsum("frd,fde,fre->", rows.a, doubt, rows.a, optimize=True)
         marker = (float(np.sum(across**2)) + explained) / (numbers * share)
         own = np.mean(np.sum(force**2, axis=1) + np.trace(doubt, axis1=1, axis2=2)) / 2.0
-        noise = FilmNoise(float(np.sqrt(marker)), float(np.sqrt(own)))
+        noise = FilmNoise(max(float(np.sqrt(marker)), _LEAST), float(np.sqrt(own)))
     across, force = split(rows, rows.r, noise)
-    marker = noise.marker * np.sqrt(_correlation_time(across))
-    return FilmNoise(float(marker), noise.force * float(np.sqrt(_correlation_time(force))))
+    marker = noise.marker * np.sqrt(correlation_time(across))
+    return FilmNoise(float(marker), noise.force * float(np.sqrt(correlation_time(force))))
 
 
-def _correlation_time(r: Array) -> float:
+def correlation_time(r: Array) -> float:
     """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, pooled."""
     z = r - np.mean(r, axis=0)
     spread = np.median(np.abs(z), axis=0) / 0.6745

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.learning.parameters import Priors
+from onebend.learning.criticism_words import criticism_remarks
+from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
@@ -49,7 +50,8 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
         Remark("warning", f"{_whose(posterior, name)}{text}: k(s) and its band are not to be relied on")
         for name, text in missed(posterior)
     ]
-    return (*wrong, *_search(posterior), *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+    told = criticism_remarks(posterior)
+    return (*wrong, *_search(posterior), *told, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
 
 
 def _search(posterior: Posterior) -> list[Remark]:
@@ -60,7 +62,7 @@ def _search(posterior: Posterior) -> list[Remark]:
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:
-    usual = Priors().clamp
+    usual = max(clamp_sd(film.observations, Priors()) for film in posterior.films)
     sd = max((float(b.prior_sd[0]) for b in posterior.at.blocks if b.name == "clamp"), default=usual)
     if sd <= 1.001 * usual:
         return []
@@ -72,15 +74,23 @@ def _clamp(posterior: Posterior) -> list[Remark]:
 
 
 def _nuisances(posterior: Posterior) -> list[Remark]:
-    far = [n for n in posterior.nuisances() if abs(n.value) > _FAR * n.prior_sd]
-    return [
-        Remark(
-            "warning",
-            f"{n.name} came out {abs(n.value) / n.prior_sd:.1f} times as far off as recording.toml and the priors "
-            "allow (one sd): something is not as it is written there",
-        )
-        for n in far
-    ]
+    """Those far from their priors that the tests of the model, which know what data must do to them, let pass."""
+    told = {(f.score.suspect.name, f.score.suspect.tag) for f in posterior.criticism.striking}
+    ids = posterior.films[0].observations.tag_id.tolist()
+    out = []
+    for block in posterior.at.blocks:
+        if block.start < 0 or block.name in ("stiffness", "force"):
+            continue
+        away = np.abs(posterior.mean[block.where]) / block.prior_sd
+        for i in np.flatnonzero(away > _FAR):
+            tag = ids[i] if block.name in ("along", "across", "turn") else -1
+            if (block.name, tag) not in told:
+                text = (
+                    f"{block.labels[i]} came out {away[i]:.1f} times as far off as recording.toml and the priors allow "
+                    "(one sd): something may not be as it is written there"
+                )
+                out.append(Remark("note", text))
+    return out
 
 
 def _noise(posterior: Posterior) -> list[Remark]:

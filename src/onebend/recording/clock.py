@@ -21,10 +21,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from onebend.recording.clock_rows import Rows, binned, thinned
 from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
-from onebend.recording.signals import bandwidth, outliers, step
+from onebend.recording.signals import bandwidth
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
+
+LONG = 12.0  # s: offsets of a longer range are looked through roughly first
+FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that is not looked at again
+MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
+FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
+TOO_LITTLE = "Film and log share too little force and motion to match the clocks; the written start time is used."
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
@@ -48,16 +55,6 @@ class ClockFit:
     clock: ClockOffset
     noise: ForceNoise | None
     remarks: tuple[Remark, ...] = ()
-
-
-@dataclass(frozen=True)
-class Rows:
-    """The log averaged over even bins (boxcar), outliers left out."""
-
-    time: Array  # (N,) s, mean time of each bin's rows, log's clock
-    force: Array  # (N, 2) N
-    width: float  # s
-    largest: float  # N, largest deviation from the median
 
 
 @dataclass(frozen=True)
@@ -107,16 +104,19 @@ def fit_clock(
     rate = bandwidth(markers.time, displacements(markers))
     if not np.isfinite(rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    rows = binned(log, rate, (markers.time[0] + low, markers.time[-1] + high), settings)
-    coarse = np.arange(low, high + 0.05, min(0.05, 0.25 / rate))
-    searches = [
-        coarse_search(track, rows, coarse, prior)
+    span = (markers.time[0] + low, markers.time[-1] + high)
+    most = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
+    rows = binned(log, max(8 * rate, settings.slowest), span, most)
+    ways = [
+        track
         for track in tracks(markers, push_s, settings)
         if len(rows.time) >= 10 and rows.largest > 0 and track.covered.sum() >= 10
     ]
+    coarse = likely_offsets(ways[-1], rows, low, high, rate) if ways else np.empty(0)
+    searches = [coarse_search(track, rows, coarse, prior) for track in ways]
     searches = [search for search in searches if np.isfinite(search.chance).any()]
     if not searches:
-        return ClockFit(unsettled, None, (Remark("note", "Too little force and motion to match the clocks."),))
+        return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
     best = max(searches, key=lambda search: float(search.chance.max()))
     offset, sd = refined(best, rows, coarse, prior)
     if not sd < 0.5 * spread:
@@ -176,56 +176,69 @@ def displacements(markers: Markers) -> Array:
     return np.asarray(flat - np.nanmedian(flat, axis=0)) if flat.size else np.zeros((len(markers.time), 1))
 
 
-def binned(log: ForceLog, rate: float, span: tuple[float, float], settings: ClockSettings) -> Rows:
-    """The log within `span`, averaged: eight rows per period of the fastest motion, within the settings' limits."""
-    inside = (log.time >= span[0]) & (log.time <= span[1]) & ~outliers(log.force)
-    time, force = log.time[inside], log.force[inside]
-    if len(time) < 10:
-        return Rows(np.empty(0), np.empty((0, 2)), 1.0, 0.0)
-    per_second = min(max(8 * rate, settings.slowest), settings.most_rows / (time[-1] - time[0]), 1 / step(time))
-    width = 1 / per_second
-    index = np.floor((time - time[0]) / width + 1e-6).astype(np.int64)
-    count = np.bincount(index)
-    total = np.stack([np.bincount(index, column) for column in force.T], axis=1)
-    # A bin that lost most of its rows to a dropout does not stand for its whole span.
-    good = count > 0.5 * np.median(count[count > 0])
-    mean = total[good] / count[good, None]
-    largest = float(np.abs(mean - np.median(mean, axis=0)).max())
-    # A sample stands for its own time, not for the middle of the bin that it happens to fall in.
-    return Rows(np.bincount(index, time)[good] / count[good], mean, width, largest)
+def likely_offsets(track: Track, rows: Rows, low: float, high: float, rate: float) -> Array:
+    """Offsets to try from `low` to `high` [s], dense; of a long range only those around what a first look finds."""
+    fine = np.arange(low, high + 0.05, min(0.05, 0.25 / rate))
+    if high - low < LONG:
+        return fine
+    look = np.arange(low, high, max(min(0.25, 0.25 / rate), 0.05))
+    thin = thinned(rows, FIRST_LOOK / track.duration)
+    chance = chances(track, thin, look, roughly(first_guess(thin.force, thin.width), FAR_OFF * rows.largest))
+    best = np.argsort(-chance)[:MOST_LOOKS]
+    good = look[best[chance[best] >= chance.max() - UNLIKELY]]
+    return np.asarray(fine[np.abs(fine[:, None] - good).min(axis=1) < AROUND])
+
+
+def roughly(noise: ForceNoise, size: float) -> ForceNoise:
+    """`noise` with a coloured part of at least `size` [N]: what offsets that are a little off leave unexplained."""
+    return replace(noise, coloured=max(noise.coloured, size), tau=max(noise.tau, 0.5))
 
 
 def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Search:
-    """The log posterior over all offsets, with the noise fitted at the best of them, twice.
-
-    Each offset covers other rows with film, so they are compared by what the markers add to the rows they cover: the
-    evidence with them over the evidence of a plain random walk as large as the force.
-    """
+    """The log posterior over all offsets, with the noise fitted at the best of them, twice."""
     noise = first_guess(rows.force, rows.width)
-    span = max(rows.time[-1] - rows.time[0], 1.0)
-    wander = replace(noise, walk=rows.largest / float(np.sqrt(span)))
     chance = np.full(len(offset), -np.inf)
-    plain: dict[bytes, float] = {}
-    for _ in range(2):
-        roots: dict[bytes, Array] = {}
-        for i, each in enumerate(offset):
-            design = rows.largest * track.mean(rows.time - each, rows.width)
-            use = np.isfinite(design).all(axis=(1, 2))
-            if use.sum() < max(10, 0.25 * len(rows.time)):
-                continue
-            time, force, key = rows.time[use], rows.force[use], use.tobytes()
-            if key not in plain:
-                nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
-                plain[key] = log_evidence(wander.root(time), nothing, force)
-            if key not in roots:
-                roots[key] = noise.root(time)
-            chance[i] = log_evidence(roots[key], design[use], force) - plain[key]
+    for size in (NEAR * rows.largest, 0.0):
+        chance = chances(track, rows, offset, roughly(noise, size) if size else noise)
         if not np.isfinite(chance).any():
             break
         design = rows.largest * track.mean(rows.time - offset[int(np.argmax(chance + prior(offset)))], rows.width)
         use = np.isfinite(design).all(axis=(1, 2))
         noise = fit_noise(rows.time[use], design[use], rows.force[use], noise)
     return Search(track, noise, chance + prior(offset))
+
+
+def chances(track: Track, rows: Rows, offset: Array, noise: ForceNoise) -> Array:
+    """Log evidence of every offset; minus infinity where film and log have too little in common.
+
+    Each offset covers other rows with film, so they are compared by what the markers add to the rows they cover: the
+    evidence with them over the evidence without, which takes a force that changes for a random walk and a force that
+    stands still for noise. A film laid over a quiet stretch of the log gains nothing.
+    """
+    chance = np.full(len(offset), -np.inf)
+    least = max(10.0, 0.25 * min(len(rows.time), track.duration / rows.width))
+    moved = rows.moved(first_guess(rows.force, rows.width))
+    reach = (track.time[0] - track.before - rows.width, track.time[-1] + track.after + rows.width)
+    none: dict[bytes, float] = {}
+    roots: dict[bytes, Array] = {}
+    for i, each in enumerate(offset):
+        near = np.arange(*np.searchsorted(rows.time, (reach[0] + each, reach[1] + each)))
+        if len(near) < least:
+            continue
+        design = rows.largest * track.mean(rows.time[near] - each, rows.width)
+        told = np.isfinite(design).all(axis=(1, 2))
+        use, design = near[told], design[told]
+        if len(use) < least:
+            continue
+        time, force, key = rows.time[use], rows.force[use], use.tobytes()
+        if key not in roots:
+            roots[key] = noise.root(time)
+            walk = np.minimum(moved[use][:, None], moved[use]) - moved[use][0]
+            root = np.linalg.cholesky(noise.covariance(time) + walk)
+            nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
+            none[key] = log_evidence(root, nothing, force)
+        chance[i] = log_evidence(roots[key], design, force) - none[key]
+    return chance
 
 
 def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[float, float]:

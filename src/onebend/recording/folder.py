@@ -79,7 +79,7 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
     if not path.is_file():
         raise RecordingError(f"{folder} holds no {FILE_NAME}. Write one with `onebend new {folder}` and fill it in.")
     try:
-        content = path.read_text(encoding="utf-8")
+        content = path.read_text(encoding="utf-8-sig")
         return content, tomllib.loads(content)
     except UnicodeDecodeError as wrong:
         raise RecordingError(f"{path} is not UTF-8 text (byte {wrong.start}). Save it as UTF-8.") from None

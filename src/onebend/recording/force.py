@@ -2,102 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from onebend.errors import RecordingError
 from onebend.recording.noise import first_guess
 from onebend.recording.signals import at_times, low_pass, outliers, step
 from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, Remark
-
-FEWEST_ROWS = 10
-
-
-def read_force_log(path: Path | str, columns: Sequence[str], push_column: str = "") -> ForceLog:
-    """Read a CSV force log: a header, then one row a sample.
-
-    `columns` names time [s] and the two forces [N]; `push_column`, where not empty, the place of the push.
-
-    Raises
-    ------
-    RecordingError
-        Unreadable, a missing column (those found are listed), text or NaN instead of a number, times that repeat or
-        fall, too few rows, a force that is zero throughout; with the line.
-    """
-    path = Path(path)
-    wanted = [*columns, *([push_column] if push_column else [])]
-    lines: list[int] = []
-    table: list[list[float]] = []
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            for line, values in numbers(path, stream, wanted):
-                lines.append(line)
-                table.append(values)
-    except OSError as wrong:
-        raise RecordingError(
-            f"{path} cannot be read: {wrong.strerror}. Check [force] file in recording.toml."
-        ) from None
-    except (UnicodeDecodeError, csv.Error):
-        raise RecordingError(f"{path} is not a CSV text file. Export the force log as CSV with a header.") from None
-    if len(table) < FEWEST_ROWS:
-        raise RecordingError(
-            f"{path} holds {len(table)} rows of numbers; at least {FEWEST_ROWS} are needed. Was the log cut short?"
-        )
-    data = np.array(table)
-    check_times(path, data[:, 0], lines)
-    if not np.any(data[:, 1:3]):
-        raise RecordingError(f"{path}: every force is zero: the sensor was not streaming. Record the push again.")
-    return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=data[:, 3] if push_column else None)
-
-
-def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
-    """Line number and the wanted numbers of every row that is not empty."""
-    rows = csv.reader(stream, skipinitialspace=True)
-    header = [name.strip() for name in next(rows, [])]
-    if not header:
-        raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
-    missing = [name for name in wanted if name not in header]
-    if missing:
-        raise RecordingError(
-            f"{path}, line 1: no column {', '.join(missing)}; found {', '.join(header)}. "
-            "Name the columns with columns in [force], or column in [push], of recording.toml."
-        )
-    places = [header.index(name) for name in wanted]
-    for row in rows:
-        if not any(cell.strip() for cell in row):
-            continue
-        values = []
-        for name, place in zip(wanted, places, strict=True):
-            cell = row[place].strip() if place < len(row) else ""
-            try:
-                values.append(float(cell))
-            except ValueError:
-                raise RecordingError(
-                    f"{path}, line {rows.line_num}: {name} is {cell!r}, not a number. Correct or remove the line."
-                ) from None
-            if not math.isfinite(values[-1]):
-                raise RecordingError(f"{path}, line {rows.line_num}: {name} is {cell}. Correct or remove the line.")
-        yield rows.line_num, values
-
-
-def check_times(path: Path, time: Array, lines: Sequence[int]) -> None:
-    """Raise where the times do not rise strictly."""
-    wrong = np.flatnonzero(np.diff(time) <= 0)
-    if not len(wrong):
-        return
-    i = int(wrong[0])
-    what = "repeats" if time[i + 1] == time[i] else "is before"
-    more = f" ({len(wrong)} such lines)" if len(wrong) > 1 else ""
-    raise RecordingError(
-        f"{path}, line {lines[i + 1]}: the time {time[i + 1]:.6g} s {what} that of line {lines[i]} "
-        f"({time[i]:.6g} s){more}. Times must rise: log them with more digits, or sort and thin the file."
-    )
 
 
 @dataclass(frozen=True)
@@ -172,7 +86,7 @@ def clean_force(
         cutoff=cutoff,
         outliers=int(bad.sum()),
         noise=None if noise is None else _with_white(noise, log.time, force),
-        remarks=remarks,
+        remarks=(*log.remarks, *remarks),
     )
 
 

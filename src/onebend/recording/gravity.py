@@ -13,6 +13,8 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.recording.entries import GravityEntry
 from onebend.records import Array, ClockOffset, Markers
 
+MILLISECONDS = 100.0  # times the film's length: a log that lasts longer is likely to be in another unit
+
 
 @dataclass(frozen=True)
 class BaseLog:
@@ -106,8 +108,10 @@ def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -
     """Raise where no frame lies inside the log."""
     film = markers.time[[0, -1]] + offset
     if film[1] < log_time[0] or film[0] > log_time[-1]:
+        long = log_time[-1] - log_time[0] > MILLISECONDS * (film[1] - film[0])
+        hint = " Its times look like milliseconds; they must be in seconds." if long else ""
         raise ObservationError(
             f"The film ({film[0]:.1f} to {film[1]:.1f} s on the log's clock) and the {what} ({log_time[0]:.1f} to "
             f"{log_time[-1]:.1f} s) do not overlap. Check start_s in [video] of recording.toml, and that the log "
-            "belongs to this film."
+            f"belongs to this film.{hint}"
         )

@@ -21,6 +21,7 @@ from onebend.recording.frame import to_beam_frame
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.tags import detect_tags
+from onebend.recording.turns import check_turns
 from onebend.records import Detections, ForceLog, Markers, Observations
 
 FEWEST_FRAMES = 10
@@ -75,6 +76,7 @@ def observe(
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = measure_markers(detections, rec)
+    check_turns(markers, rec)
     return assemble(rec, markers, log, base, settings)
 
 

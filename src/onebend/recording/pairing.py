@@ -18,13 +18,13 @@ from onebend.recording.force import (
     clean_force,
     force_at,
     gap_limit,
-    read_force_log,
     to_beam,
 )
+from onebend.recording.force_log import FEWEST_ROWS, read_force_log
 from onebend.recording.frame import RestShape
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.plausible import read_force
-from onebend.recording.signals import at_times, bandwidth
+from onebend.recording.signals import at_times, bandwidth, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 
@@ -51,6 +51,7 @@ def match_clocks(
         return ClockFit(ClockOffset(offset=start, sd=uncertainty, said=said, found=False), None)
     fit = None
     if log is not None and rec.force is not None:
+        check_pace(rec, markers, log)
         turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
         fit = fit_clock(markers, turned, said, uncertainty, push_s=push_place(rec, log), settings=settings)
     if base is not None and (fit is None or not fit.clock.found):
@@ -66,6 +67,16 @@ def match_clocks(
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
     return fit
+
+
+def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
+    """Raise where the log has too few rows during the film: its times are in another unit, or it is too sparse."""
+    film, apart = float(np.ptp(markers.time)), step(log.time)
+    if apart * FEWEST_ROWS > film:
+        raise ObservationError(
+            f"{rec.name}: the force log has a row every {apart:.3g} s, fewer than {FEWEST_ROWS} during the film of "
+            f"{film:.3g} s. Times must be in seconds: divide those in milliseconds by 1000. Or log more often."
+        )
 
 
 def push_place(rec: Recording, log: ForceLog) -> float | None:
@@ -174,5 +185,9 @@ def check_direction(
     else:
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
+        if rec.video is not None and math.isfinite(rec.video.start):
+            text += (
+                " Or start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched."
+            )
         raise ObservationError(f"{rec.name}: {text}")
     return (Remark("warning", text),)

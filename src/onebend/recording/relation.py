@@ -39,6 +39,11 @@ class Track:
     before: float  # s, how long the beam is taken to have stood still before the film, as in its first frames
     after: float  # s, the same after the film
 
+    @property
+    def duration(self) -> float:
+        """s, of the film."""
+        return float(self.time[-1] - self.time[0])
+
     def mean(self, centre: Array, width: float) -> Array:
         """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not say."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2

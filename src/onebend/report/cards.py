@@ -16,7 +16,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     seen, training = findings.recordings[0], findings.trainings[0]
     found = [_stiffness_card(findings)]
     if findings.posterior is not None:
-        found.append(sureness_card(findings.posterior.stiffness))
+        found.append(sureness_card(findings.posterior.stiffness, trusted=findings.posterior.criticism.trusted))
     note = f"RMS over {len(training.frame)} frames it was learned from, under the force as logged"
     if findings.posterior is not None:
         fitted = max(float(np.nanmax(one)) for one in fitted_rms(findings.posterior))
@@ -48,8 +48,8 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
     }
 
 
-def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
-    """How narrow the band is, and over which part of the beam."""
+def sureness_card(uncertain: UncertainStiffness, *, trusted: bool = True) -> dict[str, str]:
+    """How narrow the band is, and over which part of the beam; whether it may be relied on."""
     ranges = identified_ranges(uncertain)
     if not ranges:
         return {"what": "k(s) is known to", "value": "not identified", "note": "at no place to a factor of 1.5"}
@@ -58,6 +58,6 @@ def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
     where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
     return {
         "what": "k(s) is known to",
-        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %",
-        "note": f"95 %, median over the identified s = {where}",
+        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %{'' if trusted else '?'}",
+        "note": f"95 %, median over the identified s = {where}{'' if trusted else '; NOT TO BE TRUSTED'}",
     }

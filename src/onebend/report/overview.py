@@ -10,7 +10,7 @@ import numpy as np
 
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.force import read_force_log
+from onebend.recording.force_log import read_force_log
 from onebend.recording.video import frame_count, opened, read_frames
 from onebend.records import ForceLog, Remark
 from onebend.report.wording import significant
@@ -52,7 +52,8 @@ def overview(folder: Path | str) -> Overview:
         column = recording.push.column if recording.push is not None else ""
         log = read_force_log(recording.force.file, recording.force.columns, column)
     rows = [*_beam_rows(recording), *_film_rows(recording, film), *_log_rows(recording, log)]
-    return Overview(recording.name, tuple(rows), (*recording.remarks, *_oddities(recording, film, log)))
+    remarks = (*recording.remarks, *(log.remarks if log else ()), *_oddities(recording, film, log))
+    return Overview(recording.name, tuple(rows), remarks)
 
 
 def first_look(video: VideoEntry) -> Film:

@@ -10,13 +10,21 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
+from onebend.learning.criticism_words import unseen_words
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.cards import cards
 from onebend.report.findings import Findings, all_remarks, name_of
-from onebend.report.sureness import gain_words, nuisance_rows, stop_words, tradeoff_words, unidentified_words
+from onebend.report.sureness import (
+    gain_words,
+    nuisance_rows,
+    stop_words,
+    supposed_rows,
+    tradeoff_words,
+    unidentified_words,
+)
 from onebend.report.wording import (
     assumptions,
     files_described,
@@ -80,6 +88,9 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     forced = any(one.clean_force is not None for one in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
+        "trusted": posterior.criticism.trusted,
+        "tests": supposed_rows(posterior),
+        "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": gain_words(posterior.gain_sd, forced=forced),
         "stopped": stop_words(posterior),

@@ -9,9 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.learning.criticism_words import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
-from onebend.report.wording import significant
+from onebend.report.wording import millimetres, significant
 
 FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
 _PLACES = 401
@@ -93,6 +94,32 @@ def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
             )
         )
     return rows
+
+
+@dataclass(frozen=True)
+class SupposedRow:
+    """One test of the fit's own model as people read it."""
+
+    what: str
+    odds: str  # how often chance alone does as much
+    size: str  # mm that it moves a tag by
+    shift: str  # % of k
+    alarm: bool
+
+
+def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
+    """The most striking tests."""
+    critic = posterior.criticism
+    return [
+        SupposedRow(
+            what=supposed_words(one, posterior),
+            odds=f"1 in {10.0 ** min(-one.score.log10_p, 9.0):.2g}" + (" or less" if one.score.log10_p < -9.0 else ""),
+            size=millimetres(one.score.size),
+            shift=f"{100.0 * float(np.expm1(one.shift)):.2g} %",
+            alarm=one in critic.alarms,
+        )
+        for one in critic.findings[:most]
+    ]
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:

@@ -112,6 +112,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "tradeoffs_with_level": [asdict(one) for one in with_level(posterior)],
         "scales": asdict(optimum.scales),
         "fitted_rms_m": list(fitted_rms(posterior)),
+        "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,
         "steps": optimum.steps,
         "converged": optimum.converged,

@@ -1,0 +1,121 @@
+"""A force log on disk: a CSV file with one row a sample, read and checked."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from onebend.errors import RecordingError
+from onebend.records import Array, ForceLog, Remark
+
+FEWEST_ROWS = 10
+MANY = 0.1  # of the rows: more that are left out or share a time are a warning
+
+
+def read_force_log(path: Path | str, columns: Sequence[str], push_column: str = "") -> ForceLog:
+    """Read a CSV force log: a header, then one row a sample.
+
+    `columns` names time [s] and the two forces [N]; `push_column`, where not empty, the place of the push. Rows with an
+    empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how many.
+
+    Raises
+    ------
+    RecordingError
+        Unreadable, a missing column (those found are listed), text instead of a number, times that fall, too few
+        rows, a force that is zero throughout; with the line.
+    """
+    path = Path(path)
+    wanted = [*columns, *([push_column] if push_column else [])]
+    lines: list[int] = []
+    table: list[list[float]] = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            for line, values in numbers(path, stream, wanted):
+                lines.append(line)
+                table.append(values)
+    except OSError as wrong:
+        raise RecordingError(
+            f"{path} cannot be read: {wrong.strerror}. Check [force] file in recording.toml."
+        ) from None
+    except (UnicodeDecodeError, csv.Error):
+        raise RecordingError(f"{path} is not a CSV text file. Export the force log as CSV with a header.") from None
+    read = np.array(table).reshape(-1, len(wanted))
+    full = np.isfinite(read).all(axis=1)
+    data = read[full]
+    check_times(path, data[:, 0], np.array(lines, dtype=int)[full])
+    data = one_row_a_time(data)
+    if len(data) < FEWEST_ROWS:
+        raise RecordingError(
+            f"{path} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
+            "Was the log cut short?"
+        )
+    if not np.any(data[:, 1:3]):
+        raise RecordingError(f"{path}: every force is zero: the sensor was not streaming. Record the push again.")
+    remarks = (
+        *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
+        *remark(int(np.sum(full)) - len(data), len(read), "rows of the force log repeat a time; their mean is taken"),
+    )
+    push_s = data[:, 3] if push_column else None
+    return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
+
+
+def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
+    """Line number and the wanted numbers of every row that is not empty; NaN for an empty cell."""
+    rows = csv.reader(stream, skipinitialspace=True)
+    header = [name.strip() for name in next(rows, [])]
+    if not header:
+        raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        hint = " Columns must be separated by commas." if len(header) == 1 and set(header[0]) & set(";\t") else ""
+        raise RecordingError(
+            f"{path}, line 1: no column {', '.join(missing)}; found {', '.join(header)}.{hint} "
+            "Name the columns with columns in [force], or column in [push], of recording.toml."
+        )
+    places = [header.index(name) for name in wanted]
+    for row in rows:
+        if not any(cell.strip() for cell in row):
+            continue
+        values = []
+        for name, place in zip(wanted, places, strict=True):
+            cell = row[place].strip() if place < len(row) else ""
+            try:
+                values.append(float(cell) if cell else math.nan)
+            except ValueError:
+                raise RecordingError(
+                    f"{path}, line {rows.line_num}: {name} is {cell!r}, not a number. Correct or remove the line."
+                ) from None
+        yield rows.line_num, values
+
+
+def check_times(path: Path, time: Array, lines: Array) -> None:
+    """Raise where a time falls."""
+    wrong = np.flatnonzero(np.diff(time) < 0)
+    if not len(wrong):
+        return
+    i = int(wrong[0])
+    more = f" ({len(wrong)} such lines)" if len(wrong) > 1 else ""
+    raise RecordingError(
+        f"{path}, line {lines[i + 1]}: the time {time[i + 1]:.6g} s is before that of line {lines[i]} "
+        f"({time[i]:.6g} s){more}. Times must rise: sort the file, or cut it where a second log begins."
+    )
+
+
+def one_row_a_time(data: Array) -> Array:
+    """The mean of the rows (N, c) that share a time; times do not fall."""
+    begins = np.flatnonzero(np.diff(data[:, 0], prepend=-np.inf) > 0)
+    if len(begins) == len(data):
+        return data
+    count = np.diff(np.append(begins, len(data)))
+    return np.asarray(np.add.reduceat(data, begins, axis=0) / count[:, None])
+
+
+def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
+    """Nothing, a note or a warning on `count` of the rows."""
+    if not count:
+        return ()
+    return (Remark("warning" if count > MANY * rows else "note", f"{count} of {rows} {what}."),)

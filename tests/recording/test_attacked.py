@@ -1,0 +1,123 @@
+"""What users and sensors really write: it is read, or refused with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend.errors import ObservationError
+from onebend.lab.pushes import Push
+from onebend.lab.truths import force_that_bends
+from onebend.lab.virtual import Bench, Virtual, observe_virtual, virtual_recording
+from onebend.recording.clock import fit_clock
+from onebend.recording.force_log import read_force_log
+from onebend.recording.turns import check_turns
+from onebend.records import ForceLog
+from tests.made_up import BEAM
+
+COLUMNS = ("time_s", "fx_N", "fy_N")
+GOOD = ["time_s,fx_N,fy_N"] + [f"{0.1 * i:.1f},{0.01 * i},-0.5" for i in range(40)]
+
+
+def log_file(folder: Path, lines: list[str]) -> Path:
+    path = folder / "force.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_rows_without_numbers_are_left_out_and_counted(tmp_path: Path) -> None:
+    lines = [*GOOD]
+    lines[7], lines[9], lines[11] = "0.6,nan,1", "0.8,,", "1.0,inf,1"
+    lines[-1] = "3.9,0.3"  # cut in the middle of a row
+    log = read_force_log(log_file(tmp_path, lines), COLUMNS)
+    left = np.delete(np.arange(40), [6, 8, 10, 39])
+    assert np.allclose(log.time, 0.1 * left)
+    assert np.allclose(log.force[:, 0], 0.01 * left)
+    assert [(one.level, one.text[:8]) for one in log.remarks] == [("note", "4 of 40 ")]
+
+
+def test_rows_of_one_time_become_their_mean(tmp_path: Path) -> None:
+    stamps = [f"{i // 2},{i},{-i}" for i in range(40)]  # a clock of whole seconds
+    log = read_force_log(log_file(tmp_path, [GOOD[0], *stamps]), COLUMNS)
+    assert np.array_equal(log.time, np.arange(20.0))
+    assert np.array_equal(log.force[:, 0], 2.0 * np.arange(20) + 0.5)
+    assert [one.level for one in log.remarks] == ["warning"]
+    assert "20 of 40" in log.remarks[0].text
+
+
+@pytest.fixture(scope="module")
+def pushed() -> Virtual:
+    peak = force_that_bends(BEAM, 1.0, 1.75)
+    return virtual_recording(Bench(beam=BEAM, push=Push(peak)), seed=0)
+
+
+def long_log(log: ForceLog, before: float, after: float) -> ForceLog:
+    """The log with quiet stretches around it [s], and white noise of 1 % of the largest force."""
+    apart = float(np.median(np.diff(log.time)))
+    time = np.arange(log.time[0] - before, log.time[-1] + after, apart)
+    force = np.stack([np.interp(time, log.time, column) for column in log.force.T], axis=1)
+    return ForceLog(time, force + 0.01 * np.abs(force).max() * np.random.default_rng(0).standard_normal(force.shape))
+
+
+@pytest.mark.parametrize("before", [10.0, 100.0])
+def test_a_film_is_found_in_a_log_much_longer_than_it(pushed: Virtual, before: float) -> None:
+    clock = fit_clock(pushed.markers, long_log(pushed.log, before, 20.0), nan, inf, push_s=1.0).clock
+    assert clock.found
+    assert abs(clock.offset - pushed.bench.clock.offset) < 0.05
+
+
+def test_a_short_film_from_the_middle_of_the_push_is_not_drawn_to_the_quiet(pushed: Virtual) -> None:
+    m = pushed.markers
+    cut = m.time >= 2.2
+    film = replace(
+        m,
+        time=m.time[cut] - m.time[cut][0],
+        xy=m.xy[cut],
+        angle=m.angle[cut],
+        covariance=m.covariance[cut],
+        base_angle=m.base_angle[cut],
+    )
+    true = pushed.bench.clock.offset + m.time[cut][0]
+    clock = fit_clock(film, long_log(pushed.log, 10.0, 10.0), true + 0.4, 2.0, push_s=1.0).clock
+    assert clock.found
+    assert abs(clock.offset - true) < 0.08
+
+
+def test_milliseconds_are_named(pushed: Virtual) -> None:
+    log = replace(pushed.log, time=1000.0 * pushed.log.time)
+    with pytest.raises(ObservationError, match="divide those in milliseconds by 1000"):
+        observe_virtual(replace(pushed, log=log))
+
+
+@pytest.mark.parametrize("quarter", [1, 2, -1])
+@pytest.mark.parametrize("which", [0, 2])
+def test_a_tag_turned_otherwise_than_written_is_named(pushed: Virtual, which: int, quarter: int) -> None:
+    m, turn = pushed.markers, quarter * np.pi / 2
+    check_turns(m, pushed.recording)
+    if which == 0:  # the base tag's own axes turn: so does all that is seen from it
+        back = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        m = replace(m, xy=m.xy @ back.T, angle=m.angle + turn)
+    else:
+        m = replace(m, angle=m.angle + turn * (m.tag_id == which))
+    with pytest.raises(ObservationError) as caught:
+        check_turns(m, pushed.recording)
+    fits = -90 * quarter if which == 0 else 90 * quarter
+    assert f"tag {which} (turn_deg = 0; {180 if abs(fits) == 180 else fits} would fit)" in str(caught.value)
+    assert str(caught.value).count("would fit") == 1
+
+
+def test_a_start_far_off_and_milliseconds_beside_a_start_in_seconds_are_hinted_at(pushed: Virtual) -> None:
+    video = pushed.recording.video
+    assert video is not None
+    late = replace(pushed, recording=replace(pushed.recording, video=replace(video, start=video.start + 5.0)))
+    with pytest.raises(ObservationError, match=r"start_s in .video. is farther off"):
+        observe_virtual(late)
+    fast = long_log(pushed.log, 0.0, 20.0)
+    dense = ForceLog(np.linspace(0.0, 1000.0 * np.ptp(fast.time), 60000), np.tile(fast.force[:1], (60000, 1)))
+    film = replace(pushed.markers, time=4.0 * pushed.markers.time)
+    with pytest.raises(ObservationError, match="look like milliseconds"):
+        observe_virtual(replace(pushed, markers=film, log=replace(dense, time=dense.time + 1e6)))
