@@ -18,6 +18,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("report", "export"),
     ("results",),
     ("pipeline",),
+    ("reproduce",),
     ("batch", "terminal"),
     ("__init__",),
     ("cli", "studio"),

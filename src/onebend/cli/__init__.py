@@ -17,6 +17,7 @@ from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.reproducing import reproduce
 from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -34,6 +35,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "mould": mould,
     "tags": tags,
     "film": film,
+    "reproduce": reproduce,
 }
 
 app = typer.Typer(

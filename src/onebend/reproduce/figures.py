@@ -16,7 +16,7 @@ from onebend.recording.video import frame_at
 from onebend.report.reaching import draw_reach
 from onebend.report.simulated import centreline, largest_push
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, png_of, shape, styled
-from onebend.reproduce.outcome import S, BeamOutcome, Outcome, Validated
+from onebend.reproduce.outcome import BeamOutcome, Outcome, S, Validated
 from onebend.reproduce.printed import printed_m3
 
 MM = 1000.0

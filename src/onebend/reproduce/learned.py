@@ -115,7 +115,9 @@ def _save(
         bench=bench_of(posterior),
     )
     facts = {
-        "trials": [asdict(one) | {"coefficients": one.coefficients.tolist(), "rms": one.rms.tolist()} for one in trials],
+        "trials": [
+            asdict(one) | {"coefficients": one.coefficients.tolist(), "rms": one.rms.tolist()} for one in trials
+        ],
         "chosen": chosen,
         "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
         "remarks": [f"{one.level}: {one.text}" for one in fit_remarks(posterior)],

@@ -72,9 +72,7 @@ PRINTED = MappingProxyType(
                 ("s06", (0.0008, 0.0022, 0.0033)),
             ),
         ),
-        "cubic": PrintedBeam(
-            selection_table="III", trials=None, chosen=(3, 2), validation_table="VI", validation=None
-        ),
+        "cubic": PrintedBeam(selection_table="III", trials=None, chosen=(3, 2), validation_table="VI", validation=None),
     }
 )
 TRAINING = (0.002, 0.003)  # m, "the RMS of the errors ranged between 2 mm and 3 mm for the training data", Section VI-A

@@ -59,7 +59,8 @@ def selection_table(one: BeamOutcome) -> Table:
     rows = []
     for i, trial in enumerate(one.learned.trials):
         there = printed.get((trial.n, trial.m))
-        chosen = [who for who, it in (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == one.learned.chosen)) if it]
+        who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == one.learned.chosen))
+        chosen = [name for name, it_is in who if it_is]
         rows.append((trial.n, trial.m, *_printed(there), *_ours(trial), " and ".join(chosen), trial.why_out))
     return Table(
         f"table-{said.selection_table}",
@@ -85,9 +86,7 @@ def validation_table(one: BeamOutcome) -> Table:
     """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
     said = PRINTED[one.name]
     printed = dict(said.validation or ())
-    rows = [
-        (film.strategy.says, *printed.get(film.strategy.name, (nan,) * 3), *_three(film)) for film in one.films[1:]
-    ]
+    rows = [(film.strategy.says, *printed.get(film.strategy.name, (nan,) * 3), *_three(film)) for film in one.films[1:]]
     return Table(
         f"table-{said.validation_table}",
         f"Table {said.validation_table}: RMS of errors, validation set of the {one.name} beam",
