@@ -35,7 +35,7 @@ def reproduce(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make the paper's experiments again: films of three beams, Tables I to VI, its figures and tasks, in one report."""
+    """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
     with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
         setting = Setting(seed=seed, quick=quick, video=not without_video, sensor=sensor)
         found = run(place.partial, setting, written_by=BY, processes=processes or 0, progress=progress)

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.errors import OnebendError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.report.reaching import draw_reach
 from onebend.report.simulated import centreline, largest_push
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, png_of, shape, styled
+from onebend.reproduce.films import RECORDINGS
 from onebend.reproduce.outcome import BeamOutcome, Outcome, S, Validated
 from onebend.reproduce.printed import printed_m3
 
@@ -25,21 +25,20 @@ SHOWN = ("slow", "s06")  # Fig. 4
 
 
 def draw_figures(found: Outcome, *, progress: Progress = Silent()) -> dict[str, bytes]:
-    """PNGs by name, in the order of the page; those that cannot be drawn are left out."""
-    wanted: dict[str, Callable[[], Figure | None]] = {
+    """PNGs by name; Fig. 4 only where there are films."""
+    wanted: dict[str, Callable[[], Figure]] = {
         "summary": partial(summary, found),
         "figure-3": partial(designs, found),
-        "figure-4": partial(frames, found),
         "training": partial(training, found),
         "figure-6": partial(stiffness, found),
         "figure-7": partial(three_validations, found),
         "figure-8": partial(manipulations, found),
     }
+    if found.setting.video:
+        wanted["figure-4"] = partial(frames, found)
     out = {}
     for name, draw in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
-        figure = draw()
-        if figure is not None:
-            out[name] = png_of(figure)
+        out[name] = png_of(draw())
     return out
 
 
@@ -88,20 +87,15 @@ def designs(found: Outcome) -> Figure:
 
 
 @styled
-def frames(found: Outcome) -> Figure | None:
-    """Fig. 4: frames of the films at the largest push, at s = 1 and s = 0.6. None where nothing was filmed."""
-    if not found.setting.video:
-        return None
+def frames(found: Outcome) -> Figure:
+    """Fig. 4: frames of the films at the largest push, at s = 1 and s = 0.6."""
     figure, axes = blank(2.15 * len(found.beams), len(found.beams), len(SHOWN))
     pairs = [(one, film) for one in found.beams for name in SHOWN for film in one.films if film.strategy.name == name]
     for at, (one, film) in zip(axes, pairs, strict=True):
         at.set_axis_off()
         t = largest_push(film.fit)
-        try:
-            assert film.seen.video is not None
-            at.imshow(frame_at(VideoEntry(file=film.seen.video), int(film.fit.frame[t])))
-        except OnebendError:
-            return None
+        file = found.work / RECORDINGS / film.seen.name / "video.mp4"
+        at.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
         at.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
     return figure
 

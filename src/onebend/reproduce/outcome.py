@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -63,6 +64,7 @@ class BeamOutcome:
 class Outcome:
     """The whole run."""
 
+    work: Path  # where its recordings are
     setting: Setting
     gain: float
     beams: tuple[BeamOutcome, ...]
@@ -70,12 +72,12 @@ class Outcome:
 
 @one_blas_thread
 def gather(
-    setting: Setting, films: list[FilmJob], learned: dict[str, LearnJob], *, progress: Progress = Silent()
+    work: Path, setting: Setting, films: list[FilmJob], learned: dict[str, LearnJob], *, progress: Progress = Silent()
 ) -> Outcome:
     """Compare, manipulate, and put all together."""
     gain = gain_of(setting)
     beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
-    return Outcome(setting, gain, tuple(_beam(name, gain, films, learned[name].load()) for name in beams))
+    return Outcome(work, setting, gain, tuple(_beam(name, gain, films, learned[name].load()) for name in beams))
 
 
 def _beam(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:

@@ -23,8 +23,14 @@ from onebend.reproduce.tables import (
     validation_table,
 )
 
-GROUPS = {"printed": "printed", "ours": "ours, the paper's method", "paper": "the paper's method", "fit": "onebend's fit",
-          "true": "true beam", "fitted": "fitted"}  # fmt: skip
+GROUPS = {
+    "printed": "printed",
+    "ours": "ours, the paper's method",
+    "paper": "the paper's method",
+    "fit": "onebend's fit",
+    "true": "true beam",
+    "fitted": "fitted",
+}
 NAMES = {
     "chosen_by": "chosen by",
     "out_because": "out, because",
@@ -89,7 +95,8 @@ def cards(found: Outcome) -> list[dict[str, str]]:
         {
             "what": "validations below the printed tip error",
             "value": f"{below} of {known}",
-            "note": f"of Tables IV and V; the largest of all: {millimetres(worst)} mm, the true beam's: {millimetres(floor)} mm",
+            "note": f"of Tables IV and V; the largest of all: {millimetres(worst)} mm, the true beam's: "
+            f"{millimetres(floor)} mm",
         },
         {
             "what": "k(s) is off by",

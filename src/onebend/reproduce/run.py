@@ -43,7 +43,7 @@ def reproduce(
         if job.strategy.name == training
     }
     spread(learn_beam, [wanted[name] for name in BEAMS], count, "learning from the training push", progress)
-    return gather(setting, films, wanted, progress=progress)
+    return gather(work, setting, films, wanted, progress=progress)
 
 
 def claim(work: Path, setting: Setting) -> None:

@@ -56,7 +56,7 @@ def selection_table(one: BeamOutcome) -> Table:
     """Tables I to III: every (n, m) by the paper's method on the training push."""
     said = PRINTED[one.name]
     printed = {(row.n, row.m): row for row in said.trials or ()}
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for i, trial in enumerate(one.learned.trials):
         there = printed.get((trial.n, trial.m))
         who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == one.learned.chosen))
@@ -86,7 +86,10 @@ def validation_table(one: BeamOutcome) -> Table:
     """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
     said = PRINTED[one.name]
     printed = dict(said.validation or ())
-    rows = [(film.strategy.says, *printed.get(film.strategy.name, (nan,) * 3), *_three(film)) for film in one.films[1:]]
+    unknown = (nan,) * 3
+    rows: list[tuple[Cell, ...]] = [
+        (film.strategy.says, *printed.get(film.strategy.name, unknown), *_three(film)) for film in one.films[1:]
+    ]
     return Table(
         f"table-{said.validation_table}",
         f"Table {said.validation_table}: RMS of errors, validation set of the {one.name} beam",
@@ -113,7 +116,7 @@ def training_table(found: Outcome) -> Table:
 
 def manipulation_table(found: Outcome) -> Table:
     """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for one in found.beams:
         for done in one.tasks:
             force = done.found.force
@@ -139,7 +142,7 @@ def manipulation_table(found: Outcome) -> Table:
 
 def stiffness_errors(found: Outcome) -> Table:
     """How far k(s) is from the truth as the force's scale shows it, and whether the band holds it."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for one in found.beams:
         paper = one.learned.paper
         chosen = None if one.learned.chosen is None else one.learned.trials[one.learned.chosen]
