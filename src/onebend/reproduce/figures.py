@@ -118,8 +118,9 @@ def training(found: Outcome) -> Figure:
         below.set_xlabel("time in contact [s]")
     axes[0].set_ylabel("logged force [N]")
     axes[len(found.beams)].set_ylabel("markers' y [mm]")
-    axes[0].legend(loc="lower right", fontsize=8)
-    axes[len(found.beams)].legend(loc="upper right", fontsize=8)
+    for at in (axes[0], axes[len(found.beams)]):
+        at.margins(y=0.25)
+        at.legend(loc="upper center", fontsize=8, ncols=3, columnspacing=1.0, handlelength=1.2)
     return figure
 
 
@@ -151,7 +152,7 @@ def ranked(found: Outcome) -> tuple[tuple[str, BeamOutcome, Validated], ...]:
 @styled
 def three_validations(found: Outcome) -> Figure:
     """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
-    figure, axes = blank(3.7, 1, 3)
+    figure, axes = blank(4.3, 1, 3, sharex=True, sharey=True)
     for at, (word, one, film) in zip(axes, ranked(found), strict=True):
         t = largest_push(film.fit)
         _shape(at, one, film, t)
@@ -183,7 +184,7 @@ def manipulations(found: Outcome) -> Figure:
     for at, (one, done) in zip(axes, shown, strict=True):
         draw_reach(at, done.found, None)
         at.plot(*(MM * done.landed), "+", color=GREEN, markersize=11, markeredgewidth=2, zorder=9, label="true beam")
-        at.set_title(f"{one.name}, s = {done.task.s:g}: true beam {MM * done.off:.2f} mm off")
+        at.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure

@@ -77,10 +77,11 @@ def gather(
     """Compare, manipulate, and put all together."""
     gain = gain_of(setting)
     beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
-    return Outcome(work, setting, gain, tuple(_beam(name, gain, films, learned[name].load()) for name in beams))
+    return Outcome(work, setting, gain, tuple(beam_outcome(name, gain, films, learned[name].load()) for name in beams))
 
 
-def _beam(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
+def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
+    """One beam: its films compared, its tasks done."""
     design = DESIGNS[name]
     true = seen_through(design, gain).beam()
     compared = tuple(_validated(job, learned, true) for job in films if job.beam == name)
