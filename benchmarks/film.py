@@ -44,10 +44,10 @@ from onebend.records import Detections
 S = np.linspace(0.05, 0.9, 35)
 KEPT = Path(__file__).parents[1] / "out" / "film"
 STREAM = 77  # of the random numbers of benches
-TWINS: tuple[tuple[str, PushName, str], ...] = (
-    ("linear", "slow", "linear_train"),
-    ("quadratic", "s08", "quadratic_s08"),
-    ("cubic", "fast", "cubic_fast"),
+TWINS: tuple[tuple[str, PushName, bool, str], ...] = (  # calibrated as the recording is
+    ("linear", "slow", True, "linear_train"),
+    ("quadratic", "s08", True, "quadratic_s08"),
+    ("cubic", "fast", False, "cubic_fast"),
 )
 
 
@@ -218,8 +218,8 @@ def twins_table(recordings: Path) -> str:
         "| place [mm] | angle [deg] |",
         "| " + "--- | " * 9,
     ]
-    for design, push, other in TWINS:
-        filming = filming_of(DESIGNS[design], Wish(push=push), f"{design}-{push}")
+    for design, push, calibrated, other in TWINS:
+        filming = filming_of(DESIGNS[design], Wish(push=push, calibrated=calibrated), f"{design}-{push}")
         with tempfile.TemporaryDirectory() as place:
             folder, began = Path(place) / "film", time.process_time()
             film(filming, folder, seed=1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +27,7 @@ from onebend.lab.virtual import Bench, Clock, Tag
 from onebend.pipeline import learn_recording
 from onebend.recording.camera import measure_markers
 from onebend.recording.folder import read_recording
-from onebend.recording.force import read_force_log
+from onebend.recording.force_log import read_force_log
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import read_frames
 
@@ -184,3 +186,14 @@ def test_what_is_learned_from_a_film_is_the_truth(tmp_path: Path) -> None:
     s = np.linspace(0.05, 0.9, 35)
     band, truth = found.posterior.band(s), np.asarray(bench.beam.stiffness(s))
     assert np.mean((band.low <= truth) & (truth <= band.high)) > 0.85
+
+
+@pytest.mark.slow
+def test_the_example_runs() -> None:
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__).parents[2] / "examples" / "film_a_push.py")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert float(done.stdout.split()[-1]) < 0.1  # mm

@@ -37,7 +37,7 @@ def polygon(seed: int, corners: int) -> np.ndarray:
 
 
 @given(st.integers(0, 10_000), st.integers(3, 9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_coverage_has_the_area_and_centroid_of_the_polygon(seed: int, corners: int) -> None:
     loop = polygon(seed, corners)
     after = np.roll(loop, -1, axis=0)
@@ -90,7 +90,7 @@ def test_a_camera_stands_as_near_as_shows_everything(camera: Camera) -> None:
 def test_a_camera_that_cannot_be_is_refused() -> None:
     for wrong in ({"width": 641}, {"focal": 0.0}, {"distance": 0.01}, {"tilt": (1.2, 0.0)}):
         with pytest.raises(RecordingError):
-            Camera(**wrong)  # type: ignore[arg-type]
+            Camera(**wrong)
 
 
 def test_a_tag_of_polygons_is_found_where_it_was_put() -> None:
@@ -128,13 +128,13 @@ def test_a_slow_push_shows_exact_equilibria() -> None:
 
 def test_a_strongly_damped_beam_comes_to_rest_where_statics_say() -> None:
     light = replace(BEAM, mass_per_length=Uniform(0.05))
-    push = Push(0.3, direction=1.6, before=0.05, rise=0.1, hold=0.9, fall=0.1, after=0.0)
+    push = Push(0.3, direction=1.6, before=0.05, rise=0.1, hold=0.9, fall=0.1, after=0.0, turn=0.0)
     time = np.array([0.0, 1.0])
     gravity = (0.0, -20.0)
     moved = shapes_at(light, push, time, Motive(gravity, swings=True, damping=0.1))
     still = shapes_at(light, push, time, Motive(gravity))
     assert np.max(np.abs(still.xy[1] - still.xy[0])) > 0.03
-    np.testing.assert_allclose(moved.xy, still.xy, atol=3e-5)
+    np.testing.assert_allclose(moved.xy, still.xy, atol=5e-5)
 
 
 def test_weight_and_swinging_need_a_mass() -> None:

@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
+from onebend.cli.bags import topics
 from onebend.cli.common import BY
 from onebend.cli.control import reach
-from onebend.cli.exporting import export_command
+from onebend.cli.exporting import export_command, rerun_command
 from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
@@ -28,9 +29,11 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "shape": shape,
     "path": path,
     "new": new,
+    "topics": topics,
     "check": check,
     "show": show,
     "export": export_command,
+    "rerun": rerun_command,
     "design": design,
     "mould": mould,
     "tags": tags,

@@ -140,7 +140,7 @@ def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.G
 
 
 def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.Generator) -> Exposed:
-    """Light, noise and rounding: planes of 8 bit. The noise is a part of one large field, anew for each frame."""
+    """Light, noise and rounding: planes of 8 bit; `seen` is used up. The noise is a part of one large field."""
     scene = staged.scene
     size = np.float32(scene.noise / 255.0)
     out = []
@@ -149,10 +149,15 @@ def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.G
         (seen.u, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
         (seen.v, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
     ):
-        level = plane * light
+        level = np.multiply(plane, light, out=plane)  # in place: fresh memory costs more than the sums
         level *= strength
-        spread = np.sqrt(np.float32(0.4) + np.float32(1.2) * np.abs(level)) if share == 1.0 else np.float32(1.0)
-        level += size * np.float32(share) * spread * grain_of(staged.grain, level.shape, rng)
+        noise = np.multiply(grain_of(staged.grain, level.shape, rng), size * np.float32(share))
+        if share == 1.0:
+            spread = np.abs(level)
+            spread *= np.float32(1.2)
+            spread += np.float32(0.4)
+            noise *= np.sqrt(spread, out=spread)
+        level += noise
         level *= np.float32(span)
         level += np.float32(low + 0.5)
         out.append(np.clip(level, 0.0, 255.0, out=level).astype(np.uint8))
