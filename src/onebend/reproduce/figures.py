@@ -152,7 +152,7 @@ def ranked(found: Outcome) -> tuple[tuple[str, BeamOutcome, Validated], ...]:
 @styled
 def three_validations(found: Outcome) -> Figure:
     """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
-    figure, axes = blank(4.3, 1, 3, sharex=True, sharey=True)
+    figure, axes = blank(3.5, 1, 3, sharex=True, sharey=True)
     for at, (word, one, film) in zip(axes, ranked(found), strict=True):
         t = largest_push(film.fit)
         _shape(at, one, film, t)
