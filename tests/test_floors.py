@@ -17,8 +17,12 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("learning", "control", "lab"),
     ("report", "export", "estimators"),
     ("results",),
+<<<<<<< HEAD
     ("pipeline",),
     ("reproduce",),
+=======
+    ("pipeline", "rehearse"),
+>>>>>>> main
     ("batch", "terminal"),
     ("__init__",),
     ("cli", "studio"),

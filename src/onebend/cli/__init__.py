@@ -18,6 +18,7 @@ from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.rehearsing import rehearse
 from onebend.cli.reproducing import reproduce
 from onebend.cli.shaping import path, shape
 
@@ -39,6 +40,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "tags": tags,
     "film": film,
     "reproduce": reproduce,
+    "rehearse": rehearse,
 }
 
 app = typer.Typer(
