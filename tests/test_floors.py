@@ -17,12 +17,8 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("learning", "control", "lab"),
     ("report", "export", "estimators"),
     ("results",),
-<<<<<<< HEAD
-    ("pipeline",),
-    ("reproduce",),
-=======
     ("pipeline", "rehearse"),
->>>>>>> main
+    ("reproduce",),
     ("batch", "terminal"),
     ("__init__",),
     ("cli", "studio"),
