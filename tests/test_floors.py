@@ -18,6 +18,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("report", "export", "estimators"),
     ("results",),
     ("pipeline", "rehearse"),
+    ("reproduce",),
     ("batch", "terminal"),
     ("__init__",),
     ("cli", "studio"),

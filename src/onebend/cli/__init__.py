@@ -19,6 +19,7 @@ from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
 from onebend.cli.rehearsing import rehearse
+from onebend.cli.reproducing import reproduce
 from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -38,6 +39,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "mould": mould,
     "tags": tags,
     "film": film,
+    "reproduce": reproduce,
     "rehearse": rehearse,
 }
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from onebend.learning.criticism_words import unseen_words
 from onebend.learning.outcome import Comparison, Learned, Trial
@@ -25,6 +22,7 @@ from onebend.report.sureness import (
     tradeoff_words,
     unidentified_words,
 )
+from onebend.report.template import render
 from onebend.report.wording import (
     assumptions,
     files_described,
@@ -42,10 +40,7 @@ METHODS = {"regression": "regression", "paper": "the paper's literal regression"
 def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> str:
     """The report as HTML. `figures`: PNGs by name, as `onebend.report.drawing.draw_all` gives them; missing ones are
     left out."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    template = environment.from_string(files("onebend.report").joinpath("page.html").read_text(encoding="utf-8"))
-    encoded = {name: base64.b64encode(png).decode("ascii") for name, png in figures.items()}
-    return template.render(figures=encoded, version=version, **_content(findings))
+    return render("onebend.report", "page.html", figures, {"version": version, **_content(findings)})
 
 
 def _content(findings: Findings) -> dict[str, Any]:

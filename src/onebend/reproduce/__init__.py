@@ -1,0 +1,1 @@
+"""The paper's experiments made again, from films to tables and figures."""

@@ -1,0 +1,87 @@
+"""What the paper prints, as data. Every figure names its table; lengths in metres as printed.
+
+The text of the paper that these figures are taken from holds the rows of Tables II, IV and V. Of Tables I, III and VI
+it has the captions and what is said of them, but no rows: those are None here, and nothing stands in for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+M3 = tuple[float, float, float]  # m, of the markers M1 to M3
+
+
+@dataclass(frozen=True)
+class PrintedTrial:
+    """A row of Tables I to III."""
+
+    n: int
+    m: int
+    rms: M3
+    bic: float
+
+
+@dataclass(frozen=True)
+class PrintedBeam:
+    """What the paper says of one beam."""
+
+    selection_table: str
+    trials: tuple[PrintedTrial, ...] | None
+    chosen: tuple[int, int]  # (n, m), Section V-A
+    validation_table: str
+    validation: tuple[tuple[str, M3], ...] | None  # by strategy
+
+
+def _trials(*rows: tuple[int, int, float, float, float, float]) -> tuple[PrintedTrial, ...]:
+    return tuple(PrintedTrial(n, m, (a, b, c), bic) for n, m, a, b, c, bic in rows)
+
+
+PRINTED = MappingProxyType(
+    {
+        "linear": PrintedBeam(
+            selection_table="I",
+            trials=None,
+            chosen=(4, 4),
+            validation_table="IV",
+            validation=(
+                ("fast", (0.0008, 0.0016, 0.0038)),
+                ("s08", (0.0002, 0.0015, 0.0035)),
+                ("s06", (0.0014, 0.0040, 0.0069)),
+            ),
+        ),
+        "quadratic": PrintedBeam(
+            selection_table="II",
+            trials=_trials(
+                (2, 2, 0.0012, 0.0010, 0.0022, 4.10),
+                (3, 2, 0.0013, 0.0011, 0.0021, 4.10),
+                (3, 3, 0.0012, 0.0011, 0.0021, 4.09),
+                (4, 2, 0.0016, 0.0014, 0.0020, 4.16),
+                (4, 3, 0.0013, 0.0013, 0.0021, 4.13),
+                (4, 4, 0.0010, 0.0014, 0.0021, 4.08),
+                (5, 2, 0.0010, 0.0012, 0.0023, 4.12),
+                (5, 3, 0.0025, 0.0023, 0.0036, 4.69),
+                (5, 4, 0.0011, 0.0023, 0.0030, 4.45),
+                (5, 5, 0.0059, 0.0129, 0.0228, 6.39),
+            ),
+            chosen=(4, 4),
+            validation_table="V",
+            validation=(
+                ("fast", (0.0005, 0.0017, 0.0039)),
+                ("s08", (0.0005, 0.0021, 0.0049)),
+                ("s06", (0.0008, 0.0022, 0.0033)),
+            ),
+        ),
+        "cubic": PrintedBeam(selection_table="III", trials=None, chosen=(3, 2), validation_table="VI", validation=None),
+    }
+)
+TRAINING = (0.002, 0.003)  # m, "the RMS of the errors ranged between 2 mm and 3 mm for the training data", Section VI-A
+SAME_FORCE = (0.0001, 0.0005)  # m, "when constantly applying the exact same force to both", Section VI-A
+MANIPULATION = 0.001  # m, "all manipulation tasks were performed with an error of 1 millimeter or less", Section V-C
+MOST_MODES = 5  # z, Section V-A
+
+
+def printed_m3(beam: str, strategy: str) -> float | None:
+    """m, the printed validation error of the marker at the tip; None where the text has none."""
+    rows = dict(PRINTED[beam].validation or ())
+    return rows[strategy][2] if strategy in rows else None

@@ -1,0 +1,40 @@
+"""What `onebend reproduce` says in the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from onebend.report.wording import UNKNOWN, millimetres
+from onebend.reproduce.outcome import Outcome
+from onebend.reproduce.printed import printed_m3
+from onebend.reproduce.tables import below_printed
+
+
+def show_reproduced(console: Console, found: Outcome, output: Path) -> None:
+    """The error at the tip of every validation, the tasks, and where the report is."""
+    table = Table(title="RMS error at the tip [mm]", title_justify="left", box=None, pad_edge=False)
+    for name in ("beam", "push"):
+        table.add_column(name)
+    for name in ("printed", "paper's method", "fit", "true beam"):
+        table.add_column(name, justify="right")
+    for one in found.beams:
+        for film in one.films[1:]:
+            printed = printed_m3(one.name, film.strategy.name)
+            table.add_row(
+                one.name,
+                film.strategy.name,
+                UNKNOWN if printed is None else millimetres(printed),
+                UNKNOWN if film.paper is None else millimetres(film.paper.rms[-1]),
+                f"[bold]{millimetres(film.fit.rms[-1])}[/]",
+                millimetres(film.true.rms[-1]),
+            )
+    console.print(table)
+    below, known = below_printed(found)
+    tasks = [done for one in found.beams for done in one.tasks if done.way == "fit"]
+    reached = sum(done.found.converged for done in tasks)
+    console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
+    console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.", highlight=False)
+    console.print(f"Wrote {output / 'report.html'}", highlight=False, markup=False)
