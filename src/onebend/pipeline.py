@@ -12,6 +12,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.errors import LearningError, ObservationError, ResultsError
+from onebend.learning.damping import DampingSettings, SwingFit, learn_damping
 from onebend.learning.learn import learn
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.planning import PlanSettings, plan
@@ -20,6 +21,7 @@ from onebend.learning.proposals import Plan
 from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
 from onebend.learning.start import start_of
+from onebend.learning.swing import Part
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks, missed
 from onebend.progress import Progress, Silent
@@ -28,7 +30,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
 from onebend.records import Observations, Remark
-from onebend.results.model import read_model
+from onebend.results.model import StoredModel, read_model
 
 SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
 SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
@@ -199,16 +201,33 @@ def compare(
     """
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
-        if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
-            raise ObservationError(
-                f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
-                f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
-            )
+        _same_length(beam, recording)
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
         pairs.append((validate(beam, seen), seen))
     return pairs
+
+
+def damp(
+    stored: StoredModel,
+    folder: Path | str,
+    *,
+    part: Part = Part(),
+    settings: DampingSettings = DampingSettings(),
+    observing: ObserveSettings = ObserveSettings(),
+    progress: Progress = Silent(),
+) -> SwingFit:
+    """Damping, and k over mass, of a learned beam from a recording in which it swings freely.
+
+    Raises:
+        ObservationError: a recording of a beam of another length.
+        LearningError: no free swing is seen; and all that reading a recording raises.
+    """
+    recording = read_recording(folder)
+    _same_length(stored.beam, recording)
+    seen = observe(recording, settings=observing, progress=progress)
+    return learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings, progress=progress)
 
 
 def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), progress: Progress = Silent()) -> Plan:
@@ -225,6 +244,15 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
             'learn the beam with a band (docs/method.md, "k(s) with a band")'
         )
     return plan(stored.uncertain, stored.beam, stored.bench, settings, progress=progress)
+
+
+def _same_length(beam: Beam, recording: Recording) -> None:
+    """Raises `ObservationError` where the recording is of a beam of another length."""
+    if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
+        raise ObservationError(
+            f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
+            f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
+        )
 
 
 @dataclass

@@ -16,11 +16,13 @@ from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.motion import damp
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
+    "damp": damp,
     "reach": reach,
     "new": new,
     "check": check,

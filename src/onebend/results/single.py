@@ -17,10 +17,7 @@ def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> Non
     """
     content = data.encode("utf-8") if isinstance(data, str) else data
     try:
-        if path.is_dir():
-            raise ResultsError(f"{path}: this is a folder. Name a file in it")
-        if path.exists() and not overwrite:
-            raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
+        free_place(path, overwrite=overwrite)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         beside = Path(name)
@@ -34,6 +31,14 @@ def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> Non
             raise
     except OSError as error:
         raise ResultsError(f"{path}: cannot be written ({error.strerror}). Choose another place") from error
+
+
+def free_place(path: Path, *, overwrite: bool) -> None:
+    """Raises `ResultsError` where `path` is a folder, or a file that is not to be replaced. Before long work."""
+    if path.is_dir():
+        raise ResultsError(f"{path}: this is a folder. Name a file in it")
+    if path.exists() and not overwrite:
+        raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
 
 
 def _umask() -> int:
