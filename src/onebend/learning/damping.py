@@ -36,7 +36,7 @@ MassAlong = Literal["even", "width"]
 _DRAWS = 60  # of k(s) and of the mass, for what they do to the frequency
 _CONTRADICTS = 3.0  # sd by which c differs from 1 before it is called a contradiction
 _HARDLY = 0.3  # relative sd of the loss time beyond which it is hardly known
-_FAR_OFF = 0.05  # of the swing: tags further (RMS) from the fitted motion are said to contradict it
+_FAR_OFF = 0.05  # of a tag's own motion (RMS): further from the fitted one, the model is said to be wrong
 _GRID = np.linspace(0.0, 1.0, 41)
 
 
@@ -230,11 +230,14 @@ def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
     out: list[Remark] = []
     if fitted.moved:
         out.append(Remark("warning", "The fit still moved when its rounds were used up: its numbers are provisional."))
-    furthest = float(np.nanmax(np.abs(fit.swing.seen - fit.swing.rest)[..., :2]))
-    if np.nanmax(fit.rms) > _FAR_OFF * furthest:
-        text = f"the tags are {1000 * np.nanmax(fit.rms):.2g} mm (RMS) from the fitted motion, which moves them by "
-        text += f"{1000 * furthest:.3g} mm: the beam does not swing as the model says, or is touched while it swings."
-        out.append(Remark("warning", text[0].upper() + text[1:]))
+    travel = np.sqrt(np.nanmean(np.sum((fit.swing.seen - fit.swing.rest)[..., :2] ** 2, axis=-1), axis=0))
+    worst = int(np.nanargmax(fit.rms / travel))
+    if fit.rms[worst] > _FAR_OFF * travel[worst]:
+        text = (
+            f"The tag at s = {fit.swing.s[worst]:.3g} is {1000 * fit.rms[worst]:.2g} mm (RMS) from the fitted motion, "
+        )
+        text += f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) "
+        out.append(Remark("warning", text + "or mass along it), or is touched while it swings."))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:
         out.append(Remark("warning", "The damping is hardly seen: film the swing for longer, or from further out."))
     if fit.mass_known:
@@ -251,8 +254,9 @@ def _check_of_stiffness(fit: SwingFit) -> Remark:
     if not np.isfinite(sd):
         return Remark("note", f"The swing says that {said}; the model has no band that would say if this is much.")
     said += f" (sd {sd:.2g}: {fit.factor_sd:.2g} from the swing, {fit.model_sd:.2g} from k(s) and how the mass lies)"
-    if abs(fit.factor - 1.0) > _CONTRADICTS * sd:
+    away = abs(np.log(fit.factor)) / sd
+    if away > _CONTRADICTS:
         return Remark(
-            "warning", f"The swing contradicts the model: {said}. Weigh the beam, and look at the force's gain."
+            "warning", f"The swing contradicts the model: {said}. Weigh the beam, and check the force's gain."
         )
-    return Remark("note", f"The swing agrees with the model: {said}.")
+    return Remark("note", f"The swing agrees with the model to {away:.1f} sd: {said}.")

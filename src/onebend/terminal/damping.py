@@ -55,11 +55,12 @@ def swing_table(fit: SwingFit) -> Table:
     for i in range(1, len(one.frequency)):
         table.add_row(f"mode {i + 1}, simulated", f"{one.frequency[i]:.4g} Hz", f"ratio {one.ratio[i]:.3g}")
     if fit.mass_known:
-        table.add_row(
-            "k over mass, times the model's", f"{fit.factor:.4g}", f"{np.hypot(fit.factor_sd, fit.model_sd):.2g}"
-        )
+        sd = float(np.hypot(fit.factor_sd, fit.model_sd))
+        table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")
     else:
-        table.add_row("mass \\[g]", significant(1000 * fit.mass), f"{1000 * fit.mass_sd:.2g}")
+        table.add_row(
+            "mass \\[g]", significant(1000 * fit.mass), f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?"
+        )
     return table
 
 
