@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from onebend.cli.calibrating import calibrate
 from onebend.cli.common import BY
 from onebend.cli.control import reach
 from onebend.cli.exporting import export_command
@@ -26,6 +27,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reach": reach,
     "new": new,
     "check": check,
+    "calibrate": calibrate,
     "show": show,
     "export": export_command,
     "design": design,
