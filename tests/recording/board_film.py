@@ -79,10 +79,10 @@ def poses(count: int, seed: int, tilt: float = 0.7) -> list[tuple[Array, Array]]
     return out
 
 
-def film(path: Path, pictures: Sequence[Array]) -> Path:
-    """Grey pictures as H.264."""
+def film(path: Path, pictures: Sequence[Array], rate: int = 2) -> Path:
+    """Grey pictures as H.264, so many a second."""
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=30, options={"crf": "10"})
+        stream = container.add_stream("libx264", rate=rate, options={"crf": "10"})
         stream.width, stream.height, stream.pix_fmt = pictures[0].shape[1], pictures[0].shape[0], "yuv420p"
         for picture in pictures:
             grey = np.clip(picture, 0, 255).astype(np.uint8)

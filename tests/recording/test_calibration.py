@@ -21,19 +21,19 @@ from tests.recording.board_film import CHARUCO, CHESS, DIST, HEIGHT, MATRIX, WID
 TRUE = np.array([MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2], *DIST])
 
 
-def shown(path: Path, board: Board, count: int, *, tilt: float = 0.7, still: int = 4) -> Path:
-    """Each pose held for a burst of frames; noise differs."""
+def shown(path: Path, board: Board, count: int, *, tilt: float = 0.7) -> Path:
+    """A pose a frame, twice a second, with noise."""
     rng = np.random.default_rng(1)
     pictures = []
     for turn, place in poses(count, seed=3, tilt=tilt):
         one = view(board, turn, place)
-        pictures += [one + 1.5 * rng.standard_normal(one.shape) for _ in range(still)]
+        pictures.append(one + 1.5 * rng.standard_normal(one.shape))
     return film(path, pictures)
 
 
 @pytest.fixture(scope="module")
 def chess_film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return shown(tmp_path_factory.mktemp("chess") / "board.mp4", CHESS, 16)
+    return shown(tmp_path_factory.mktemp("chess") / "board.mp4", CHESS, 14)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def check(found: Calibration) -> None:
     assert np.all(np.abs(away[:4]) < 3.0)
     assert np.all(np.abs(away) < 5.0 * found.sd[:8])
     assert found.sd[0] < 3.0
-    assert found.error < 0.15
+    assert found.error < 0.25
     assert (found.width, found.height) == (WIDTH, HEIGHT)
 
 
@@ -55,7 +55,7 @@ def test_a_chessboard_gives_the_camera_back(found: Calibration) -> None:
     check(found)
     assert found.coverage > 0.6
     assert found.turned > np.deg2rad(50)
-    assert len(found.frames) >= 12
+    assert len(found.frames) >= 10
     assert found.values[8] == 0.0  # the lens has no k3
     assert not [one for one in found.remarks if one.level == "warning"]
 
@@ -71,9 +71,9 @@ def test_pixels_through_the_found_camera_meet_the_true_ones(found: Calibration) 
     cv2 = opencv()
     rays = np.array([[x, y, 1.0] for x in np.linspace(-0.35, 0.35, 9) for y in np.linspace(-0.25, 0.25, 7)])
     matrix = np.array([[found.values[0], 0, found.values[2]], [0, found.values[1], found.values[3]], [0, 0, 1]])
-    true, ours = (
-        cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *c)[0] for c in ((MATRIX, DIST), (matrix, found.dist))
-    )
+    still = np.zeros(3)
+    true = cv2.projectPoints(rays, still, still, MATRIX, DIST)[0]
+    ours = cv2.projectPoints(rays, still, still, matrix, found.dist)[0]
     shift = ours[:, 0] - true[:, 0]
     assert np.abs(shift - shift.mean(axis=0)).max() < 1.0  # a shift of all is a turn of the camera
 
@@ -81,32 +81,27 @@ def test_pixels_through_the_found_camera_meet_the_true_ones(found: Calibration) 
 def test_of_each_burst_the_sharp_frame_counts(tmp_path: Path) -> None:
     cv2 = opencv()
     pictures = []
-    for turn, place in poses(3, seed=5):
+    for turn, place in poses(2, seed=5):
         one = view(CHESS, turn, place)
-        pictures += [
-            cv2.GaussianBlur(one, (0, 0), 2.0),
-            one,
-            cv2.GaussianBlur(one, (0, 0), 1.5),
-            cv2.GaussianBlur(one, (0, 0), 1.0),
-        ]
-    seen = find_boards(film(tmp_path / "a.mp4", pictures), CHESS)
-    assert [one.frame for one in seen.views] == [1, 5, 9]
-    assert seen.looked_at == 12
+        pictures += [cv2.GaussianBlur(one, (0, 0), sd) if sd else one for sd in (2.0, 0.0, 1.5, 1.0)]
+    seen = find_boards(film(tmp_path / "a.mp4", pictures, rate=10), CHESS)
+    assert [one.frame for one in seen.views] == [1, 5]
+    assert (seen.looked_at, seen.found) == (8, 8)
 
 
 def test_views_that_repeat_are_left_for_those_that_differ(chess_film: Path) -> None:
     seen = find_boards(chess_film, CHESS)
-    again = boards.BoardFilm(seen.width, seen.height, (*seen.views, *seen.views[:1] * 20), seen.looked_at)
+    again = boards.BoardFilm(seen.width, seen.height, (*seen.views, *seen.views[:1] * 20), 40, 40)
     frames = [one.frame for one in spread(opencv(), again, CHESS, 8)]
     assert len(set(frames)) == 8
 
 
 def test_views_that_are_all_alike_are_warned_of(tmp_path: Path) -> None:
-    found = calibrate(shown(tmp_path / "flat.mp4", CHESS, 5, tilt=0.05, still=1 * 4), CHESS)
+    found = calibrate(shown(tmp_path / "flat.mp4", CHESS, 5, tilt=0.05), CHESS)
     said = " ".join(one.text for one in found.remarks if one.level == "warning")
-    assert "all alike" in said
+    assert "views are alike" in said
     assert "different sharp views" in said
-    assert "# The views are all alike" in found.camera_table()
+    assert "# All views are alike" in found.camera_table()
     assert np.abs(found.values[0] - TRUE[0]) < 4.0 * found.sd[0]
 
 
@@ -154,21 +149,11 @@ def test_the_command_writes_the_table_and_replaces_none_unasked(
 
 
 def test_a_charuco_board_in_a_process_of_its_own_ends_well(tmp_path: Path) -> None:
-    made = shown(tmp_path / "charuco.mp4", CHARUCO, 10, still=1)
+    made = shown(tmp_path / "charuco.mp4", CHARUCO, 10)
     out = tmp_path / "camera.toml"
-    command = [
-        sys.executable,
-        "-m",
-        "onebend",
-        "calibrate",
-        str(made),
-        "--board",
-        "charuco",
-        "8x6",
-        "--square-mm",
-        "20",
-    ]
-    done = subprocess.run([*command, "-o", str(out), "-q"], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "onebend", "calibrate", str(made), "--board", "charuco", "8x6"]
+    rest = ["--square-mm", "20", "-o", str(out), "-q"]
+    done = subprocess.run([*command, *rest], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr  # OpenCV's tag detector and ours share the process
     camera = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
     assert camera["fx"] == pytest.approx(TRUE[0], abs=8.0)

@@ -20,7 +20,7 @@ from onebend.records import Array, IntArray
 BoardKind = Literal["chessboard", "charuco"]
 
 LOOKED_AT = 240  # frames of a film, evenly spread
-_BURST = 4  # of them in a row, of which the sharpest counts
+_BURST = 0.35  # s, of which the sharpest frame counts
 _FEWEST_CORNERS = 8
 _MOST_PIXELS = 1_000_000  # of a picture in which a chessboard is first looked for; refined in the whole one
 
@@ -79,6 +79,7 @@ class BoardFilm:
     height: int  # px
     views: tuple[BoardView, ...]
     looked_at: int  # frames
+    found: int  # frames among them that show the board
 
 
 def opencv() -> Any:
@@ -107,7 +108,7 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
     size: tuple[int, int] | None = None
     views: list[BoardView] = []
     burst: list[BoardView] = []
-    looked = 0
+    looked, found, begin = 0, 0, 0.0
     progress.start("looking for the board", count // every if count else None)
     try:
         for index, frame in enumerate(decoded(film)):
@@ -118,17 +119,20 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
             if picture.shape != size:
                 raise RecordingError(f"{film}: the picture's size changes at frame {index}. Film in one size.")
             seen = find(picture)
-            if seen is not None:
-                burst.append(BoardView(index, seen[0], seen[1], _sharpness(cv2, picture, seen[1])))
             looked += 1
-            if looked % _BURST == 0:
-                views += _sharpest(burst)
-                burst = []
+            if seen is not None:
+                found += 1
+                now = index / 30.0 if frame.time is None else float(frame.time)
+                if burst and now - begin > _BURST:
+                    views += _sharpest(burst)
+                    burst = []
+                begin = begin if burst else now
+                burst.append(BoardView(index, seen[0], seen[1], _sharpness(cv2, picture, seen[1])))
             progress.advance()
     finally:
         progress.done()
     assert size is not None  # a film without frames is an error of `decoded`
-    return BoardFilm(size[1], size[0], (*views, *_sharpest(burst)), looked)
+    return BoardFilm(size[1], size[0], (*views, *_sharpest(burst)), looked, found)
 
 
 def _sharpest(burst: list[BoardView]) -> list[BoardView]:

@@ -75,7 +75,8 @@ def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progr
     if len(seen.views) < _FEWEST:
         size = f"{board.columns}x{board.rows} " + ("inner corners" if board.kind == "chessboard" else "squares")
         raise RecordingError(
-            f"{film}: the {board.kind} was found in {len(seen.views)} of {seen.looked_at} frames, too few. Check "
+            f"{film}: the {board.kind} was found in {seen.found} of {seen.looked_at} frames, in {len(seen.views)} "
+            f"different views, too few. Check "
             f"--board ({size} were looked for), light and focus; show the whole board with its white margin"
         )
     views = spread(cv2, seen, board, most_views)
@@ -206,7 +207,7 @@ def _remarks(found: Calibration) -> tuple[Remark, ...]:
         )
     if found.turned < _TURNED:
         out.append(
-            f"The views are all alike: the board's directions differ by {np.rad2deg(found.turned):.0f} degrees at most; "
+            f"All views are alike: the board's directions differ by {np.rad2deg(found.turned):.0f} degrees at most: "
             "focal length and distance are hardly told apart. Tilt it by 30 degrees or more, each way."
         )
     focal = float(np.max(found.sd[:2] / found.values[:2]))
