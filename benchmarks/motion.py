@@ -65,10 +65,9 @@ def rows(seen: Observations, learned: Beam, band: UncertainStiffness, true: Beam
     found = {
         "learned k, weighed, mass even": learn_damping(bare, seen, uncertain=band),
         "learned k, weighed, mass as the width": learn_damping(bare, seen, uncertain=band, settings=width),
-        "learned k, not weighed, mass even": learn_damping(bare, unweighed, uncertain=band),
         "learned k, not weighed, mass as the width": learn_damping(bare, unweighed, uncertain=band, settings=width),
     }
-    for begin in (3.6, 4.0, 5.0):
+    for begin in (3.6, 4.5):
         name = f"learned k, mass as the width, from {begin:.1f} s of the film"
         found[name] = learn_damping(bare, seen, uncertain=band, part=Part(begin), settings=width)
     found["true k and mass"] = learn_damping(true, seen)

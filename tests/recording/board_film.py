@@ -30,7 +30,7 @@ def rays() -> Array:
     wanted = (pixel - MATRIX[:2, 2]) / np.diag(MATRIX)[:2]
     found = wanted.copy()
     k1, k2, p1, p2 = DIST
-    for _ in range(30):
+    for _ in range(10):
         u, v = found[..., 0], found[..., 1]
         r2 = u * u + v * v
         shift = np.stack([2 * p1 * u * v + p2 * (r2 + 2 * u * u), p1 * (r2 + 2 * v * v) + 2 * p2 * u * v], axis=-1)
