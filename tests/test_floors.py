@@ -15,7 +15,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("beam",),
     ("recording",),
     ("learning", "control", "lab"),
-    ("report", "export"),
+    ("report", "export", "estimators"),
     ("results",),
     ("pipeline",),
     ("batch", "terminal"),

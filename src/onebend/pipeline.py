@@ -12,16 +12,15 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.errors import LearningError, ObservationError, ResultsError
-from onebend.learning.damping import DampingSettings, SwingFit, learn_damping
 from onebend.learning.learn import learn
+from onebend.learning.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.planning import PlanSettings, plan
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.proposals import Plan
 from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
-from onebend.learning.start import start_of
-from onebend.learning.swing import Part
+from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks, missed
 from onebend.progress import Progress, Silent
@@ -30,7 +29,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
 from onebend.records import Observations, Remark
-from onebend.results.model import StoredModel, read_model
+from onebend.results.model import read_model
 
 SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
 SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
@@ -78,7 +77,7 @@ def learn_recording(
     trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        seen = tuple(observe(one, settings=observing, detect=detect, progress=watch) for one in wanted)
+        seen = with_mass([observe(one, settings=observing, detect=detect, progress=watch) for one in wanted])
     with watch.whole("learn"):
         learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=watch)
     posterior = None
@@ -100,7 +99,7 @@ def learn_recording(
         validation_observations=tuple(where for _, where in pairs),
         remarks=remarks,
         stage_seconds=watch.seconds,
-        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films),
+        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films if not one.static),
     )
 
 
@@ -135,6 +134,8 @@ def _regression(
     seen: Observations, settings: Settings, *, needed: bool, progress: Progress
 ) -> tuple[Learned | None, tuple[Remark, ...]]:
     """The paper's result; None, and a warning with the reason, where it finds no beam but is not needed."""
+    if seen.static and not needed:
+        return None, (Remark("note", "the paper's regression needs a filmed push; bench poses are learned by the fit"),)
     try:
         learned = learn(seen, settings, progress=progress)
     except LearningError as error:
@@ -168,7 +169,7 @@ def _fit(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    remarks = fit_remarks(posterior)
+    remarks = fit_remarks(posterior) + mass_remarks(posterior.mass)
     if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
         remarks += (Remark("note", text),)
@@ -201,33 +202,12 @@ def compare(
     """
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
-        _same_length(beam, recording)
+        check_same_length(beam, recording)
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
         pairs.append((validate(beam, seen), seen))
     return pairs
-
-
-def damp(
-    stored: StoredModel,
-    folder: Path | str,
-    *,
-    part: Part = Part(),
-    settings: DampingSettings = DampingSettings(),
-    observing: ObserveSettings = ObserveSettings(),
-    progress: Progress = Silent(),
-) -> SwingFit:
-    """Damping, and k over mass, of a learned beam from a recording in which it swings freely.
-
-    Raises:
-        ObservationError: a recording of a beam of another length.
-        LearningError: no free swing is seen; and all that reading a recording raises.
-    """
-    recording = read_recording(folder)
-    _same_length(stored.beam, recording)
-    seen = observe(recording, settings=observing, progress=progress)
-    return learn_damping(stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings, progress=progress)
 
 
 def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), progress: Progress = Silent()) -> Plan:
@@ -238,6 +218,11 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
         LearningError: no push is possible within the limits.
     """
     stored = read_model(model)
+    if stored.bench is None and stored.uncertain is not None:
+        raise ResultsError(
+            f"{model}: the beam was learned without a force log, so nothing says how well a push would be measured. "
+            "Film one push with a log, and learn from it"
+        )
     if stored.uncertain is None or stored.bench is None:
         raise ResultsError(
             f"{model}: the model has no band on k(s), so nothing says what is not known yet. A regression gives none; "
@@ -246,7 +231,7 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
     return plan(stored.uncertain, stored.beam, stored.bench, settings, progress=progress)
 
 
-def _same_length(beam: Beam, recording: Recording) -> None:
+def check_same_length(beam: Beam, recording: Recording) -> None:
     """Raises `ObservationError` where the recording is of a beam of another length."""
     if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
         raise ObservationError(

@@ -13,11 +13,13 @@ import typer
 from onebend.cli.calibrating import calibrate
 from onebend.cli.common import BY
 from onebend.cli.control import reach
-from onebend.cli.exporting import export_command
+from onebend.cli.exporting import export_command, rerun_command
+from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
 from onebend.cli.motion import damp
+from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
@@ -25,14 +27,18 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "plan": plan,
     "damp": damp,
     "reach": reach,
+    "shape": shape,
+    "path": path,
     "new": new,
     "check": check,
     "calibrate": calibrate,
     "show": show,
     "export": export_command,
+    "rerun": rerun_command,
     "design": design,
     "mould": mould,
     "tags": tags,
+    "film": film,
 }
 
 app = typer.Typer(

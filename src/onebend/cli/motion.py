@@ -7,10 +7,11 @@ from dataclasses import replace
 from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, print_json, progress_of
-from onebend.learning.damping import DampingSettings
+from onebend.learning.damping import DampingSettings, learn_damping
 from onebend.learning.swing import Part
-from onebend.pipeline import damp as learn_swing
-from onebend.recording.observe import ObserveSettings
+from onebend.pipeline import check_same_length
+from onebend.recording.folder import read_recording
+from onebend.recording.observe import ObserveSettings, observe
 from onebend.results.model import model_text, read_model
 from onebend.results.single import free_place, write_file
 from onebend.results.summary import damp_summary
@@ -36,13 +37,16 @@ def damp(
         stored = read_model(model)
         if output is not None:
             free_place(output, overwrite=overwrite)
+        files = read_recording(recording)
+        check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
-            fit = learn_swing(
-                stored,
-                recording,
+            seen = observe(files, settings=ObserveSettings(threads=threads), progress=progress)
+            fit = learn_damping(
+                stored.beam,
+                seen,
+                uncertain=stored.uncertain,
                 part=Part(begin, end),
                 settings=DampingSettings(mass_along=mass_along),
-                observing=ObserveSettings(threads=threads),
                 progress=progress,
             )
         if output is not None:

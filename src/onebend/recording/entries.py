@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
+from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 from onebend.records import Remark, Rest
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
@@ -24,6 +25,13 @@ class BeamEntry:
 
     length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
     mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
+    mass_file: Path | None = key(
+        "mass_file",
+        text,
+        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
+        example='"mass.csv"',
+        default=None,
+    )
     width: float = key(
         "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
     )
@@ -60,7 +68,9 @@ class TagEntry:
 class TagsEntry:
     """[tags]: the printed tags and where they sit."""
 
-    size: float = key("size_m", number(above=0), "the side of the tag's black square, m", example="0.012")
+    size: float = key(
+        "size_m", number(above=0), "the side of the tag's black square, m", example="0.012", default=math.nan
+    )
     family: str = key("family", one_of(*FAMILIES), "the AprilTag family", example='"tag36h11"', default=FAMILIES[0])
     placement_sd: float = key(
         "placement_sd_m",
@@ -69,7 +79,7 @@ class TagsEntry:
         example=f"{DEFAULT_PLACEMENT_SD}",
         default=DEFAULT_PLACEMENT_SD,
     )
-    on_base: tuple[TagEntry, ...] = ()  # at least one; the first is the origin
+    on_base: tuple[TagEntry, ...] = ()  # at least one where a camera looks; the first is the origin
     on_beam: tuple[TagEntry, ...] = ()  # at least one
 
 
@@ -203,8 +213,17 @@ class Recording:
     beam: BeamEntry
     tags: TagsEntry
     camera: CameraEntry | None
-    video: VideoEntry | None  # None where markers were tracked elsewhere (not supported yet)
+    video: VideoEntry | None  # one of this and the three sources at the end
     force: ForceEntry | None
     push: PushEntry | None
     gravity: GravityEntry | None
     remarks: tuple[Remark, ...] = ()
+    markers: MarkersEntry | None = None
+    poses: PosesEntry | None = None
+    photos: PhotosEntry | None = None
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """s: what the film's (or the tracker's) clock lacks to the log's as written, and its largest error."""
+        source = self.video or self.markers
+        return (source.start, source.start_uncertainty) if source is not None else (math.nan, math.inf)

@@ -22,6 +22,7 @@ from onebend.recording.entries import (
     VideoEntry,
 )
 from onebend.recording.schema import Mistakes, read_table, report_unknown
+from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 from onebend.records import Remark
 
 FILE_NAME = "recording.toml"
@@ -32,9 +33,12 @@ SECTIONS: dict[str, type] = {
     "force": ForceEntry,
     "push": PushEntry,
     "gravity": GravityEntry,
+    "markers": MarkersEntry,
+    "poses": PosesEntry,
+    "photos": PhotosEntry,
 }
-PLANNED = {"markers": "marker tracks", "poses": "bench poses"}
-TABLES = ("beam", "tags", *SECTIONS, *PLANNED)
+SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
+TABLES = ("beam", "tags", *SECTIONS)
 
 
 def read_recording(folder: Path | str) -> Recording:
@@ -51,12 +55,13 @@ def read_recording(folder: Path | str) -> Recording:
     check_top(data, mistakes)
     if mistakes.found:
         raise RecordingError(str(mistakes))
-    tags = read_tags(data["tags"], mistakes)
+    tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
     beam = read_table(BeamEntry, data["beam"], ("beam",), mistakes)
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in SECTIONS.items()
     }
+    beam = with_paths(beam, "beam", folder, mistakes)
     found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
     check_together(found, data, mistakes)
     if mistakes.found or beam is None or tags is None:
@@ -94,25 +99,26 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
     if not isinstance(data.get("name", ""), str):
         mistakes.add(("name",), f"name must be text in quotes, not {data['name']!r}.")
-    for name, what in PLANNED.items():
-        if name in data:
-            mistakes.add((name,), f"[{name}]: {what} instead of a video are not supported yet. Give a [video].")
-    if "video" not in data and not any(name in data for name in PLANNED):
+    sources = [name for name in SOURCES if name in data]
+    if not sources:
         mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
+    if len(sources) > 1:
+        names = " and ".join(f"[{name}]" for name in sources)
+        mistakes.add((sources[1],), f"The file has {names}: a recording has one of them. Make a folder of each.")
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
         if name not in data:
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
 
 
-def read_tags(table: Any, mistakes: Mistakes) -> TagsEntry | None:
-    """[tags] with its two lists."""
+def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
+    """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing."""
     if not isinstance(table, dict):
         mistakes.add(("tags",), f"[tags] must be a table, not {table!r}.")
         return None
     lists: dict[str, tuple[TagEntry, ...]] = {}
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
         rows = table.get(group, [])
-        if not isinstance(rows, list) or not rows:
+        if not isinstance(rows, list) or not (rows or (group == "on_base" and not pictures)):
             mistakes.add(("tags", group), f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
             rows = []
         read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
@@ -125,6 +131,8 @@ def read_tags(table: Any, mistakes: Mistakes) -> TagsEntry | None:
                     ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
                 )
             seen.add(tag.id)
+    if pictures and "size_m" not in table:
+        mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
     return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
 
 
@@ -132,17 +140,18 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     """`entry` with the files it names made whole paths; each must exist."""
     if entry is None:
         return None
-    for field_name in ("file", "frame_times", "base_angle_file"):
+    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder"):
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue
         path = folder / written
-        if not path.is_file():
+        if not (path.is_dir() if field_name == "folder" else path.is_file()):
+            what = "folder" if field_name == "folder" else "file"
             near = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
             hint = f"Did you mean {near[0]}?" if near else "Put it there, or correct the name."
-            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no file {path}. {hint}")
+            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {path}. {hint}")
         entry = replace(entry, **{field_name: path})
-    if isinstance(entry, VideoEntry) and math.isnan(entry.start):
+    if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
         entry = replace(entry, start_uncertainty=math.inf)
     return entry
 
@@ -163,9 +172,11 @@ def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistak
 def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
     """What was assumed because the file does not say it."""
     remarks = []
-    if "placement_sd_m" not in data["tags"]:
+    if "placement_sd_m" not in data["tags"] and "poses" not in data:
         said = f"{1000 * tags.placement_sd:g} mm"
         remarks.append(Remark("note", f"recording.toml does not say how exactly the tags were placed: {said} assumed."))
-    if "start_s" not in data["video"] and "force" in data:
-        remarks.append(Remark("note", "recording.toml does not say when the video starts on the force log's clock."))
+    film = data.get("video", data.get("markers"))
+    if film is not None and "start_s" not in film and "force" in data:
+        what = "the video starts" if "video" in data else "the tracks start"
+        remarks.append(Remark("note", f"recording.toml does not say when {what} on the force log's clock."))
     return tuple(remarks)

@@ -45,7 +45,7 @@ def match_clocks(
     ObservationError
         Film and log do not overlap, or nothing says when the film starts.
     """
-    said, uncertainty = (rec.video.start, rec.video.start_uncertainty) if rec.video else (math.nan, math.inf)
+    said, uncertainty = rec.start
     if log is None and base is None:
         start = said if math.isfinite(said) else 0.0
         return ClockFit(ClockOffset(offset=start, sd=uncertainty, said=said, found=False), None)
@@ -59,10 +59,12 @@ def match_clocks(
         if seen.found or fit is None:
             fit = ClockFit(seen, None)
     assert fit is not None
+    if rec.markers is not None and uncertainty == 0.0 and math.isfinite(said):
+        fit = ClockFit(ClockOffset(offset=said, sd=0.0, said=said, found=True), fit.noise)  # one clock for both
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
-            f"{rec.name}: nothing says when the film starts on the log's clock, and the data do not show it. "
-            "Write start_s in [video] of recording.toml."
+            f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
+            "show it. Write start_s in recording.toml."
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")

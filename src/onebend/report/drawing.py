@@ -41,7 +41,8 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, 
         wanted[f"learned-{i}-residuals"] = partial(figures.residuals, one)
     if learned is not None:
         wanted["selection"] = partial(figures.selection, learned)
-    wanted["force"] = partial(figures.force, seen)
+    if not seen.static:  # poses have no time
+        wanted["force"] = partial(figures.force, seen)
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
     wanted |= validation_figures(beam, pairs, *findings.trainings)
     return draw(wanted, progress)

@@ -27,3 +27,8 @@ DampingTime = Annotated[
         help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
     ),
 ]
+RerunFile = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: the recording's name.rrd."),
+]
+Every = Annotated[int, typer.Option(min=1, metavar="N", help="Keep one picture of the video in N.")]

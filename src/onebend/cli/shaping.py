@@ -1,0 +1,134 @@
+"""Commands that hold a learned beam in a shape, and lead it along a path."""
+
+from __future__ import annotations
+
+import math
+
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.control.grip import Grip, Push
+from onebend.control.path import PathSettings, follow_goals
+from onebend.control.shape import ShapeSettings
+from onebend.control.shape import shape as solve_shape
+from onebend.control.target_files import read_goals, read_targets
+from onebend.control.timing import Rates
+from onebend.control.trajectory_files import FRAME
+from onebend.report.shaping import path_figure, shaping
+from onebend.report.style import png_of
+from onebend.results.folder import publish
+from onebend.results.model import read_model
+from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
+from onebend.terminal.options import Json, Model, Output, Overwrite
+from onebend.terminal.shaping import (
+    Arm,
+    BetweenGoals,
+    FrameName,
+    GoalPoint,
+    GoalsFile,
+    Gripped,
+    HandMaxForce,
+    HandMaxMoment,
+    MaxForceRate,
+    MaxSpeed,
+    MaxTurnRate,
+    PushPlaces,
+    SampleRate,
+    TargetsFile,
+    TooFast,
+    show_path,
+    show_shape,
+)
+
+
+def shape(
+    model: Model,
+    *,
+    targets: TargetsFile,
+    grip: Gripped = False,
+    push_at: PushPlaces = None,
+    max_force: HandMaxForce = None,
+    max_moment: HandMaxMoment = None,
+    arm: Arm = None,
+    output: Output = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
+    with clean_errors():
+        stored = read_model(model)
+        pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        wanted = read_targets(targets, stored.beam.length)
+        found = solve_shape(
+            stored.beam,
+            wanted,
+            pushes=pushes,
+            grip=holding,
+            uncertain=stored.uncertain,
+            settings=ShapeSettings(arm=arm),
+        )
+        summary = shape_summary(str(model), found, written_by=BY)
+        if output is not None:
+            with workplace(output, SHAPE_FORMAT, overwrite) as place:
+                publish(place, shape_writer(found, png_of(shaping(stored.beam, found)), summary))
+    if as_json:
+        print_json(summary if output is None else {**summary, "output": str(output)})
+    else:
+        show_shape(Console(), found, output)
+
+
+def path(
+    model: Model,
+    *,
+    goals: GoalsFile,
+    point: GoalPoint = 1.0,
+    grip: Gripped = False,
+    push_at: PushPlaces = None,
+    max_force: HandMaxForce = None,
+    max_moment: HandMaxMoment = None,
+    rate: SampleRate = 1000.0,
+    max_force_rate: MaxForceRate = None,
+    max_speed: MaxSpeed = None,
+    max_turn_rate: MaxTurnRate = None,
+    too_fast: TooFast = "stretch",
+    between: BetweenGoals = "smooth",
+    arm: Arm = None,
+    frame: FrameName = FRAME,
+    output: Output = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
+    with clean_errors():
+        beam = read_model(model).beam
+        pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        limits = Rates(
+            force=_limit(max_force_rate),
+            speed=_limit(max_speed),
+            turning=math.radians(_limit(max_turn_rate)),
+        )
+        settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
+        wanted = read_goals(goals, point_s=point, between=between)
+        way = follow_goals(beam, wanted, pushes=pushes, grip=holding, settings=settings)
+        summary = path_summary(str(model), way, written_by=BY)
+        if output is not None:
+            with workplace(output, PATH_FORMAT, overwrite) as place:
+                publish(place, path_writer(way, png_of(path_figure(way)), summary, frame=frame))
+    if as_json:
+        print_json(summary if output is None else {**summary, "output": str(output)})
+    else:
+        show_path(Console(), way, output)
+
+
+def _hands(
+    grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
+) -> tuple[tuple[Push, ...], Grip | None]:
+    """Without a word a push at the tip; with a grip only the pushes that are named."""
+    places = push_at if push_at is not None else ([] if grip else [1.0])
+    pushes = tuple(Push(place, _limit(max_force)) for place in places)
+    return pushes, Grip(_limit(max_force), _limit(max_moment)) if grip else None
+
+
+def _limit(limit: float | None) -> float:
+    """The limit, or infinity where there is none."""
+    return math.inf if limit is None else limit

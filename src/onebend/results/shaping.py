@@ -1,0 +1,117 @@
+"""What `onebend shape` and `onebend path` leave in a folder."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.control.path import Path as Way
+from onebend.control.shape import Shaped
+from onebend.control.trajectory_files import write_bag, write_csv, write_yaml
+from onebend.results.folder import files_in
+from onebend.results.summary import write_summary
+
+SHAPE_FORMAT = "onebend-shape-1"
+PATH_FORMAT = "onebend-path-1"
+TARGET_ROWS = (
+    "s",
+    "wanted_x_m",
+    "wanted_y_m",
+    "wanted_angle_rad",
+    "x_m",
+    "y_m",
+    "angle_rad",
+    "sd_x_m",
+    "sd_y_m",
+    "sd_angle_rad",
+)
+SHAPE_ROWS = ("s", "x_m", "y_m", "angle_rad")
+
+
+def shape_summary(model: str, found: Shaped, *, written_by: str) -> dict[str, Any]:
+    """What `onebend shape --json` prints and `summary.json` holds (there with `files`); SI and radians."""
+    hands, spread = found.stand.hands, found.spread
+    held = hands.grip is not None
+    return {
+        "format": SHAPE_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "push_s": [one.at_s for one in hands.pushes],
+        "force_N": found.forces,
+        "gripper_pose": dict(zip(("x_m", "y_m", "angle_rad"), found.pose, strict=True)) if held else None,
+        "gripper_wrench": None if found.wrench is None else found.wrench,
+        "rms_m": found.rms,
+        "target_error_m": found.xy_error,
+        "target_error_rad": found.angle_error,
+        "predicted_sd_m": None if spread is None else spread.xy,
+        "predicted_sd_rad": None if spread is None else spread.angle,
+        "predicted_sd_wrench": None if spread is None else spread.wrench,
+        "margin": found.margin,
+        "load_left": found.load_left,
+        "limits": found.limits,
+        "open_freedoms": found.open_freedoms,
+        "converged": found.converged,
+        "starts": found.starts,
+        "warnings": found.warnings,
+    }
+
+
+def shape_writer(found: Shaped, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with a shape."""
+
+    def write(folder: Path) -> None:
+        targets, spread, blank = found.targets, found.spread, np.full(len(found.targets.s), np.nan)
+        sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
+        here = (*found.xy(targets.s).T, found.angle(targets.s))
+        _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
+        s = np.linspace(0.0, 1.0, 201)
+        _rows(folder / "shape.csv", SHAPE_ROWS, (s, *found.xy(s).T, found.angle(s)))
+        (folder / "shape.png").write_bytes(picture)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write
+
+
+def path_summary(model: str, way: Way, *, written_by: str) -> dict[str, Any]:
+    """What `onebend path --json` prints and `summary.json` holds; the samples themselves are in `path.csv`."""
+    return {
+        "format": PATH_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "push_s": [one.at_s for one in way.hands.pushes],
+        "grip": way.hands.grip is not None,
+        "samples": len(way.time),
+        "duration_s": float(way.time[-1]),
+        "stretch": way.stretch,
+        "largest_force_N": [float(f) for f in np.max(np.linalg.norm(way.forces, axis=2), axis=0)],
+        "worst_miss_m": float(np.max(way.miss)),
+        "least_margin": float(np.min(way.margin)),
+        "least_margin_at_goal_time_s": float(way.margin_time[np.argmin(way.margin)]),
+        "warnings": way.warnings,
+    }
+
+
+def path_writer(way: Way, picture: bytes, summary: Mapping[str, Any], *, frame: str) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a ROS 2 bag, a picture."""
+
+    def write(folder: Path) -> None:
+        write_csv(folder / "path.csv", way)
+        write_yaml(folder, way, frame=frame)
+        write_bag(folder / "bag", way, frame=frame)
+        (folder / "path.png").write_bytes(picture)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write
+
+
+def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
+    """A CSV; blank where a number is not known."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        for row in np.stack(columns, axis=1):
+            writer.writerow([f"{value:.9g}" if np.isfinite(value) else "" for value in row])

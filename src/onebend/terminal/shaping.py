@@ -1,0 +1,116 @@
+"""What `onebend shape` and `onebend path` take and say."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from onebend.control.path import Path as Way
+from onebend.control.shape import Shaped
+from onebend.report.wording import significant
+
+TargetsFile = Annotated[
+    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
+]
+GoalsFile = Annotated[
+    Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
+]
+Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
+PushPlaces = Annotated[
+    list[float] | None,
+    typer.Option("--push-at", metavar="S", help="A force acts here: s in (0, 1]; may be repeated. Default: the tip."),
+]
+GoalPoint = Annotated[float, typer.Option("--point", metavar="S", help="The point led along goals without column s.")]
+HandMaxForce = Annotated[
+    float | None,
+    typer.Option("--max-force-N", metavar="N", help="Of every push and of the gripper; default: no bound."),
+]
+HandMaxMoment = Annotated[
+    float | None, typer.Option("--max-moment-N-m", metavar="N_M", help="Of the gripper; default: no bound.")
+]
+Arm = Annotated[
+    float | None,
+    typer.Option("--arm-m", metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."),
+]
+SampleRate = Annotated[float, typer.Option("--rate-Hz", metavar="HZ", help="Samples of the path.")]
+MaxForceRate = Annotated[float | None, typer.Option("--max-force-rate-N-per-s", metavar="N/S", help="Of every push.")]
+MaxSpeed = Annotated[float | None, typer.Option("--max-speed-m-per-s", metavar="M/S", help="Of the gripper.")]
+MaxTurnRate = Annotated[
+    float | None, typer.Option("--max-turn-rate-deg-per-s", metavar="DEG/S", help="Of the gripper.")
+]
+TooFast = Annotated[
+    Literal["stretch", "refuse"],
+    typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
+]
+BetweenGoals = Annotated[
+    Literal["smooth", "monotone", "linear"],
+    typer.Option("--between", help="Goals in between: a cubic spline; one that does not swing beyond; straight."),
+]
+FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
+
+
+def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
+    """The hands, how close the shape is, how far from buckling, how sure."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    for one, force in zip(found.stand.hands.pushes, found.forces, strict=True):
+        turn = math.degrees(math.atan2(force[1], force[0]))
+        size = significant(float(np.hypot(*force)))
+        table.add_row(
+            f"force at s = {one.at_s:.3g}", f"[bold]{size} N[/] at {turn:.1f} deg: ({force[0]:.4g}, {force[1]:.4g}) N"
+        )
+    if found.wrench is not None:
+        x, y, angle = found.pose
+        table.add_row("gripper", f"[bold]({1e3 * x:.3f}, {1e3 * y:.3f}) mm at {math.degrees(angle):.2f} deg[/]")
+        table.add_row(
+            "it puts on the beam", f"({found.wrench[0]:.4g}, {found.wrench[1]:.4g}) N and {found.wrench[2]:.4g} N m"
+        )
+    table.add_row("from the targets", f"{1e3 * found.rms:.3g} mm rms: {_why(found)}")
+    table.add_row("from buckling", f"margin {found.margin:.3f} (1 without loads, 0 where it buckles)")
+    table.add_row("sure to within", _sureness(found))
+    console.print(table, highlight=False)
+    for warning in found.warnings:
+        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
+    _wrote(console, output, "shape.csv, targets.csv, shape.png, summary.json")
+
+
+def _why(found: Shaped) -> str:
+    if found.limits:
+        return f"held back by {escape(', '.join(found.limits))}"
+    return "the closest that was found" if found.rms > 1e-9 else "they are met"
+
+
+def _sureness(found: Shaped) -> str:
+    if found.spread is None:
+        return "not known: the model has no band on k(s)"
+    return f"{2e3 * found.spread.rms:.2g} mm (2 sd over the targets' places, from the band on k(s))"
+
+
+def show_path(console: Console, way: Way, output: Path | None) -> None:
+    """Length, stretch, forces, misses, margin."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
+    table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
+    for one, force in zip(way.hands.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
+        table.add_row(f"force at s = {one.at_s:.3g}", f"up to {significant(float(np.max(np.hypot(*force.T))))} N")
+    if way.wrench is not None:
+        table.add_row("gripper's force", f"up to {significant(float(np.max(np.hypot(*way.wrench[:, :2].T))))} N")
+    table.add_row("from the goals", f"at worst {1e3 * float(np.max(way.miss)):.2g} mm rms in the model")
+    table.add_row(
+        "from buckling", f"margin at least {float(np.min(way.margin)):.3f} (1 without loads, 0 where it buckles)"
+    )
+    console.print(table, highlight=False)
+    for warning in way.warnings:
+        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
+    _wrote(console, output, "path.csv, ROS 2 messages (YAML and bag), path.png, summary.json")
+
+
+def _wrote(console: Console, output: Path | None, what: str) -> None:
+    if output is not None:
+        console.print(f"\nWrote {output}: {what}", highlight=False, markup=False)

@@ -1,0 +1,102 @@
+"""`onebend shape` and `onebend path`: from a model and a CSV to folders of files; clear words where it cannot be."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from onebend import cli
+from onebend.beam.model import Beam
+from onebend.results.model import save_model
+from tests.control.test_shape import S, band, gripped
+
+KNOWN = band(0.01, 0.03)
+BEAM = Beam(0.15, KNOWN.profile)
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, [str(one) for one in arguments], env={"COLUMNS": "200"})
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    save_model(tmp_path / "model.json", BEAM, written_by="a test", uncertain=KNOWN)
+    return tmp_path / "model.json"
+
+
+@pytest.fixture
+def targets(tmp_path: Path) -> Path:
+    file, wanted = tmp_path / "targets.csv", gripped(np.array([0.2, 0.3, -0.02]), S, BEAM)
+    rows = [f"{s:.9g},{x:.12g},{y:.12g}\n" for s, (x, y, _) in zip(S, wanted, strict=True)]
+    file.write_text("s,x_m,y_m\n" + "".join(rows), encoding="utf-8")
+    return file
+
+
+@pytest.fixture
+def goals(tmp_path: Path) -> Path:
+    file = tmp_path / "goals.csv"
+    xy = BEAM.equilibrium(np.stack([np.zeros(5), np.linspace(0.1, 0.3, 5)], axis=1)).xy(1.0)
+    rows = [f"{0.1 * i:.3g},{x:.12g},{y:.12g}\n" for i, (x, y) in enumerate(xy)]
+    file.write_text("time_s,x_m,y_m\n" + "".join(rows), encoding="utf-8")
+    return file
+
+
+def test_a_gripper_for_a_shape(model: Path, targets: Path, tmp_path: Path) -> None:
+    done = run("shape", model, "--targets", targets, "--grip", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    for words in ("gripper", "they are met", "margin", "from the band on k(s)"):
+        assert words in done.stdout
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert set(summary["files"]) == {"shape.csv", "shape.png", "summary.json", "targets.csv"}
+    wanted = gripped(np.array([0.2, 0.3, -0.02]), S, BEAM)[-1]
+    np.testing.assert_allclose(list(summary["gripper_pose"].values()), wanted, atol=1e-7)
+    with (tmp_path / "out" / "targets.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(S)
+    assert rows[0]["wanted_angle_rad"] == ""
+    assert (tmp_path / "out" / "shape.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_bounded_pushes_for_a_script(model: Path, targets: Path) -> None:
+    asked = ("--push-at", "0.5", "--push-at", "1", "--max-force-N", "0.1", "--json")
+    data = json.loads(run("shape", model, "--targets", targets, *asked).stdout)
+    assert data["format"] == "onebend-shape-1"
+    assert np.all(np.linalg.norm(data["force_N"], axis=1) <= 0.1 * (1.0 + 1e-9))
+    assert data["limits"]
+    assert data["gripper_pose"] is None
+
+
+def test_a_path_with_a_limit(model: Path, goals: Path, tmp_path: Path) -> None:
+    asked = ("--point", "1.0", "--push-at", "1.0", "--rate-Hz", "100", "--max-force-rate-N-per-s", "0.2")
+    done = run("path", model, "--goals", goals, *asked, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "times the goals'" in done.stdout
+    with (tmp_path / "out" / "path.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    force = np.array([[float(row["force_1_x_N"]), float(row["force_1_y_N"])] for row in rows])
+    assert np.max(np.linalg.norm(np.diff(force, axis=0), axis=1)) * 100.0 <= 0.2 * (1.0 + 1e-6)
+    np.testing.assert_allclose(force[[0, -1]], [[0.0, 0.1], [0.0, 0.3]], atol=1e-6)
+    assert (tmp_path / "out" / "bag" / "metadata.yaml").is_file()
+    assert (tmp_path / "out" / "push_1_wrench.yaml").is_file()
+    again = run("path", model, "--goals", goals, *asked, "-o", tmp_path / "out")
+    assert again.exit_code == 2
+    assert "already holds results" in again.stderr.replace("\n", " ")
+
+
+def test_a_path_too_fast_is_refused(model: Path, goals: Path) -> None:
+    asked = ("--rate-Hz", "100", "--max-force-rate-N-per-s", "0.2", "--too-fast", "refuse")
+    done = run("path", model, "--goals", goals, *asked)
+    assert done.exit_code == 2
+    assert "its limit 0.2" in done.stderr.replace("\n", " ")
+
+
+def test_a_bad_file_is_named_with_its_line(model: Path, goals: Path) -> None:
+    goals.write_text(goals.read_text(encoding="utf-8").replace("0.2,", "half,"), encoding="utf-8")
+    done = run("path", model, "--goals", goals)
+    assert done.exit_code == 2
+    assert "goals.csv, line 4: time_s is 'half', not a number" in done.stderr.replace("\n", " ")
