@@ -8,6 +8,7 @@ recording of the same beam (a slow push); the mass is known as a whole (weighed)
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -58,20 +59,17 @@ def row(name: str, fit: SwingFit, tau: float, frequency: float, mass: float) -> 
     return "| " + " | ".join(cells) + " |"
 
 
-def rows(seen: Observations, learned: Beam, band: UncertainStiffness, true: Beam) -> dict[str, SwingFit]:
+def rows(seen: Observations, learned: Beam, band: UncertainStiffness, true: Beam) -> Iterator[tuple[str, SwingFit]]:
     """Every way to ask."""
     bare, width = replace(learned, mass_per_length=Uniform(0.0)), DampingSettings(mass_along="width")
     unweighed = replace(seen, mass=float("nan"))
-    found = {
-        "learned k, weighed, mass even": learn_damping(bare, seen, uncertain=band),
-        "learned k, weighed, mass as the width": learn_damping(bare, seen, uncertain=band, settings=width),
-        "learned k, not weighed, mass as the width": learn_damping(bare, unweighed, uncertain=band, settings=width),
-    }
+    yield "learned k, weighed, mass as the width", learn_damping(bare, seen, uncertain=band, settings=width)
+    yield "the same, mass even", learn_damping(bare, seen, uncertain=band)
+    yield "as the width, not weighed", learn_damping(bare, unweighed, uncertain=band, settings=width)
     for begin in (3.6, 4.5):
-        name = f"learned k, mass as the width, from {begin:.1f} s of the film"
-        found[name] = learn_damping(bare, seen, uncertain=band, part=Part(begin), settings=width)
-    found["true k and mass"] = learn_damping(true, seen)
-    return found
+        fit = learn_damping(bare, seen, uncertain=band, part=Part(begin), settings=width)
+        yield f"as the width, from {begin:.1f} s of the film", fit
+    yield "true k and mass", learn_damping(true, seen)
 
 
 def main() -> None:
@@ -87,8 +85,8 @@ def main() -> None:
     )
     print("| model | loss time [ms] | error | frequency [Hz] | error | c | mass [g] | tags from the motion [mm] |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    for name, fit in rows(seen, run.posterior.beam, run.posterior.stiffness, true).items():
-        print(row(name, fit, tau, frequency, float(truth.facts["mass"])))
+    for name, fit in rows(seen, run.posterior.beam, run.posterior.stiffness, true):
+        print(row(name, fit, tau, frequency, float(truth.facts["mass"])), flush=True)
 
 
 if __name__ == "__main__":
