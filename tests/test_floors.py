@@ -17,7 +17,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("learning", "control", "lab"),
     ("report", "export", "estimators"),
     ("results",),
-    ("pipeline",),
+    ("pipeline", "rehearse"),
     ("batch", "terminal"),
     ("__init__",),
     ("cli", "studio"),

@@ -20,6 +20,8 @@ IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
 
+PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
+DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
 UNKNOWN_ANGLE_SD = float(np.pi)  # rad, stands in a covariance for an angle that is not measured (and is NaN)
 
 
@@ -187,6 +189,7 @@ class Observations:
     gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %), as declared; 0 where it was not, or without a force
     view: View | None = None  # of the beam's plane and frame
     video: Path | None = None
+    video_topic: str = ""  # where `video` is a bag
     static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
     sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
     known: KnownLoads | None = None
@@ -194,3 +197,5 @@ class Observations:
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
     remarks: tuple[Remark, ...] = ()
+    place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
+    direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

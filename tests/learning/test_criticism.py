@@ -157,7 +157,7 @@ def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
 def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
     one = fit([moved(fitted().films[0].observations, 0, (0.0, 0.0, np.deg2rad(9.0)))], 0.02, settings=SMALL)
     assert one.criticism.trusted
-    assert any(remark.level == "note" and "tag 1 is turned by 9" in remark.text for remark in fit_remarks(one))
+    assert any(remark.level == "note" and "tag 1 is turned by 8.9" in remark.text for remark in fit_remarks(one))
 
 
 def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:

@@ -20,7 +20,7 @@ from onebend.records import ForceLog
 from tests.made_up import BEAM
 
 COLUMNS = ("time_s", "fx_N", "fy_N")
-GOOD = ["time_s,fx_N,fy_N"] + [f"{0.1 * i:.1f},{0.01 * i},-0.5" for i in range(40)]
+GOOD = ["time_s,fx_N,fy_N"] + [f"{0.1 * i:.1f},{0.01 * i},{-0.5 - 0.01 * i}" for i in range(40)]
 
 
 def log_file(folder: Path, lines: list[str]) -> Path:
@@ -38,6 +38,26 @@ def test_rows_without_numbers_are_left_out_and_counted(tmp_path: Path) -> None:
     assert np.allclose(log.time, 0.1 * left)
     assert np.allclose(log.force[:, 0], 0.01 * left)
     assert [(one.level, one.text[:8]) for one in log.remarks] == [("note", "4 of 40 ")]
+
+
+@pytest.mark.parametrize("dead", ["fx_N", "fy_N"])
+def test_a_column_that_never_changes_is_named(tmp_path: Path, dead: str) -> None:
+    rows = [f"{0.1 * i:.1f}," + ("0.3," if dead == "fx_N" else "") + f"{i}" for i in range(40)]
+    rows = [row + ("" if dead == "fx_N" else ",0.3") for row in rows]
+    log = read_force_log(log_file(tmp_path, [GOOD[0], *rows]), COLUMNS)
+    assert [one.level for one in log.remarks] == ["warning"]
+    which = "first" if dead == "fx_N" else "second"
+    assert f"The {which} force of the log never changes (0.3 N)" in log.remarks[0].text
+
+
+@pytest.mark.parametrize("off", [-30, 60, 90])
+def test_a_turned_log_is_named_with_the_angle_that_fits(pushed: Virtual, off: int) -> None:
+    cos, sin = np.cos(np.deg2rad(off)), np.sin(np.deg2rad(off))
+    log = replace(pushed.log, force=pushed.log.force @ np.array([[cos, sin], [-sin, cos]]))
+    told = [one.text for one in observe_virtual(replace(pushed, log=log)).remarks if one.level == "warning"]
+    fits = [float(text.split("(about ")[1].split()[0]) for text in told if "bending far better" in text]
+    assert fits == [pytest.approx(-off, abs=8)]
+    assert not [one for one in observe_virtual(pushed).remarks if one.level == "warning"]
 
 
 def test_rows_of_one_time_become_their_mean(tmp_path: Path) -> None:

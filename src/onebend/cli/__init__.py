@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from onebend.cli.bags import topics
 from onebend.cli.calibrating import calibrate
 from onebend.cli.common import BY
 from onebend.cli.control import reach
@@ -19,6 +20,7 @@ from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
 from onebend.cli.motion import damp
+from onebend.cli.rehearsing import rehearse
 from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -30,6 +32,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "shape": shape,
     "path": path,
     "new": new,
+    "topics": topics,
     "check": check,
     "calibrate": calibrate,
     "show": show,
@@ -39,6 +42,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "mould": mould,
     "tags": tags,
     "film": film,
+    "rehearse": rehearse,
 }
 
 app = typer.Typer(

@@ -24,6 +24,9 @@ from onebend.records import Array
 
 # log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
 ALARM = -5.0
+# The same of what a person writes down of the push: it is wrong more often than beams are odd, and hardly shows.
+ALARM_WRITTEN = -2.5
+WRITTEN = ("push place", "force direction")
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
 _SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
 _MOST = 3  # causes and symptoms that are named
@@ -54,7 +57,11 @@ class Criticism:
     @property
     def striking(self) -> tuple[Finding, ...]:
         """Those that clean recordings do not show."""
-        return tuple(f for f in self.findings if f.score.log10_p < self.alarm)
+        return tuple(f for f in self.findings if f.score.log10_p < self.level(f))
+
+    def level(self, finding: Finding) -> float:
+        """log10 p beyond which one test counts."""
+        return max(self.alarm, ALARM_WRITTEN) if finding.score.suspect.name in WRITTEN else self.alarm
 
     @property
     def alarms(self) -> tuple[Finding, ...]:

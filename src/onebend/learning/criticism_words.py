@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from onebend.learning.criticism import Criticism, Finding
+from onebend.learning.criticism import ALARM_WRITTEN, Criticism, Finding
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
 _SLIP = 1e-3  # m, by which the push may act beside where it is said to
+_OUT = 1.2  # s: a push farther out than that is no place
 _Words = tuple[str, str]  # what it would be, and what to do
 
 
@@ -82,12 +83,13 @@ def unseen_words(posterior: Posterior) -> str:
         value = one.score.value
         if one.score.suspect.name == "push place" and np.all(np.isfinite(value)) and np.all(value != 0.0):
             share = _SLIP / posterior.films[0].observations.length / abs(float(value[0]))
-            seen = -posterior.criticism.alarm * float(one.score.sd[0])  # 4 sd: one of about 10,000
+            seen = -ALARM_WRITTEN * float(one.score.sd[0])  # about 3 sd
             change = 100.0 * float(np.expm1(share * one.shift))
+            said = _millimetres(max(f.observations.place_sd for f in posterior.films))
             return (
                 f"A push {_millimetres(_SLIP)} from where at_s says it acts would change k(s) by up to {change:.2g} % "
-                f"({share * one.sds:.1f} sd), and would be noticed only if it were off by more than about "
-                f"{seen:.2g} in s"
+                f"({share * one.sds:.1f} sd). The band allows for {said} (at_sd_m); more would be noticed only if it "
+                f"were off by more than about {seen:.2g} in s"
             )
     return ""
 
@@ -123,7 +125,9 @@ def _length(value: Array, posterior: Posterior) -> _Words:
 
 def _place(value: Array, posterior: Posterior) -> _Words:
     said = float(np.median(posterior.films[0].push_s))
-    return f"the push acts at about s = {said + value[0]:.2f}, not {said:.2f}", "Check [push] at_s"
+    where = f"at about s = {said + value[0]:.2f}, " if 0.0 < said + value[0] < _OUT else ""
+    words = f"the push acts {where}not at {said:.2f}"
+    return words, "Check [push] at_s; if it is not known, state at_sd_m, and the fit finds it within that"
 
 
 def _beside(value: Array, _: Posterior) -> _Words:
@@ -132,7 +136,10 @@ def _beside(value: Array, _: Posterior) -> _Words:
 
 
 def _direction(value: Array, _: Posterior) -> _Words:
-    return f"the force's direction is off by {_degrees(value[0])}", "Check rotation_deg in [force]"
+    if abs(value[0]) > 1.0:  # rad, beyond what a straight line tells
+        return "the force's direction is wrong", "Check columns and rotation_deg in [force]"
+    words = f"the force's direction is off by {_degrees(value[0])}"
+    return words, f"Check columns in [force], and whether rotation_deg is {np.rad2deg(value[0]):+.2g} from what it says"
 
 
 def _weight(value: Array, _: Posterior) -> _Words:

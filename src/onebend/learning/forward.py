@@ -15,7 +15,6 @@ from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import (
     Change,
     of_clamp_angle,
-    of_force,
     of_mass,
     of_rest_curvature,
     of_stiffness,
@@ -51,6 +50,7 @@ class Film:
     push_s: Array  # (F,)
     problem: Problem  # grid and what does not change
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
+    farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     weight_modes: Change | None  # derivatives with the parts of the mass that are not; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
@@ -105,6 +105,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         push_s=push_s,
         problem=problem,
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
+        farther=_farther(problem, push_s),
         weight=problem.dead_force,
         weight_modes=of_mass(problem, mass / o.length * MASS_MODES.curvature(nodes), gravity) if weighs else None,
         on_nodes=spline.basis(nodes),
@@ -116,7 +117,7 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
     """Equilibria and tags for parameters x; warm-started from shapes `start` (F, Q) where given."""
     r = seen.number
     errors = at.get(x, "force", r).reshape(-1, 2)
-    force = seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)
+    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T
     weight_beyond = seen.weight
     if seen.weight_modes is not None and seen.weight_modes.force is not None:
         weight_beyond = weight_beyond + seen.weight_modes.force @ at.get(x, "mass")
@@ -125,7 +126,7 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
         k=np.exp(seen.on_nodes @ at.get(x, "stiffness")),
         q0=seen.rest_on_nodes @ at.get(x, "curvature"),
         alpha0=np.asarray(at.get(x, "clamp", r)[0]),
-        dead_force=seen.beyond[..., None] * force[:, None, :] + weight_beyond,
+        dead_force=_pushed(seen, at, x)[..., None] * force[:, None, :] + weight_beyond,
     )
     solved = follow(problem) if start is None else refine(problem, start)
     s, over = tag_places(seen, at, x)
@@ -146,7 +147,8 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
         of_stiffness(solved, k[..., None] * seen.on_nodes)
         + of_rest_curvature(solved.problem, seen.rest_on_nodes)
         + of_clamp_angle(solved.problem)
-        + of_force(solved.problem, seen.push_s)
+        + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
+        + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
     )
     if seen.weight_modes is not None:
         change = change + seen.weight_modes
@@ -157,7 +159,7 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
     moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
-    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2 (+ 4))
+    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
     out = np.zeros((*now.pose.shape, len(at.known_to(r))))
     p = seen.on_nodes.shape[-1]
     by_force = mechanics[..., p + 4 : p + 6]
@@ -165,9 +167,13 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
     _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
     if seen.weight_modes is not None:
-        _put(out, at.columns("mass"), mechanics[..., p + 6 :])
-    _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_force, seen.rate)[..., None])
-    knots = -np.einsum("tmad,tk->tmakd", by_force, seen.error_weights)
+        _put(out, at.columns("mass"), mechanics[..., p + 7 :])
+    _put(out, at.columns("place", r), mechanics[..., p + 6 : p + 7])
+    across_force = np.stack([-now.force[:, 1], now.force[:, 0]], axis=-1)
+    _put(out, at.columns("direction", r), np.einsum("tmad,td->tma", by_force, across_force)[..., None])
+    by_log = by_force @ _axes(at, x, r)
+    _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_log, seen.rate)[..., None])
+    knots = -np.einsum("tmad,tk->tmakd", by_log, seen.error_weights)
     _put(out, at.columns("force", r), knots.reshape(*now.pose.shape, -1))
     bend = np.where(over > 0.0, 0.0, apply(solved.problem.grid.value_at(s), solved.q)) / seen.observations.length
     _put_tags(out, at, (cos, sin), (1.0 - across * bend) * scale, scale, bend)
@@ -205,6 +211,31 @@ def _put_tags(out: Array, at: Layout, turned: tuple[Array, Array], stride: Array
 def _put(out: Array, columns: slice | None, values: Array) -> None:
     if columns is not None:
         out[..., columns] = values
+
+
+def _pushed(seen: Film, at: Layout, x: Array) -> Array:
+    """(F, Q) share of the push that acts beyond the node."""
+    return np.asarray(seen.beyond + at.get(x, "place", seen.number)[0] * seen.farther)
+
+
+def _axes(at: Layout, x: Array, r: int) -> Array:
+    """(2, 2) by which the logged force is turned."""
+    turn = float(at.get(x, "direction", r)[0])
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def _farther(problem: Problem, push_s: Array) -> Array:
+    """(F, Q) 1/m: a dead force that acts d metres farther out along the tangent than `push_s` adds d times this to the
+    share of it beyond each node.
+
+    It lengthens the way to the force, `L sum w u`, by d u at the last node before it. So it also holds beyond the tip,
+    where there is no beam, and the nodes stay where they are.
+    """
+    nodes, weights = np.broadcast_arrays(problem.grid.nodes, problem.weights)
+    last = np.broadcast_to(nodes < push_s[:, None], (len(push_s), nodes.shape[-1])).sum(axis=1) - 1
+    nodes_of = np.arange(nodes.shape[-1]) == last[:, None]
+    return np.asarray(nodes_of / (float(problem.length) * weights))
 
 
 def _rate(o: Observations) -> Array:

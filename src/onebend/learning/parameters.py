@@ -27,6 +27,8 @@ class Priors:
     mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
     mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
     clock: float | None = None  # s; None: as the clock's own estimate says
+    place: float | None = None  # m, along the beam, from where the push is said to act; None: as the recording says
+    direction: float | None = None  # rad, of the force log's axes; None: as the recording says
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,8 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
             ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
+            ("place", r, "m", _pushed(one, one.place_sd, priors.place), (f"{one.name}: push place",)),
+            ("direction", r, "rad", _pushed(one, one.direction_sd, priors.direction), (f"{one.name}: force axes",)),
             ("force", r, "N", 1.0, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
     blocks, start = [], 0
@@ -143,3 +147,10 @@ def _clock_sd(one: Observations, priors: Priors) -> float:
     if one.clock is None:
         return 0.0
     return _CLOCK_DOUBT * float(one.clock.sd) if np.isfinite(one.clock.sd) else 1.0
+
+
+def _pushed(one: Observations, said: float, wanted: float | None) -> float:
+    """One sd of what a push may be off by; 0 where nothing pushed, or where loads were hung on at marks."""
+    if one.static or not np.any(one.force != 0.0):
+        return 0.0
+    return said if wanted is None else wanted

@@ -75,11 +75,11 @@ def linear(films: Sequence[Film], at: Layout, optimum: Optimum, level: float) ->
 def pulls(line: Linear) -> list[Score]:
     """How far the nuisances came out from their priors: tags one by one, the parts of other blocks together.
 
-    Directions of which the data say nothing are left out.
+    Directions of which the data say nothing are left out. Place and direction of the push are among the departures.
     """
     out = []
     for block in line.at.blocks:
-        if block.start < 0 or block.name in ("stiffness", "force"):
+        if block.start < 0 or block.name in ("stiffness", "force", "place", "direction"):
             continue
         whose = "" if block.recording < 0 else line.films[block.recording].observations.name
         tags = line.films[0].observations.tag_id.tolist() if block.name in ("along", "across", "turn") else [-1]

@@ -10,8 +10,10 @@ from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
+_TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
 _MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
+_SEEN = 3.0  # times the tags' own noise: less is no miss, however little they move
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -38,11 +40,13 @@ def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
         if seen.observations.static:  # points near the clamp hardly move, and a ruler reads them no better
             straight = seen.observations.length * seen.observations.marker_s[:, None] * np.array([1.0, 0.0])
             motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
-        worst = int(np.argmax(np.nan_to_num(rms / motion)))
-        if rms[worst] > _MISS * motion[worst]:
+        variance = np.trace(seen.observations.covariance[..., :2, :2], axis1=2, axis2=3)
+        missing = np.where(rms > _SEEN * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
+        worst = int(np.argmax(missing))
+        if missing[worst] > _MISS:
             text = (
-                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.1f} mm RMS where it "
-                f"moves by {1000 * motion[worst]:.0f} mm"
+                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.2g} mm RMS where it "
+                f"moves by {1000 * motion[worst]:.2g} mm"
             )
             out.append((seen.observations.name, text))
     return tuple(out)
@@ -88,7 +92,7 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
         for i in np.flatnonzero(away > _FAR):
             tag = ids[i] if block.name in ("along", "across", "turn") else -1
-            if (block.name, tag) not in told:
+            if (_TESTED_AS.get(block.name, block.name), tag) not in told:
                 text = (
                     f"{block.labels[i]} came out {away[i]:.1f} times as far off as recording.toml and the priors allow "
                     "(one sd): something may not be as it is written there"

@@ -13,9 +13,10 @@ from typing import Literal
 
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
 from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
-from onebend.records import Remark, Rest
+from onebend.records import DIRECTION_SD, PLACE_SD, Remark, Rest
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
+DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
 
 
@@ -105,7 +106,7 @@ class CameraEntry:
 class VideoEntry:
     """[video]: the film and its clock."""
 
-    file: Path = key("file", text, "the video file, relative to this folder", example='"video.mp4"')
+    file: Path = key("file", text, "the video file or a bag, relative to this folder", example='"video.mp4"')
     fps: float = key(
         "fps", number(above=0), "the frame rate, only checked against the file's own", example="30", default=math.nan
     )
@@ -115,6 +116,13 @@ class VideoEntry:
         '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
         example='"container"',
         default="container",
+    )
+    topic: str = key("topic", text, "the image topic, where file is a bag", example='"/camera/image_raw"', default="")
+    definitions: Path | None = key(
+        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
+    )
+    damaged: Literal["refuse", "keep"] = key(
+        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
     )
     start: float = key(
         "start_s", number(), "the time of the first frame on the force log's clock, s", example="0.0", default=math.nan
@@ -132,7 +140,7 @@ class VideoEntry:
 class ForceEntry:
     """[force]: the force log, and what is known of its sensor."""
 
-    file: Path = key("file", text, "the force log, a CSV file, relative to this folder", example='"force.csv"')
+    file: Path = key("file", text, "the force log, a CSV file or a bag, relative to this folder", example='"force.csv"')
     columns: tuple[str, str, str] = key(
         "columns",
         several(text, 3),
@@ -140,12 +148,43 @@ class ForceEntry:
         example='["time_s", "fx_N", "fy_N"]',
         default=("time_s", "fx_N", "fy_N"),
     )
+    time_unit: Literal["s", "ms", "us", "ns"] = key(
+        "time_unit", one_of("s", "ms", "us", "ns"), "the unit of the column with the time", example='"s"', default="s"
+    )
+    topic: str = key("topic", text, "the force's topic, where file is a bag", example='"/wrench"', default="")
+    field: str = key(
+        "field",
+        text,
+        "where the force stands in the topic's messages; known for wrenches and Franka's states",
+        example='"wrench.force"',
+        default="",
+    )
+    axes: tuple[str, str] = key(
+        "axes",
+        several(one_of("x", "y", "z", "-x", "-y", "-z"), 2),
+        "the two axes of the bag's forces that span the plane of bending, in the order of x and y",
+        example='["x", "y"]',
+        default=("x", "y"),
+    )
+    definitions: Path | None = key(
+        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
+    )
+    damaged: Literal["refuse", "keep"] = key(
+        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
+    )
     rotation: float = key(
         "rotation_deg",
         degrees(),
         "the log's x axis against the beam's, counter-clockwise as the camera sees it, degrees",
         example="0.0",
         default=0.0,
+    )  # rad
+    rotation_sd: float = key(
+        "rotation_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        "how far off rotation_deg may be (one standard deviation), degrees; 0: exact",
+        example="1.0",
+        default=DIRECTION_SD,
     )  # rad
     acts_on: Literal["beam", "robot"] = key(
         "acts_on",
@@ -180,6 +219,13 @@ class PushEntry:
     )
     column: str = key(
         "column", text, "the force log's column that gives the place of the push", example='"push_s"', default=""
+    )
+    at_sd: float = key(
+        "at_sd_m",
+        number(least=0),
+        "how far off that place the force may act along the beam (one standard deviation), m; 0: exact",
+        example="0.0005",
+        default=PLACE_SD,
     )
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from onebend.errors import RecordingError
+from onebend.recording.bag import is_bag
+from onebend.recording.bag_recording import check_bag, with_bags
 from onebend.recording.entries import (
     BeamEntry,
     CameraEntry,
@@ -38,6 +40,7 @@ SECTIONS: dict[str, type] = {
     "photos": PhotosEntry,
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
+BAGS = ("video", "force")  # whose file may be a bag
 TABLES = ("beam", "tags", *SECTIONS)
 
 
@@ -64,9 +67,13 @@ def read_recording(folder: Path | str) -> Recording:
     beam = with_paths(beam, "beam", folder, mistakes)
     found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
     check_together(found, data, mistakes)
+    if not mistakes.found:
+        for name in BAGS:
+            if found[name] is not None:
+                check_bag(name, found[name], data[name], mistakes)
     if mistakes.found or beam is None or tags is None:
         raise RecordingError(str(mistakes))
-    return Recording(
+    rec = Recording(
         folder=folder,
         name=data.get("name", folder.resolve().name),
         beam=beam,
@@ -74,6 +81,7 @@ def read_recording(folder: Path | str) -> Recording:
         remarks=remarks_on(tags, data),
         **found,
     )
+    return with_bags(rec, data)
 
 
 def load(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -140,13 +148,15 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     """`entry` with the files it names made whole paths; each must exist."""
     if entry is None:
         return None
-    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder"):
+    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder", "definitions"):
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue
         path = folder / written
-        if not (path.is_dir() if field_name == "folder" else path.is_file()):
-            what = "folder" if field_name == "folder" else "file"
+        wants_folder = field_name in ("folder", "definitions")
+        there = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
+        if not there:
+            what = "folder" if wants_folder else "file"
             near = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
             hint = f"Did you mean {near[0]}?" if near else "Put it there, or correct the name."
             mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {path}. {hint}")
@@ -159,6 +169,8 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
 def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
     """What no table can say alone."""
     push, gravity = found["push"], found["gravity"]
+    if push is not None and push.column and found["force"] is not None and found["force"].topic:
+        mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
     if push is not None and math.isnan(push.at) == (push.column == ""):
         mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
     if "force" in data and "push" not in data:

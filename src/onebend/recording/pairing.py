@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import ObservationError
+from onebend.recording.bag_force import read_bag_force
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
 from onebend.recording.entries import Recording
@@ -32,7 +33,10 @@ def read_log(rec: Recording) -> ForceLog | None:
     """The force log, where the recording has one."""
     if rec.force is None:
         return None
-    return read_force_log(rec.force.file, rec.force.columns, rec.push.column if rec.push else "")
+    if rec.force.topic:
+        return read_bag_force(rec.force)
+    column = rec.push.column if rec.push else ""
+    return read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
 
 
 def match_clocks(
@@ -77,7 +81,8 @@ def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
     if apart * FEWEST_ROWS > film:
         raise ObservationError(
             f"{rec.name}: the force log has a row every {apart:.3g} s, fewer than {FEWEST_ROWS} during the film of "
-            f"{film:.3g} s. Times must be in seconds: divide those in milliseconds by 1000. Or log more often."
+            f"{film:.3g} s. Times must be in seconds: for milliseconds write "
+            'time_unit = "ms" in [force]. Or log more often.'
         )
 
 
@@ -176,12 +181,18 @@ def check_direction(
     """
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
-    if reading is None or not (reading.impossible or reading.better):
+    if reading is None or not (reading.impossible or reading.better or reading.askew):
         return ()
     if reading.better == "opposite":
         text = "The force looks as if it had the opposite sign. Give acts_on in [force] the other value, beam or robot."
     elif reading.better:
         text = f"The force fits the bending far better with {reading.better}. Check columns, rotation_deg in [force]."
+    elif reading.askew:
+        fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
+        text = (
+            f"The force fits the bending far better turned by {math.degrees(reading.turn):.0f} deg. Check columns and "
+            f"rotation_deg in [force] (about {fits:.0f} would fit)."
+        )
     elif reading.hopeless:
         text = "The force does not follow the bending, however its axes are read. Check that the log is of this push."
     else:

@@ -89,7 +89,8 @@ def fit(beam: Beam, one: Comparison, seen: Observations) -> Figure | None:
     if seen.view is None or seen.video is None:
         return None
     try:
-        image = frame_at(VideoEntry(file=seen.video), int(one.frame[largest_push(one)]))
+        film = VideoEntry(file=seen.video, topic=seen.video_topic, damaged="keep" if seen.video_topic else "refuse")
+        image = frame_at(film, int(one.frame[largest_push(one)]))
     except OnebendError:
         return None
     return figures.fit_over_frame(image, seen.view, beam, one, seen)

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from onebend.recording.bag_recording import bag_span
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.force_log import read_force_log
 from onebend.recording.marker_tracks import read_tracks
+from onebend.recording.pairing import read_log
 from onebend.recording.pose_loads import read_loads
 from onebend.recording.pose_tables import read_points
 from onebend.recording.video import frame_count, opened, read_frames
@@ -50,10 +51,7 @@ def overview(folder: Path | str) -> Overview:
     """
     recording = read_recording(folder)
     film = None if recording.video is None else first_look(recording.video)
-    log = None
-    if recording.force is not None:
-        column = recording.push.column if recording.push is not None else ""
-        log = read_force_log(recording.force.file, recording.force.columns, column)
+    log = read_log(recording)
     rows = [*_beam_rows(recording), *_film_rows(recording, film), *_log_rows(recording, log)]
     remarks = (*recording.remarks, *(log.remarks if log else ()), *_oddities(recording, film, log))
     return Overview(recording.name, tuple(rows), remarks)
@@ -62,6 +60,9 @@ def overview(folder: Path | str) -> Overview:
 def first_look(video: VideoEntry) -> Film:
     """Size, and what the container says of its length."""
     height, width = next(read_frames(video)).luma.shape
+    if video.topic:
+        frames, seconds = bag_span(video)
+        return Film(width, height, frames, seconds)
     with opened(video.file) as container:
         seconds = container.duration / 1e6 if container.duration else float("nan")
     return Film(width, height, frame_count(video), seconds)
@@ -97,7 +98,7 @@ def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]
     how = "not calibrated: the tags' size gives the scale"
     if camera is not None:
         how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
-    video = recording.video.file.name
+    video = " ".join((recording.video.file.name, recording.video.topic)).strip()
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
 
@@ -127,10 +128,11 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     column = recording.push.column
     place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
     start, doubt = recording.start
+    source = " ".join((recording.force.file.name, recording.force.topic)).strip()
     what = "the video starts" if recording.video is not None else "the tracks start"
     said = f"{what} at {start:.3f} s of the log, give or take {doubt:.2g} s"
     return [
-        ("force log", f"{recording.force.file.name}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
+        ("force log", f"{source}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
         ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "
                                    f"{np.rad2deg(recording.force.rotation):.4g} deg"),
         ("push", place),

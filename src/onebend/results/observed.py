@@ -106,6 +106,7 @@ def _rest_of(o: Observations) -> dict[str, Any]:
         "known": _listed(o.known),
         "mass_line": _listed(o.mass_line),
         "video": None if o.video is None else str(o.video),
+        "video_topic": o.video_topic,
         "remarks": [[remark.level, remark.text] for remark in o.remarks],
     }
 
@@ -141,6 +142,7 @@ def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
         known=None if rest["known"] is None else _known(rest["known"], table.num_rows),
         mass_line=None if rest["mass_line"] is None else MassLine(*map(np.asarray, rest["mass_line"].values())),
         video=None if rest["video"] is None else Path(rest["video"]),
+        video_topic=rest.get("video_topic", ""),
         remarks=tuple(Remark(level, text) for level, text in rest["remarks"]),
     )
 
