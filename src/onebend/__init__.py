@@ -13,6 +13,7 @@ from onebend.errors import (
 )
 from onebend.lab.design_file import read_design
 from onebend.lab.designs import DESIGNS, Design
+from onebend.learning.damping import Damping, DampingSettings, SwingFit, learn_damping
 from onebend.learning.identifiability import information, information_along
 from onebend.learning.learn import learn
 from onebend.learning.online import OnlineLearner, OnlineSettings, Update
@@ -38,6 +39,8 @@ __all__ = [
     "Beam",
     "Bench",
     "Comparison",
+    "Damping",
+    "DampingSettings",
     "Design",
     "FitSettings",
     "Gaussians",
@@ -59,6 +62,7 @@ __all__ = [
     "Settings",
     "Shape",
     "Steps",
+    "SwingFit",
     "Table",
     "UncertainStiffness",
     "Uniform",
@@ -68,6 +72,7 @@ __all__ = [
     "information",
     "information_along",
     "learn",
+    "learn_damping",
     "learn_recording",
     "load_model",
     "load_observations",

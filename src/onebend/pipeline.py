@@ -202,11 +202,7 @@ def compare(
     """
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
-        if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
-            raise ObservationError(
-                f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
-                f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
-            )
+        check_same_length(beam, recording)
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
@@ -233,6 +229,15 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
             'learn the beam with a band (docs/method.md, "k(s) with a band")'
         )
     return plan(stored.uncertain, stored.beam, stored.bench, settings, progress=progress)
+
+
+def check_same_length(beam: Beam, recording: Recording) -> None:
+    """Raises `ObservationError` where the recording is of a beam of another length."""
+    if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
+        raise ObservationError(
+            f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
+            f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
+        )
 
 
 @dataclass

@@ -91,7 +91,7 @@ def change(data: dict[str, Any], **changes: Any) -> str:
     return json.dumps(data | changes)
 
 
-GOOD: dict[str, Any] = {"format": "onebend-model", "version": 2, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+GOOD: dict[str, Any] = {"format": "onebend-model", "version": 3, "written_by": "x", "beam": made_up.BEAM.as_dict()}
 BAND = UncertainStiffness(np.array([0.0, 0.0, 1.0, 1.0]), np.zeros(2), np.eye(2), degree=1).as_dict()
 UNIFORM = {"kind": "uniform", "value": 0.1}
 
@@ -105,7 +105,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=7), "version 7, but this onebend reads versions 1 and 2"),
+        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2 and 3"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),

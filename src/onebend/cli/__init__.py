@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from onebend.cli.bags import topics
+from onebend.cli.calibrating import calibrate
 from onebend.cli.common import BY
 from onebend.cli.control import reach
 from onebend.cli.exporting import export_command, rerun_command
@@ -18,6 +19,7 @@ from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.making import design, mould, tags
+from onebend.cli.motion import damp
 from onebend.cli.rehearsing import rehearse
 from onebend.cli.reproducing import reproduce
 from onebend.cli.shaping import path, shape
@@ -26,12 +28,14 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "learn": learn,
     "validate": validate,
     "plan": plan,
+    "damp": damp,
     "reach": reach,
     "shape": shape,
     "path": path,
     "new": new,
     "topics": topics,
     "check": check,
+    "calibrate": calibrate,
     "show": show,
     "export": export_command,
     "rerun": rerun_command,

@@ -8,13 +8,13 @@ import typer
 from rich.console import Console
 
 from onebend.cli.common import clean_errors, progress_of
-from onebend.export.export import KINDS, Kind, export, suffix_of
+from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
 from onebend.pipeline import compare
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
-from onebend.results.model import read_model
+from onebend.results.model import StoredModel, read_model
 from onebend.results.single import fresh_file, write_file
 from onebend.terminal.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.terminal.options_export import DampingTime, Every, ExportTo, Hinges, MassKg, OutFile, RerunFile
@@ -27,7 +27,7 @@ def export_command(
     output: OutFile = None,
     hinges: Hinges = 40,
     mass: MassKg = None,
-    damping_time: DampingTime = 0.02,
+    damping_time: DampingTime = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
@@ -41,12 +41,19 @@ def export_command(
             uncertain=stored.uncertain,
             hinges=hinges,
             mass=mass,
-            damping_time=damping_time,
+            damping_time=_damping_time(damping_time, stored),
             sites=() if stored.origin is None else stored.origin.marker_s,
         )
         write_file(path, content, overwrite=overwrite)
     Console().print(f"Wrote {path}: {KINDS[kind].says}.", highlight=False, soft_wrap=True)
     typer.echo(KINDS[kind].use.format(path=path))
+
+
+def _damping_time(asked: float | None, stored: StoredModel) -> float:
+    """s: what was asked for, else what a swing said."""
+    if asked is not None:
+        return asked
+    return DAMPING_TIME if stored.damping is None else stored.damping.loss_time
 
 
 def rerun_command(

@@ -20,6 +20,8 @@ from onebend.export.pyelastica import pyelastica
 from onebend.export.robot import sdf, urdf
 from onebend.export.table import columns
 
+DAMPING_TIME = 0.02  # s, where no swing was filmed
+
 Kind = Literal["mujoco", "pyelastica", "urdf", "sdf", "numpy", "parquet", "python"]
 
 
@@ -56,7 +58,7 @@ def export(
     uncertain: UncertainStiffness | None = None,
     hinges: int = 40,
     mass: float | None = None,
-    damping_time: float = 0.02,
+    damping_time: float = DAMPING_TIME,
     sites: tuple[float, ...] = (),
 ) -> str | bytes:
     """The content of a file of this kind.

@@ -14,16 +14,17 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
+from onebend.learning.damping import Damping
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.workbench import Bench
 from onebend.records import Array
 
 FORMAT = "onebend-model"
-VERSION = 2
-READABLE = (1, 2)  # 1 had no `uncertain`
+VERSION = 3
+READABLE = (1, 2, 3)  # 1 had no `uncertain`, 2 no `damping`
 FILE_NAME = "model.json"
-KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench"}
+KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping"}
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class StoredModel:
     origin: Origin | None
     uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
     bench: Bench | None = None  # what the recordings were made with, where the band is known
+    damping: Damping | None = None  # where a free swing was filmed
 
 
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
@@ -89,17 +91,32 @@ def save_model(
 
     `uncertain`: its k(s) with the band; `bench`: what the recordings were made with.
     """
-    data = {"format": FORMAT, "version": VERSION, "written_by": written_by, "beam": beam.as_dict()}
-    if uncertain is not None:
-        data["uncertain"] = uncertain.as_dict()
-    if origin is not None:
-        data["origin"] = asdict(origin)
-    if bench is not None:
-        data["bench"] = bench.as_dict()
     try:
-        path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_text(
+            model_text(StoredModel(beam, origin, uncertain, bench), written_by=written_by), encoding="utf-8"
+        )
+    except ResultsError as error:
+        raise ResultsError(f"{path}: {error}") from error
+
+
+def model_text(stored: StoredModel, *, written_by: str) -> str:
+    """The content of a `model.json`, from which `read_model` makes an equal one.
+
+    Raises:
+        ResultsError: a number is not finite.
+    """
+    data: dict[str, Any] = {"format": FORMAT, "version": VERSION, "written_by": written_by}
+    data["beam"] = stored.beam.as_dict()
+    if stored.origin is not None:
+        data["origin"] = asdict(stored.origin)
+    for name in ("uncertain", "bench", "damping"):
+        part = getattr(stored, name)
+        if part is not None:
+            data[name] = part.as_dict()
+    try:
+        return json.dumps(data, indent=2, allow_nan=False) + "\n"
     except ValueError as error:
-        raise ResultsError(f"{path}: the beam holds a number that is not finite, so it was not written") from error
+        raise ResultsError("the beam holds a number that is not finite, so it was not written") from error
 
 
 def load_model(path: Path | str) -> Beam:
@@ -140,10 +157,11 @@ def read_model(path: Path | str) -> StoredModel:
         origin=_origin(file, data.get("origin")),
         uncertain=_uncertain(file, data.get("uncertain"), beam),
         bench=_bench(file, data.get("bench")),
+        damping=_damping(file, data.get("damping")),
     )
 
 
-_VERSIONS = " and ".join(map(str, READABLE))
+_VERSIONS = f"{', '.join(map(str, READABLE[:-1]))} and {READABLE[-1]}"
 _ADVICE = "The file is damaged or was edited; restore it, or learn the beam again with `onebend learn`"
 
 
@@ -195,6 +213,15 @@ def _bench(file: Path, data: Any) -> Bench | None:
         return Bench.from_dict(data)
     except LearningError as error:
         raise ResultsError(f"{file}: key 'bench' {error}. {_ADVICE}") from error
+
+
+def _damping(file: Path, data: Any) -> Damping | None:
+    if data is None:
+        return None
+    try:
+        return Damping.from_dict(data)
+    except LearningError as error:
+        raise ResultsError(f"{file}: key 'damping' {error}. {_ADVICE}") from error
 
 
 def _beam(file: Path, data: Any) -> Beam:

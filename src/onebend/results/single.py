@@ -28,10 +28,7 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         ResultsError: as `write_file`.
     """
-    if path.is_dir():
-        raise ResultsError(f"{path}: this is a folder. Name a file in it")
-    if path.exists() and not overwrite:
-        raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
+    free_place(path, overwrite=overwrite)
     with _said(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
@@ -44,6 +41,14 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
             beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def free_place(path: Path, *, overwrite: bool) -> None:
+    """Raises `ResultsError` where `path` is a folder, or a file that is not to be replaced. Before long work."""
+    if path.is_dir():
+        raise ResultsError(f"{path}: this is a folder. Name a file in it")
+    if path.exists() and not overwrite:
+        raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.uncertain import UncertainStiffness
+from onebend.learning.damping import SwingFit
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.tradeoffs import tradeoffs, with_level
@@ -24,6 +25,7 @@ from onebend.results.model import StoredModel
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
 PLAN_FORMAT = "onebend-plan-1"
+DAMP_FORMAT = "onebend-damp-1"
 
 
 def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
@@ -61,7 +63,30 @@ def validation_summary(
 def model_summary(stored: StoredModel) -> dict[str, Any]:
     """What `onebend show --json` prints."""
     origin = None if stored.origin is None else asdict(stored.origin)
-    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": _stiffness(stored.beam, stored.uncertain)}
+    damping = None if stored.damping is None else stored.damping.as_dict()
+    stiffness = _stiffness(stored.beam, stored.uncertain)
+    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": stiffness, "damping": damping}
+
+
+def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any]:
+    """What `onebend damp --json` prints."""
+    return {
+        "format": DAMP_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "damping": fit.damping.as_dict(),
+        "k_over_mass": {"factor": fit.factor, "sd": fit.factor_sd, "model_sd": fit.model_sd}
+        if fit.mass_known
+        else None,
+        "mass_kg": fit.mass,
+        "mass_sd_kg": fit.mass_sd,
+        "from_s": fit.swing.begin,
+        "to_s": fit.swing.begin + float(fit.swing.time[-1]),
+        "frames": len(fit.swing.time),
+        "s": fit.swing.s,
+        "rms_m": fit.rms,
+        "remarks": [{"level": remark.level, "text": remark.text} for remark in fit.remarks],
+    }
 
 
 def comparison_summary(one: Comparison) -> dict[str, Any]:

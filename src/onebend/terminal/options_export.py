@@ -20,7 +20,12 @@ MassKg = Annotated[
     typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: as it was learned with."),
 ]
 DampingTime = Annotated[
-    float, typer.Option("--damping-time-s", metavar="SECONDS", help="Of every hinge, damping over stiffness.")
+    float | None,
+    typer.Option(
+        "--damping-time-s",
+        metavar="SECONDS",
+        help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
+    ),
 ]
 RerunFile = Annotated[
     Path | None,

@@ -22,6 +22,7 @@ from onebend.report.overview import Overview
 from onebend.report.sureness import gain_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
+from onebend.terminal.damping import damping_words
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
     comparison_table,
@@ -128,6 +129,8 @@ def show_model(console: Console, stored: StoredModel) -> None:
     if lowest <= 0.0:
         console.print(f"[yellow]k(s) falls to {significant(lowest)} N m: this is no beam and cannot be simulated.[/]")
     console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
+    if stored.damping is not None:
+        console.print(damping_words(stored.damping), markup=False, highlight=False)
     if origin is not None:
         modes = "" if origin.n is None else f"n = {origin.n}, "
         text = f"learned from {origin.recording} by {origin.method}: {modes}m = {origin.m} {origin.family}"

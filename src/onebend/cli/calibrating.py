@@ -1,0 +1,86 @@
+"""The command that calibrates a camera."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, progress_of
+from onebend.errors import RecordingError
+from onebend.recording.boards import Board, BoardKind
+from onebend.recording.calibration import NAMES
+from onebend.recording.calibration import calibrate as calibrate_camera
+from onebend.results.single import free_place, write_file
+from onebend.terminal.calibrating import (
+    BoardOption,
+    CameraFile,
+    Dictionary,
+    Film,
+    MarkerMm,
+    MostViews,
+    SquareMm,
+    show_calibration,
+)
+from onebend.terminal.options import Json, Overwrite, Quiet
+
+CALIBRATE_FORMAT = "onebend-calibrate-1"
+
+
+def calibrate(
+    video: Film,
+    *,
+    board: BoardOption,
+    square: SquareMm,
+    marker: MarkerMm = None,
+    dictionary: Dictionary = "5x5_100",
+    views: MostViews = 30,
+    output: CameraFile = Path("camera.toml"),
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate the camera from a film of a board, and write the [camera] table of recording.toml."""
+    with clean_errors():
+        wanted = _board(board, square, marker, dictionary)
+        free_place(output, overwrite=overwrite)
+        with progress_of(quiet) as progress:
+            found = calibrate_camera(video, wanted, most_views=views, progress=progress)
+        write_file(output, found.camera_table(), overwrite=overwrite)
+    if as_json:
+        numbers = {name: {"value": v, "sd": s} for name, v, s in zip(NAMES, found.values, found.sd, strict=True)}
+        said = [{"level": remark.level, "text": remark.text} for remark in found.remarks]
+        print_json(
+            {
+                "format": CALIBRATE_FORMAT,
+                "written_by": BY,
+                "video": str(video),
+                "width": found.width,
+                "height": found.height,
+                "parameters": numbers,
+                "error_px": found.error,
+                "frames": found.frames,
+                "view_error_px": found.view_error,
+                "coverage": found.coverage,
+                "turned_rad": found.turned,
+                "remarks": said,
+                "output": str(output),
+            }
+        )
+    else:
+        show_calibration(Console(), found, output)
+
+
+def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:
+    """From what was typed."""
+    kind, size = board
+    kinds: dict[str, BoardKind] = {one: one for one in get_args(BoardKind)}
+    if kind not in kinds:
+        raise RecordingError(f"There is no board {kind!r}. Known: {', '.join(kinds)}")
+    sides = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)
+    if sides is None:
+        raise RecordingError(f"The board's size is written as 9x6, got {size!r}")
+    side = float("nan") if marker is None else marker / 1000.0
+    return Board(kinds[kind], int(sides[1]), int(sides[2]), square / 1000.0, side, dictionary)

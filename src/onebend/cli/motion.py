@@ -1,0 +1,58 @@
+"""The command that learns how a beam swings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, progress_of
+from onebend.learning.damping import DampingSettings, learn_damping
+from onebend.learning.swing import Part
+from onebend.pipeline import check_same_length
+from onebend.recording.folder import read_recording
+from onebend.recording.observe import ObserveSettings, observe
+from onebend.results.model import model_text, read_model
+from onebend.results.single import free_place, write_file
+from onebend.results.summary import damp_summary
+from onebend.terminal.damping import FromS, MassAlong, ModelFile, ToS, show_damping
+from onebend.terminal.options import Json, Model, Overwrite, Quiet, Recording, Threads
+
+
+def damp(
+    model: Model,
+    recording: Recording,
+    *,
+    begin: FromS = None,
+    end: ToS = None,
+    mass_along: MassAlong = "even",
+    output: ModelFile = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn a learned beam's damping from a recording in which it swings freely, and check k over mass."""
+    with clean_errors():
+        stored = read_model(model)
+        if output is not None:
+            free_place(output, overwrite=overwrite)
+        files = read_recording(recording)
+        check_same_length(stored.beam, files)
+        with progress_of(quiet) as progress:
+            seen = observe(files, settings=ObserveSettings(threads=threads), progress=progress)
+            fit = learn_damping(
+                stored.beam,
+                seen,
+                uncertain=stored.uncertain,
+                part=Part(begin, end),
+                settings=DampingSettings(mass_along=mass_along),
+                progress=progress,
+            )
+        if output is not None:
+            whole = replace(stored, beam=fit.beam, damping=fit.damping)
+            write_file(output, model_text(whole, written_by=BY), overwrite=overwrite)
+    if as_json:
+        print_json({**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)})
+    else:
+        show_damping(Console(), fit, output)
