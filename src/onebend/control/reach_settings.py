@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.control.reach_newton import PushedBeam, State
+from onebend.control.reach_beam import PushedBeam, State
 from onebend.control.reach_paper import PaperSettings
 from onebend.errors import ControlError
 from onebend.records import Array

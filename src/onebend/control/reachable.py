@@ -17,7 +17,8 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
-from onebend.control.reach_newton import PushedBeam, State, trace
+from onebend.control.reach_beam import PushedBeam, State, prepared
+from onebend.control.reach_follow import trace
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
@@ -139,7 +140,8 @@ def reachable(
         raise ControlError(f"the largest curvature must be positive, got {max_curvature} 1/m")
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
-    on = PushedBeam(beam, push_s, point_s, gravity=gravity)
+    x, y = np.asarray(gravity, dtype=float).tolist()
+    on = prepared(beam, push_s, point_s, (x, y), Resolution())
     turns = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
     grow = max_force * np.arange(1, sizes + 1) / sizes
     force = grow[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None]
