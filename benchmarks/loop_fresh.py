@@ -115,13 +115,13 @@ def made(case: Case, settings: ControllerSettings = ControllerSettings()) -> Con
     )
 
 
-def row_of(number: int, case: Case, found: Rehearsal) -> str:
+def row_of(number: int, case: Case, found: Rehearsal | None) -> str:
     """One line of the table."""
     heavy = "yes" if any(case.gravity) else "no"
-    settled = f"{found.settled(WITHIN):.1f}".replace("inf", "never")
+    end = "lost | never" if found is None else f"{1e3 * found.steady():.2f} | {found.settled(WITHIN):.1f}"
     return (
         f"| {number} | {1e3 * case.beam.length:.0f} mm, {case.profile} | {case.push_s:g}, {case.point_s:g} | {heavy} | "
-        f"{case.error} | {1e3 * case.truth.eye.delay:.0f} | {1e3 * found.steady():.2f} | {settled} |"
+        f"{case.error} | {1e3 * case.truth.eye.delay:.0f} | {end.replace('inf', 'never')} |"
     )
 
 
@@ -135,12 +135,15 @@ def main() -> None:
     print(f"|{' --- |' * 8}")
     steady, refused, began = [], 0, time.process_time()
     for number, case in enumerate(cases(asked.cases, asked.seed), 1):
+        found: Rehearsal | None
         try:
             found = rehearse(made(case), case.truth, DURATION, seed=number)
         except ControlError:
             refused += 1
             continue
-        steady.append(found.steady())
+        except MechanicsError:
+            found = None
+        steady.append(np.inf if found is None else found.steady())
         print(row_of(number, case, found), flush=True)
     good = int(np.sum(np.array(steady) <= ASKED))
     print(

@@ -27,10 +27,12 @@ class Trail:
     arrived: bool  # at the full load, stable all the way
 
 
-def trace(on: PushedBeam, load: Array, *, start: State | None = None, widest: float = 1.0) -> Trail:
+def trace(
+    on: PushedBeam, load: Array, *, start: State | None = None, widest: float = 1.0, shortest: float = _SHORTEST
+) -> Trail:
     """Shapes while the load grows from that of `start` (default: rest) straight to `load` (3,), stable all the way.
 
-    `widest`: the largest step, as a share of the way.
+    `widest`, `shortest`: the largest step, and the step that counts as none, as shares of the way.
 
     As in `beam/continuation.py`: a step counts only where the corrector moved the shape little and it is stable.
     """
@@ -48,7 +50,7 @@ def trace(on: PushedBeam, load: Array, *, start: State | None = None, widest: fl
         step = min(step, 1.0 - share, widest, _STRIDE / max(turn, 1e-300))
         found = None
         while found is None:
-            if step < _SHORTEST:
+            if step < shortest:
                 return Trail(tuple(states), tuple(shares), False)
             now = 1.0 if share + step > 1.0 - 1e-12 else share + step
             trust = min(_TRUST, _LEAST + _SURPRISE * step * turn)

@@ -49,20 +49,26 @@ def search(
 
 def solutions(on: PushedBeam, starts: Starts, goal: Array, loads: int) -> Iterator[tuple[State, int]]:
     """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
-    iterations = 0
+    iterations, before = 0, list[State]()
     for first in (True, False):
         for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
             found = solve_goal(on, begin, goal, loads)
             iterations += found.iterations
-            if found.converged and on.stable(found.state):
+            if not (found.converged and on.stable(found.state)):
+                continue
+            if not any(_same(on, found.state, one) for one in before):
+                before.append(found.state)
                 yield found.state, iterations
 
 
 def from_rest(on: PushedBeam, found: State) -> Trail | None:
     """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
     trail = trace(on, found.load)
-    same = trail.arrived and float(np.max(np.abs(on.b @ (trail.states[-1].q - found.q)))) < _SAME
-    return trail if same else None
+    return trail if trail.arrived and _same(on, trail.states[-1], found) else None
+
+
+def _same(on: PushedBeam, one: State, other: State) -> bool:
+    return float(np.max(np.abs(on.b @ (one.q - other.q)))) < _SAME
 
 
 @lru_cache(maxsize=8)
