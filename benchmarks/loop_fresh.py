@@ -2,7 +2,7 @@
 
     python -m benchmarks.loop_fresh [--cases 40] [--seed 0]
 
-Nothing of the controller was chosen on these. The true k(s) differs from the model's by up to 30 %: everywhere alike, in
+Nothing of the controller was chosen on these. The true k(s) differs from the model's by up to 30 %: all alike, in
 halves, or along a line. The true delay is drawn from 0 to 100 ms, the controller is told 50. A case counts if the true
 beam too can be held on the goal, from rest, with a stable shape. `steady`: the largest distance from the goal in the
 last second of twelve; asked: 0.5 mm.

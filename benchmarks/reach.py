@@ -209,7 +209,8 @@ def say_goals(beams: int, slow: int, wild: int) -> None:
     seconds, iterations = warm_times(seed=3)
     print(
         f"\nWarm, one goal after another on walks of the tip: {1e6 * np.median(seconds[:, 0]):.0f} us of a processor, "
-        f"{1e6 * np.median(seconds[:, 1]):.0f} us wall (medians; 99 %: {1e6 * np.percentile(seconds[:, 0], 99):.0f} and "
+        f"{1e6 * np.median(seconds[:, 1]):.0f} us wall (medians; 99 %: "
+        f"{1e6 * np.percentile(seconds[:, 0], 99):.0f} and "
         f"{1e6 * np.percentile(seconds[:, 1], 99):.0f}), {np.mean(iterations):.1f} iterations."
     )
 

@@ -15,6 +15,7 @@ from onebend.cli.control import reach
 from onebend.cli.exporting import export_command
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
+from onebend.cli.looping import loop
 from onebend.cli.making import design, mould, tags
 from onebend.cli.shaping import path, shape
 
@@ -25,6 +26,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reach": reach,
     "shape": shape,
     "path": path,
+    "loop": loop,
     "new": new,
     "check": check,
     "show": show,
