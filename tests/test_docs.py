@@ -20,6 +20,7 @@ from onebend.recording.entries import (
     VideoEntry,
 )
 from onebend.recording.schema import keys_of
+from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 from onebend.results.observed import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from tests import made_up
@@ -61,7 +62,20 @@ def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "record", [BeamEntry, TagsEntry, TagEntry, CameraEntry, VideoEntry, ForceEntry, PushEntry, GravityEntry]
+    "record",
+    [
+        BeamEntry,
+        TagsEntry,
+        TagEntry,
+        CameraEntry,
+        VideoEntry,
+        ForceEntry,
+        PushEntry,
+        GravityEntry,
+        MarkersEntry,
+        PosesEntry,
+        PhotosEntry,
+    ],
 )
 def test_every_key_of_a_recording_is_documented_as_the_schema_says(record: type) -> None:
     text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")

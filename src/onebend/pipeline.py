@@ -13,13 +13,14 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.learn import learn
+from onebend.learning.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.planning import PlanSettings, plan
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.proposals import Plan
 from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
-from onebend.learning.start import start_of
+from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks, missed
 from onebend.progress import Progress, Silent
@@ -76,7 +77,7 @@ def learn_recording(
     trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        seen = tuple(observe(one, settings=observing, detect=detect, progress=watch) for one in wanted)
+        seen = with_mass([observe(one, settings=observing, detect=detect, progress=watch) for one in wanted])
     with watch.whole("learn"):
         learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=watch)
     posterior = None
@@ -98,7 +99,7 @@ def learn_recording(
         validation_observations=tuple(where for _, where in pairs),
         remarks=remarks,
         stage_seconds=watch.seconds,
-        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films),
+        video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films if not one.static),
     )
 
 
@@ -133,6 +134,8 @@ def _regression(
     seen: Observations, settings: Settings, *, needed: bool, progress: Progress
 ) -> tuple[Learned | None, tuple[Remark, ...]]:
     """The paper's result; None, and a warning with the reason, where it finds no beam but is not needed."""
+    if seen.static and not needed:
+        return None, (Remark("note", "the paper's regression needs a filmed push; bench poses are learned by the fit"),)
     try:
         learned = learn(seen, settings, progress=progress)
     except LearningError as error:
@@ -166,7 +169,7 @@ def _fit(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    remarks = fit_remarks(posterior)
+    remarks = fit_remarks(posterior) + mass_remarks(posterior.mass)
     if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
         remarks += (Remark("note", text),)
@@ -219,6 +222,11 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
         LearningError: no push is possible within the limits.
     """
     stored = read_model(model)
+    if stored.bench is None and stored.uncertain is not None:
+        raise ResultsError(
+            f"{model}: the beam was learned without a force log, so nothing says how well a push would be measured. "
+            "Film one push with a log, and learn from it"
+        )
     if stored.uncertain is None or stored.bench is None:
         raise ResultsError(
             f"{model}: the model has no band on k(s), so nothing says what is not known yet. A regression gives none; "

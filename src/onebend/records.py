@@ -6,6 +6,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
+
+UNKNOWN_ANGLE_SD = float(np.pi)  # rad, stands in a covariance for an angle that is not measured (and is NaN)
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Markers:
     tag_id: IntArray  # (m,)
     s: Array  # (m,) nominal place along the beam
     xy: Array  # (T, m, 2) m, base tag's frame
-    angle: Array  # (T, m) rad, continuous in time, 0 where the tag points along the base tag's x axis
+    angle: Array  # (T, m) rad, continuous in time, 0 along the base tag's x axis; NaN where not measured
     covariance: Array  # (T, m, 3, 3) of (x, y, angle): m^2, m rad, rad^2
     base_angle: Array  # (T,) rad, turn of the base tag since the first frame (0 where the base stands still)
     view: View | None  # of the base tag's plane and frame (first frame, where the base moves); None for tracked markers
@@ -138,6 +141,24 @@ class ClockOffset:
 
 
 @dataclass(frozen=True)
+class KnownLoads:
+    """What acts on the beam besides `Observations.force` and its own weight, known as well as that is."""
+
+    force: Array  # (T, a, 2) N, beam's frame
+    force_s: Array  # (T, a)
+    moment: Array  # (T, b) N m, counter-clockwise
+    moment_s: Array  # (T, b)
+
+
+@dataclass(frozen=True)
+class MassLine:
+    """Mass per metre, where it is known along the beam."""
+
+    s: Array  # (P,) rising
+    value: Array  # (P,) kg/m
+
+
+@dataclass(frozen=True)
 class Observations:
     """What a recording says, on one clock and in one frame: all that learning and validation need."""
 
@@ -148,7 +169,7 @@ class Observations:
     tag_id: IntArray  # (m,)
     marker_s: Array  # (m,) place along the beam
     xy: Array  # (T, m, 2) m, beam's frame
-    angle: Array  # (T, m) rad, of the tag against the beam's x axis
+    angle: Array  # (T, m) rad, of the tag against the beam's x axis; NaN where not measured, as may be one coordinate
     covariance: Array  # (T, m, 3, 3)
     force: Array  # (T, 2) N, on the beam, beam's frame
     force_sd: Array  # (2,) N, one sd of the noise left in `force`
@@ -166,4 +187,11 @@ class Observations:
     gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %), as declared; 0 where it was not, or without a force
     view: View | None = None  # of the beam's plane and frame
     video: Path | None = None
+    video_topic: str = ""  # where `video` is a bag
+    static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
+    sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
+    known: KnownLoads | None = None
+    mass_sd: float = math.nan  # one sd of the mass over itself; NaN: as usual for one that was weighed
+    mass_line: MassLine | None = None  # None: the mass is evenly spread
+    clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
     remarks: tuple[Remark, ...] = ()

@@ -39,6 +39,7 @@ def test_batched_edges_agree_with_single_grids() -> None:
         single = Grid(edges[i], 6)
         np.testing.assert_allclose(batch.integral_to_nodes[i], single.integral_to_nodes, atol=1e-15)
         np.testing.assert_allclose(batch.integral_to(PLACES)[i], single.integral_to(PLACES), atol=1e-15)
+        np.testing.assert_allclose(batch.value_at(PLACES)[i], single.value_at(PLACES), atol=1e-15)
 
 
 def test_legendre_tail_tells_resolved_from_unresolved() -> None:

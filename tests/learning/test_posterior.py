@@ -180,7 +180,7 @@ def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
     stubborn = replace(Priors(), mass_spread=1e-6)
     even = fit([made], 0.03, settings=FitSettings(functions=12, priors=stubborn)).band(S)
     error, worse = (np.mean(np.abs(np.log(k / beam.stiffness(S)))) for k in (band.k, even.k))
-    assert worse > 2.0 * error
+    assert worse > 1.5 * error  # the clamp's own freedom takes part of the rest
 
 
 def test_weight_without_a_mass_is_refused(curved: Observations) -> None:

@@ -156,7 +156,7 @@ def test_what_is_not_said_is_unknown_and_remarked(tmp_path: Path) -> None:
         ("zeroed = false", "zeroed = 0", "zeroed", ["true or false"]),
         ("format = 1", "format = 2", "format", ["format must be 1"]),
         ("[beam]", "[bean]", "[bean]", ["Did you mean beam?"]),
-        ("[gravity]", "[poses]\n[gravity]", "[poses]", ["not supported yet"]),
+        ("[gravity]", "[poses]\n[gravity]", "[poses]", ["one of them"]),
         ('name = "bench 3"', "name = 3", "name", ["text in quotes"]),
     ],
 )

@@ -39,15 +39,16 @@ def write_video(
     """A film with the given luma planes, at the given milliseconds."""
     with av.open(str(path), "w", options=options or {}) as container:
         stream = cast(av.VideoStream, container.add_stream(codec, rate=30))
-        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, pixels
+        height, width = lumas[0].shape
+        stream.width, stream.height, stream.pix_fmt = width, height, pixels
         stream.codec_context.time_base = CLOCK
         for luma, tick in zip(lumas, ticks, strict=True):
-            frame = av.VideoFrame(WIDTH, HEIGHT, pixels)
+            frame = av.VideoFrame(width, height, pixels)
             kind = np.dtype("<u2") if "10" in pixels else np.dtype("u1")
             for number, plane in enumerate(frame.planes):
                 rows = np.full((plane.height, plane.line_size // kind.itemsize), 128, dtype=kind)
                 if number == 0:
-                    rows[:, :WIDTH] = luma
+                    rows[:, :width] = luma
                 plane.update(rows.tobytes())
             frame.pts, frame.time_base = tick, CLOCK
             container.mux(stream.encode(frame))

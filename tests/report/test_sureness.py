@@ -57,7 +57,7 @@ def test_nuisances_are_shown_in_the_units_of_a_bench() -> None:
     rows = {row.name: row for row in nuisance_rows(found)}
     clock = next(n for n in found if n.name == "made-up: clock offset")
     assert (rows["tag 1 along"].before, rows["tag 1 along"].unit) == ("0.50", "mm")
-    assert (rows["made-up: clamp angle"].before, rows["made-up: clamp angle"].unit) == ("0.17", "deg")
+    assert (rows["made-up: clamp angle"].before, rows["made-up: clamp angle"].unit) == ("0.35", "deg")
     assert float(rows["made-up: clock offset"].before) == pytest.approx(1e3 * clock.prior_sd)
     assert rows["made-up: clock offset"].unit == "ms"
     assert 0.0 <= rows["tag 1 along"].learned <= 1.0

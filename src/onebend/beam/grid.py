@@ -67,13 +67,15 @@ class Grid:
         return self.integral_to(self.nodes)
 
     def value_at(self, s: Array) -> Array:
-        """Rows R (S, Q) with `R @ f` the values at places `s` (S,), for grids without batch axes."""
+        """Rows R (..., S, Q) with `R @ f` the values at places `s` (S,)."""
         s = np.asarray(s, dtype=float)
-        panel = np.clip(np.searchsorted(self.edges, s) - 1, 0, len(self.edges) - 2)
-        x = 2.0 * (s - self.edges[panel]) / np.diff(self.edges)[panel] - 1.0
-        rows = np.zeros((len(s), len(self.edges) - 1, self.order))
-        rows[np.arange(len(s)), panel] = np.polynomial.legendre.legvander(x, self.order - 1) @ _to_legendre(self.order)
-        return rows.reshape(len(s), -1)
+        panels = self.edges.shape[-1] - 1
+        panel = np.clip(np.sum(self.edges[..., None, :] < s[:, None], axis=-1) - 1, 0, panels - 1)  # (..., S)
+        low = np.take_along_axis(self.edges, panel, axis=-1)
+        x = 2.0 * (s - low) / np.take_along_axis(np.diff(self.edges), panel, axis=-1) - 1.0
+        values = np.polynomial.legendre.legvander(x, self.order - 1) @ _to_legendre(self.order)
+        rows = (panel[..., None] == np.arange(panels))[..., None] * values[..., None, :]
+        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
     def legendre_tail(self, f: Array) -> Array:
         """Share of the last two Legendre coefficients in f (..., Q), the largest over the panels: 0 is resolved."""

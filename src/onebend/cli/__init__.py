@@ -10,13 +10,16 @@ from typing import Annotated
 
 import typer
 
+from onebend.cli.bags import topics
 from onebend.cli.common import BY
 from onebend.cli.control import reach
-from onebend.cli.exporting import export_command
+from onebend.cli.exporting import export_command, rerun_command
+from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
 from onebend.cli.looping import loop
 from onebend.cli.making import design, mould, tags
+from onebend.cli.rehearsing import rehearse
 from onebend.cli.shaping import path, shape
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -28,12 +31,16 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "path": path,
     "loop": loop,
     "new": new,
+    "topics": topics,
     "check": check,
     "show": show,
     "export": export_command,
+    "rerun": rerun_command,
     "design": design,
     "mould": mould,
     "tags": tags,
+    "film": film,
+    "rehearse": rehearse,
 }
 
 app = typer.Typer(

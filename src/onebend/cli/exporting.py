@@ -1,4 +1,4 @@
-"""The command that hands a learned beam to other software."""
+"""The commands that hand a learned beam, or a recording with it, to other software."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from onebend.cli.common import clean_errors
+from onebend.cli.common import clean_errors, progress_of
 from onebend.export.export import KINDS, Kind, export, suffix_of
+from onebend.export.rerun_file import write_rerun
+from onebend.pipeline import compare
+from onebend.recording.folder import read_recording
+from onebend.recording.observe import ObserveSettings
+from onebend.recording.video import read_frames
 from onebend.results.model import read_model
-from onebend.results.single import write_file
-from onebend.terminal.options import Model, Overwrite
-from onebend.terminal.options_export import DampingTime, ExportTo, Hinges, MassKg, OutFile
+from onebend.results.single import fresh_file, write_file
+from onebend.terminal.options import Model, Overwrite, Quiet, Recording, Threads
+from onebend.terminal.options_export import DampingTime, Every, ExportTo, Hinges, MassKg, OutFile, RerunFile
 
 
 def export_command(
@@ -42,3 +47,26 @@ def export_command(
         write_file(path, content, overwrite=overwrite)
     Console().print(f"Wrote {path}: {KINDS[kind].says}.", highlight=False, soft_wrap=True)
     typer.echo(KINDS[kind].use.format(path=path))
+
+
+def rerun_command(
+    model: Model,
+    recording: Recording,
+    *,
+    output: RerunFile = None,
+    every: Every = 2,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
+    with clean_errors():
+        stored = read_model(model)
+        path = output or Path(f"{recording.resolve().name}.rrd")
+        with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
+            observing = ObserveSettings(threads=threads)
+            [(found, seen)] = compare(stored.beam, [recording], observing=observing, progress=progress)
+            video = read_recording(recording).video
+            frames = () if video is None else read_frames(video)
+            write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)
+    Console().print(f"Wrote {path}. Look at it with: rerun {path}", highlight=False, soft_wrap=True)

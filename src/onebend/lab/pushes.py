@@ -44,8 +44,13 @@ class Push:
         """(N, 2) N at `time` (N,) [s]."""
         begin, end = self.contact
         part = smooth((time - begin) / self.rise) - smooth((time - end + self.fall) / self.fall)
-        angle = self.direction + self.turn * (np.clip((time - begin) / (end - begin), 0.0, 1.0) - 0.5)
+        angle = self.angle(time)
         return np.asarray(self.peak * part[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+    def angle(self, time: Array) -> Array:
+        """(N,) rad, the direction of the force at `time` (N,) [s], also before and after contact."""
+        begin, end = self.contact
+        return np.asarray(self.direction + self.turn * (np.clip((time - begin) / (end - begin), 0.0, 1.0) - 0.5))
 
 
 def smooth(part: Array) -> Array:

@@ -135,8 +135,7 @@ def observe_virtual(virtual: Virtual, settings: ObserveSettings = ObserveSetting
 def tag_poses(bench: Bench, force: Array) -> Array:
     """(T, m, 3) the tags in the clamp's frame under forces (T, 2). A tag rides on the beam where it really sits."""
     beam, at_s = bench.beam, bench.push.at_s
-    real = np.array([tag.s + tag.along / beam.length for tag in bench.tags])
-    s = np.clip(real, 0.0, 1.0)
+    s = np.clip(tag_places(bench), 0.0, 1.0)
     solved = equilibrium(beam, push(force, at_s), resolution=RESOLUTION)
     if not np.all(solved.converged):
         worst = float(np.max(np.linalg.norm(force, axis=1)))
@@ -144,7 +143,18 @@ def tag_poses(bench: Bench, force: Array) -> Array:
     xy, angle = solved.xy(s), solved.angle(s)
     if np.isfinite(bench.axial_stiffness):
         xy, angle = stretched(beam, force, at_s, s, bench.axial_stiffness, solved)
-    beyond = beam.length * (real - s)  # a tag may stick out over the tip
+    return riding(bench, xy, angle)
+
+
+def tag_places(bench: Bench) -> Array:
+    """(m,) where the tags really sit; below 0 or above 1 where one sticks out over an end."""
+    return np.array([tag.s + tag.along / bench.beam.length for tag in bench.tags])
+
+
+def riding(bench: Bench, xy: Array, angle: Array) -> Array:
+    """(T, m, 3) the tags, from the beam's positions (T, m, 2) and angles (T, m) at their places, clipped to 0..1."""
+    real = tag_places(bench)
+    beyond = bench.beam.length * (real - np.clip(real, 0.0, 1.0))  # a tag may stick out over the tip
     across = np.array([tag.across for tag in bench.tags])
     cos, sin = np.cos(angle), np.sin(angle)
     xy = xy + np.stack([cos * beyond - sin * across, sin * beyond + cos * across], axis=-1)

@@ -87,6 +87,9 @@ def departures(seen: Film, at: Layout, x: Array, now: Prediction) -> list[Depart
     wanted = {name: found[name] for name in UNITS if name in found} | {"clamp gives": pliant}
     if at.index["curvature", -1].start >= 0:
         del wanted["rest shape"]
+    if seen.observations.static:  # poses have no order in time
+        del wanted["viscous"]
+        return [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
     stiff = [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
     return [*stiff, *_changes(seen, run, found), *_trends(seen, run)]
 

@@ -103,7 +103,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
     clean = observations.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
-    if largest == 0.0:  # only the weight acts
+    if largest == 0.0 or observations.static:  # only the weight acts, or loads that were weighed
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
         empty = np.zeros(0)
         rest = np.zeros((0, 0)), np.zeros((0, 2))

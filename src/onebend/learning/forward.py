@@ -25,7 +25,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import push_places
+from onebend.learning.frames import known_loads, mass_profile, push_places, whitening
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray, Observations
@@ -51,7 +51,7 @@ class Film:
     push_s: Array  # (F,)
     problem: Problem  # grid and what does not change
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
-    weight: Array  # (F, Q, 2) N, weight beyond the node, the mass evenly spread
+    weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     weight_modes: Change | None  # derivatives with the parts of the mass that are not; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
@@ -75,6 +75,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     covariance, force = o.covariance[frames], o.force[frames]
     rate = _rate(o)[frames]
     push_s, gravity, weights = push_places(o)[frames], o.gravity[frames], error.weights
+    other = known_loads(o, frames)
     if np.any(np.isfinite(o.rest_xy)):  # the beam at rest is one more frame, of no force and no force error
         rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
         measured = np.concatenate([measured, rest[None]])
@@ -83,19 +84,20 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
+        other = _rested(other)
     weighs = bool(np.any(gravity != 0.0))
     if weighs and not np.isfinite(o.mass):
         raise LearningError(f"{o.name}: gravity acts in the plane, so beam.mass_kg must be given")
     mass = o.mass if weighs else 0.0
-    carrier = Beam(o.length, Uniform(1.0), mass_per_length=Uniform(mass / o.length))
-    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity), RESOLUTION)
+    carrier = Beam(o.length, Uniform(1.0), mass_per_length=mass_profile(o) if weighs else Uniform(0.0))
+    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, RESOLUTION)
     nodes = problem.grid.nodes
     return Film(
         observations=o,
         number=number,
         frames=frames,
         measured=measured,
-        whiten=_whitening(measured, covariance),
+        whiten=whitening(measured, covariance),
         force=force,
         rate=rate,
         error=error,
@@ -215,13 +217,15 @@ def _rate(o: Observations) -> Array:
     return np.stack([np.interp(o.time, clean.time[known], slope[:, c]) for c in range(2)], axis=1)
 
 
+def _rested(loads: Loads) -> Loads:
+    """One frame more, in which nothing acts."""
+    if loads.size == 1:
+        return loads
+    more = loads.take(np.append(np.arange(loads.size), loads.size - 1))
+    here = (np.arange(more.size) < loads.size).astype(float)
+    return replace(more, force=more.force * here[:, None, None], moment=more.moment * here[:, None])
+
+
 def _loads(force: Array, push_s: Array, gravity: Array) -> Loads:
     loads = push(force, push_s)
     return loads + weight(gravity) if np.any(gravity != 0.0) else loads
-
-
-def _whitening(measured: Array, covariance: Array) -> Array:
-    seen = np.all(np.isfinite(measured), axis=-1) & np.all(np.isfinite(covariance), axis=(-1, -2))
-    safe = np.where(seen[..., None, None], covariance, np.eye(3))
-    whiten = np.linalg.inv(np.linalg.cholesky(safe))
-    return np.asarray(np.where(seen[..., None, None], whiten, 0.0))

@@ -65,7 +65,7 @@ def rows_of(seen: Film, at: Layout, x: Array, now: Prediction, noise: FilmNoise)
     """Residuals and derivatives of one film at x, tags weighted by Student's t on what its force cannot explain."""
     j, a = jacobian(seen, at, x, now)
     frames = len(j)
-    known = np.repeat(np.any(seen.whiten != 0.0, axis=(-1, -2)), 3, axis=1).astype(float)
+    known = np.any(seen.whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
     plain = Rows(
         r=residuals(seen, now),
         j=(seen.whiten @ j).reshape(frames, -1, j.shape[-1]),
@@ -75,7 +75,8 @@ def rows_of(seen: Film, at: Layout, x: Array, now: Prediction, noise: FilmNoise)
     )
     across, _ = split(plain, plain.r, noise)
     squares = np.sum(across.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
-    root = np.repeat(np.sqrt((_ROBUST + 3.0) / (_ROBUST + squares)), 3, axis=1) * known
+    numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
+    root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
     return Rows(root * plain.r, root[..., None] * plain.j, root[..., None] * plain.a, known, root)
 
 

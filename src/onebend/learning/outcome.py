@@ -25,6 +25,7 @@ class Comparison:
     rms: Array  # (m,) m, root mean square distance per marker over all frames where it was seen
     sensor_rms: Array  # (m,) m, the part that the noise left in the force alone explains (first order); NaN if unknown
     remarks: tuple[Remark, ...] = ()
+    static: bool = False  # bench poses: `time` counts them
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ class Priors:
     scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
     mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
     mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
+    mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
     clock: float | None = None  # s; None: as the clock's own estimate says
 
 
@@ -88,10 +89,11 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     placement = first.placement_sd if priors.placement is None else priors.placement
     curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
     weighs = any(bool(np.any(r.gravity != 0.0)) for r in recordings)
+    mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", -1, "1", priors.mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("mass", -1, "1", mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
         ("turn", -1, "rad", priors.mounting, tuple(f"{t} turn" for t in tags)),
@@ -111,7 +113,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         free = sd > 0.0 and len(labels) > 0
         sds = np.full(len(labels), sd)
         if name == "mass":
-            sds[1:] = priors.mass_spread
+            sds[1:] = priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
@@ -122,10 +124,12 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
 
     The frame's x axis is the line through the tags at rest: it is off by what their places are, and the fit knows those
     from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
-    no more is known than how well a base tag is put on.
+    no more is known than how well a base tag is put on, unless the recording says it.
     """
     if priors.clamp == 0.0:
         return 0.0
+    if np.isfinite(one.clamp_sd):
+        return one.clamp_sd
     reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
     if one.rest == "unknown" or not np.any(reach > 0.0):
         return float(np.hypot(priors.clamp, MOUNTING_SD))

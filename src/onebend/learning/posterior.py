@@ -15,15 +15,17 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.stiffness import Powers, Profile, Uniform
+from onebend.beam.stiffness import Powers, Profile, Table, Uniform
 from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.forward import Film, film
-from onebend.learning.frames import usable_frames
-from onebend.learning.gauss_newton import FilmNoise, Scales, prior
-from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.frames import mass_profile, usable_frames
+from onebend.learning.gauss_newton import Scales, prior
+from onebend.learning.mass import KNOWN, TOLD, LearnedMass
+from onebend.learning.parameters import Block, Layout, Priors, layout
+from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, search
 from onebend.learning.spline import Spline
 from onebend.progress import Progress, Silent
@@ -101,14 +103,58 @@ class Posterior:
     def beam(self) -> Beam:
         """The beam at the optimum."""
         one = self.films[0].observations
-        mass = next((f.observations.mass for f in self.films if np.isfinite(f.observations.mass)), 0.0)
-        uneven = mass / one.length * (np.array([1.0, 0.0, 0.0, 0.0]) + self.at.get(self.mean, "mass"))
         return Beam(
             one.length,
             self.stiffness.profile,
             rest_curvature=_from_legendre(self.at.get(self.mean, "curvature")),
-            mass_per_length=_from_legendre(uneven),
+            mass_per_length=self._mass_per_length(),
         )
+
+    @property
+    def mass(self) -> LearnedMass | None:
+        """The beam's mass; None where nothing weighs or it was held as written."""
+        block, weighed = self.at.index["mass", -1], self._weighed()
+        if block.start < 0 or weighed is None:
+            return None
+        change, left = self.mean[block.where], self.covariance[block.where, block.where]
+        written = np.nan if np.isfinite(weighed.mass_sd) else weighed.mass
+        lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
+        s = np.linspace(0.0, 1.0, 2001)
+        pull = 2.0 * weighed.length * float(np.trapezoid(s * mass_profile(weighed)(s), s))
+        gain = self.gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
+        sd = np.sqrt(np.diag(left)[0] + gain**2)
+        even_sd = float(np.sqrt(lever @ left @ lever + gain**2))
+        return LearnedMass(
+            value=weighed.mass * (1.0 + float(change[0])),
+            sd=float(weighed.mass * sd),
+            even=pull + weighed.mass * float(lever @ change),
+            even_sd=weighed.mass * even_sd,
+            written=written,
+            identified=even_sd < self._told(written, block),
+        )
+
+    def _told(self, written: float, block: Block) -> float:
+        """How sure the mass must come out, over itself, to count as learned."""
+        if np.isnan(written):
+            return KNOWN
+        before = np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0)
+        return TOLD * float(before)
+
+    def _weighed(self) -> Observations | None:
+        """The recording whose mass the fit changed."""
+        return next((f.observations for f in self.films if np.isfinite(f.observations.mass)), None)
+
+    def _mass_per_length(self) -> Profile:
+        """kg/m: what was written down and what the fit changed of it."""
+        weighed, change = self._weighed(), self.at.get(self.mean, "mass")
+        if weighed is None:
+            return Uniform(0.0)
+        even = weighed.mass / weighed.length
+        if weighed.mass_line is None:
+            return _from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
+        s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.mass_line.s]))
+        value = mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
+        return Table(tuple(s.tolist()), tuple(value.tolist()))
 
 
 def stiffness_of(at: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
@@ -140,23 +186,31 @@ def fit(
     """
     _check_same_beam(recordings)
     spline = Spline(settings.functions)
-    first, films = (
-        [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
-        for most in (settings.first_frames, settings.most_frames)
-    )
+    first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(FilmNoise(1.5, 0.5 * f.error.size) for f in films))
+    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
     near = search(first, at, x, level, expected, expected, way, progress)
+    if any(np.isfinite(o.mass_sd) for o in recordings):  # the mass was guessed: its unevenness counts over what it is
+        mass = at.index["mass", -1].where
+        more = 1.0 + max(float(near.x[mass.start]), -0.9)
+        x = near.x.copy()
+        x[mass] = (x[mass] + np.array([1.0, 0.0, 0.0, 0.0])) / more - np.array([1.0, 0.0, 0.0, 0.0])
+        near = replace(near, x=x)
+        films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
     optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)
     criticism = criticise(films, at, optimum, level, stiffness_of(at, optimum, gain_sd))
     return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd, criticism)
+
+
+def _films(recordings: Sequence[Observations], most: int, spline: Spline) -> list[Film]:
+    return [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
 
 
 def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
@@ -173,9 +227,10 @@ def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
 def _frames(o: Observations, most: int) -> BoolArray:
     """At most `most` usable frames, evenly spread."""
     usable = np.flatnonzero(usable_frames(o))
-    if len(usable) < _FEWEST:
+    least = 1 if o.static else _FEWEST
+    if len(usable) < least:
         raise LearningError(
-            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {_FEWEST} are needed. Push "
+            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. Push "
             "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
         )
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]

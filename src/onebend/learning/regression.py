@@ -76,11 +76,14 @@ def profile(family: Family, coefficients: Array, sigma: float) -> Profile:
 
 def literal(rows: Rows, use: BoolArray, pi: Array) -> tuple[Array, float]:
     """gamma (m,) of (18) with the paper's rows: powers as test functions, no weights; and the condition of X."""
-    n = rows.states.modes.n
-    to_legendre = Modes(n, "powers").to_legendre
+    return _orthogonal(*literal_rows(rows, use, pi))
+
+
+def literal_rows(rows: Rows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
+    """X (R, m) and Y (R,) as the paper writes them, with powers of s as test functions; n rows a frame."""
+    to_legendre = Modes(rows.states.modes.n, "powers").to_legendre
     x = np.einsum("lj,tlq,qw->tjw", to_legendre, rows.elastic[use], pi, optimize=True).reshape(-1, pi.shape[1])
-    y = (rows.load[use] @ to_legendre).ravel()
-    return _orthogonal(x, y)
+    return x, (rows.load[use] @ to_legendre).ravel()
 
 
 def weighted(

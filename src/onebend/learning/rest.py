@@ -13,6 +13,7 @@ import numpy as np
 
 from onebend.beam.kinematics import angles, jacobians, places, positions
 from onebend.beam.modes import Modes
+from onebend.recording.chords import chord_angles
 from onebend.records import Array, BoolArray, Observations
 
 _REST_MODES = Modes(3)
@@ -46,7 +47,7 @@ class AtRest:
 def at_rest(observations: Observations, prior: RestPrior = RestPrior()) -> AtRest:
     """Natural curvature and mounting from the frames before contact (maximum a posteriori, Gauss-Newton)."""
     m = len(observations.marker_s)
-    known = np.isfinite(observations.rest_xy).all(axis=1) & np.isfinite(observations.rest_angle)
+    known: BoolArray = np.asarray(np.isfinite(observations.rest_xy).all(axis=1))
     if not np.any(known):
         return AtRest(np.zeros(_REST_MODES.n), np.zeros((m, 2)), np.zeros(m), seen=False)
     theta = np.zeros(_REST_MODES.n)
@@ -57,14 +58,19 @@ def at_rest(observations: Observations, prior: RestPrior = RestPrior()) -> AtRes
     away = observations.rest_xy - positions(at, theta[None])[0]
     cos, sin = np.cos(alpha), np.sin(alpha)
     offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
-    turn = observations.rest_angle - alpha
+    turn = np.nan_to_num(observations.rest_angle - alpha)  # a marker without an angle has no turn
     return AtRest(theta, np.where(known[:, None], offset, 0.0), np.where(known, turn, 0.0), seen=True)
 
 
 def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]:
-    """Points (T, m, 2) and tangent angles (T, m) of the beam under each tag: mounting errors taken off."""
+    """Points (T, m, 2) and tangent angles (T, m) of the beam under each tag: mounting errors taken off.
+
+    The offset of a marker without an angle is turned by the angle of the chords beside it.
+    """
     tangent = observations.angle - rest.turn
-    cos, sin = np.cos(tangent), np.sin(tangent)
+    turned = np.where(np.isfinite(tangent), tangent, chord_angles(observations.xy, observations.marker_s))
+    turned = np.where(np.isfinite(turned), turned, 0.0)
+    cos, sin = np.cos(turned), np.sin(turned)
     dx, dy = rest.offset[:, 0], rest.offset[:, 1]
     shift = np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
     return observations.xy - shift, tangent
@@ -80,9 +86,10 @@ def _rest_states(observations: Observations, known: BoolArray, prior: RestPrior)
         away = np.concatenate(
             [
                 (observations.rest_xy[known] - positions(at, theta[None])[0]).ravel(),
-                observations.rest_angle[known] - angles(at, theta[None])[0],
+                np.nan_to_num(observations.rest_angle[known] - angles(at, theta[None])[0]),
             ]
         )
+        jacobian[2 * len(at.s) :] *= np.isfinite(observations.rest_angle[known])[:, None]
         rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / prior.curvature_sd])
         right = np.concatenate([away / sd, -theta / prior.curvature_sd])
         theta = theta + np.linalg.lstsq(rows, right, rcond=None)[0]

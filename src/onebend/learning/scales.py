@@ -33,6 +33,7 @@ CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
 # takes part of the force for it); the walk, of which one push is one draw, to a factor of three.
 SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
 _MOST = 4.0
+_GUESS_COUNTS = 3.0
 _CENTRE = 0.25  # share of the node in the middle
 # Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
 # below this the solver's own error (1e-8 L) would have to be fitted.
@@ -125,6 +126,33 @@ def _hessian(cost: Callable[[Array], float], at: Array, h: float) -> Array:
             terms = [a * b * cost(at + a * e[i] + b * e[j]) for a, b in pairs]
             out[i, j] = out[j, i] = sum(terms) / (4.0 * h**2)
     return out
+
+
+def noise_before(seen: Film) -> FilmNoise:
+    """A film's noise before its residuals are known."""
+    if seen.observations.static:
+        return FilmNoise(1.0, _load_sd(seen))
+    return FilmNoise(1.5, 0.5 * seen.error.size)
+
+
+def new_noise(seen: Film, rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
+    """A film's noise from its residuals.
+
+    That of static poses has no order in time, and their loads' is as it was said. Few points tell little of it: a guess
+    counts like a few numbers, and a sd that was said is never taken for smaller.
+    """
+    if not seen.observations.static:
+        return film_noise(rows, before, spent)
+    across, _ = split(rows, rows.r, before)
+    numbers = float(np.sum(rows.known))
+    left = max(numbers - spent, 0.3 * numbers)
+    marker = float(np.sqrt((np.sum(rows.r * across) + _GUESS_COUNTS) / (left + _GUESS_COUNTS)))
+    return FilmNoise(max(marker, 1.0) if seen.observations.sd_known else marker, _load_sd(seen))
+
+
+def _load_sd(seen: Film) -> float:
+    """N, of a weighed load; next to nothing where it is known exactly."""
+    return max(float(np.max(seen.observations.force_sd)), 1e-9)
 
 
 def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:

@@ -194,8 +194,8 @@ def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
 def _moved(seen: Film, rows: Rows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
-    known = np.any(seen.whiten != 0.0, axis=(-1, -2))
-    safe = np.where(known[..., None, None], seen.whiten, np.eye(3))
-    away = np.linalg.solve(safe, (change / weight).reshape(*known.shape, 3, 1))[..., :2, 0]
-    squares = np.sum(np.where(known[..., None], away, 0.0) ** 2, axis=-1)
+    there = np.any(seen.whiten != 0.0, axis=-1)  # (F, m, 3): a pose may lack its angle, or a coordinate
+    safe = seen.whiten + ~there[..., None] * np.eye(3)
+    away = np.linalg.solve(safe, (change / weight).reshape(*there.shape, 1))[..., :2, 0]
+    squares, known = np.sum(np.where(there[..., :2], away, 0.0) ** 2, axis=-1), np.any(there, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))

@@ -21,7 +21,7 @@ from onebend.learning.gauss_newton import (
     together,
 )
 from onebend.learning.parameters import Layout
-from onebend.learning.scales import Known, averaged_covariance, choose_scales, film_noise
+from onebend.learning.scales import Known, averaged_covariance, choose_scales, new_noise
 from onebend.progress import Progress
 from onebend.records import Array
 
@@ -109,7 +109,7 @@ def _new_scales(
     precision, _, _ = prior(films, at, level, scales)
     left = np.linalg.inv(together([*said, rest_quadratic(films, at)]).information + precision)
     spent = [float(np.sum(left * one.information)) for one in said]  # parameters that each film's tags settled
-    noise = tuple(film_noise(r, n, p) for r, n, p in zip(rows, scales.films, spent, strict=True))
+    noise = tuple(new_noise(*every) for every in zip(films, rows, scales.films, spent, strict=True))
     scales = replace(scales, films=noise)
     return choose_scales(Known(_data(films, at, rows, x, scales), films, at, level, expected), scales)
 

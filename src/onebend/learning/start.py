@@ -12,12 +12,15 @@ from onebend.beam.problem import pose
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import loads_of, usable_frames
+from onebend.learning.frames import distances, loads_of, mass_profile, usable_frames
+from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass, weighs
 from onebend.learning.outcome import Learned
 from onebend.learning.validation import RESOLUTION
 from onebend.records import BoolArray, Observations
 
 _FRAMES = 40  # of each recording
+_FEW = 12  # of each recording, to guess a mass
+_MASSES = np.geomspace(0.02, 20.0, 10)  # masses to try, in units of (largest load) / g
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
@@ -29,6 +32,11 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
     frames = [_some(o) for o in recordings]
+    if mass_is_open(recordings):
+        names = ", ".join(o.name for o in recordings if weighs(o))
+        raise LearningError(
+            f"{names}: gravity acts in the plane, so beam.mass_kg must be given (or guessed first, with `with_mass`)"
+        )
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
     beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in _TRIED]
     beams += [] if learned is None else [learned.beam]
@@ -36,7 +44,29 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     return beams[int(np.argmin(distances))].stiffness  # the stiffest hardly bends: one at least is finite
 
 
-def _some(o: Observations) -> BoolArray:
+@one_blas_thread
+def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
+    """The recordings with the mass that one of them has, or with a first guess where weight acts and none says it.
+
+    Raises:
+        LearningError: an unknown weight is all that bends the beam, so that only k/mu could be learned.
+    """
+    check_mass_can_be_learned(recordings)
+    if not mass_is_open(recordings):
+        return shared_mass(recordings)
+    frames = [_some(o, _FEW) for o in recordings]
+    pull = max(float(np.max(np.linalg.norm(o.gravity, axis=1))) for o in recordings)
+    load = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
+    length, best, least = recordings[0].length, np.nan, np.inf
+    for mass in (load / pull * _MASSES).tolist():
+        for k in (load * length * _TRIED[::2]).tolist():
+            beam = Beam(length, Uniform(k), mass_per_length=Uniform(mass / length))
+            distance = _distance(beam, recordings, frames)
+            best, least = (mass, distance) if distance < least else (best, least)
+    return shared_mass(recordings, best)
+
+
+def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
     """A few of the usable frames, evenly spread."""
     usable = np.flatnonzero(usable_frames(o))
     if len(usable) == 0:
@@ -45,7 +75,7 @@ def _some(o: Observations) -> BoolArray:
             "beam that its weight bends), with the tags in view, and let the force log cover it"
         )
     out = np.zeros(len(o.time), dtype=bool)
-    out[usable[np.linspace(0, len(usable) - 1, min(_FRAMES, len(usable))).astype(int)]] = True
+    out[usable[np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int)]] = True
     return out
 
 
@@ -56,7 +86,7 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
         solved = follow(pose(beam, loads_of(o, some), RESOLUTION))
         if not np.all(solved.converged):
             return float("inf")
-        squared = np.sum((o.xy[some] - solved.xy(o.marker_s)) ** 2, axis=-1)
+        squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
     return float(np.sqrt(total / count))
 
@@ -64,11 +94,14 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
 def _largest_load(o: Observations, some: BoolArray) -> float:
     """N, force and weight of the frames."""
     loads = np.linalg.norm(o.force[some], axis=1)
+    if o.known is not None:
+        moment = np.sum(np.abs(o.known.moment[some]), axis=1) / o.length
+        loads = loads + np.sum(np.linalg.norm(o.known.force[some], axis=-1), axis=1) + moment
     if np.any(o.gravity != 0.0):
         loads = loads + np.nan_to_num(o.mass) * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
 
 
-def _mass(recordings: Sequence[Observations]) -> Uniform:
-    known = [o.mass for o in recordings if np.isfinite(o.mass)]
-    return Uniform(known[0] / recordings[0].length if known else 0.0)
+def _mass(recordings: Sequence[Observations]) -> Profile:
+    known = [o for o in recordings if np.isfinite(o.mass)]
+    return mass_profile(known[0]) if known else Uniform(0.0)

@@ -13,6 +13,7 @@ import numpy as np
 from onebend.beam.kinematics import Places, angles, jacobians, places, positions
 from onebend.beam.modes import Modes
 from onebend.errors import LearningError
+from onebend.learning.frames import whitening
 from onebend.learning.rest import AtRest, at_rest, beam_points
 from onebend.records import Array, BoolArray, Observations
 
@@ -67,17 +68,11 @@ def solve_states(
 
 
 def _whitening(measured: Array, covariance: Array, with_angles: bool) -> tuple[Array, Array]:
-    """Inverse Cholesky factors (T, m, 3, 3), zero where a tag is missing, and the count of numbers (T, m)."""
-    seen = np.asarray(np.all(np.isfinite(measured), axis=-1) & np.all(np.isfinite(covariance), axis=(-1, -2)))
-    safe = np.where(seen[..., None, None], covariance, np.eye(3))
-    if not with_angles:  # an angle of no weight, and its correlation dropped
-        safe = safe.copy()
-        safe[..., 2, :2] = safe[..., :2, 2] = 0.0
-    whiten = np.linalg.inv(np.linalg.cholesky(safe))
+    """Inverse Cholesky factors (T, m, 3, 3), zero where a number is missing, and the count of numbers (T, m)."""
     if not with_angles:
-        whiten[..., 2, :] = 0.0
-    whiten[~seen] = 0.0
-    return np.asarray(whiten), np.asarray(np.where(seen, 3.0 if with_angles else 2.0, 0.0))
+        measured = measured * np.array([1.0, 1.0, np.nan])
+    whiten = whitening(measured, covariance)
+    return whiten, np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))
 
 
 def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:

@@ -12,12 +12,13 @@ from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import loads_of, push_places, usable_frames
+from onebend.learning.frames import distances, loads_of, push_places, usable_frames
 from onebend.learning.outcome import Comparison
 from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
 
 RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
+_PLACES = np.linspace(0.0, 1.0, 11)
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -35,12 +36,14 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     are taken from `rest`, or else against the beam's own shape at rest.
 
     Raises:
-        LearningError: no usable frame.
+        LearningError: no usable frame, or weight acts and the beam has no mass.
         MechanicsError: k(s) is not positive somewhere.
     """
     frames = usable_frames(observations)
     if not np.any(frames):
         raise LearningError(f"{observations.name}: no frame has a load, a force and a tag; nothing to compare")
+    if np.any(observations.gravity != 0.0) and not np.any(beam.mass_per_length(_PLACES) > 0.0):
+        raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
     solved = simulate(beam, loads_of(observations, frames))
     offset = mounting(beam, observations) if rest is None else rest.offset
     predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
@@ -60,6 +63,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         rms=_rms(measured - predicted),
         sensor_rms=_sensor_rms(solved, observations, frames),
         remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
+        static=observations.static,
     )
 
 
@@ -83,7 +87,7 @@ def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
 
 def _rms(difference: Array) -> Array:
     """(m,) root mean square distance per marker; NaN for one that was never compared."""
-    squared = np.sum(difference**2, axis=-1)
+    squared = distances(difference) ** 2
     seen = np.isfinite(squared)
     count = np.sum(seen, axis=0)
     total = np.sum(np.where(seen, squared, 0.0), axis=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.learning.criticism_words import criticism_remarks
+from onebend.learning.frames import distances
 from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
@@ -21,7 +22,7 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     """
     out = []
     for seen, fitted in zip(posterior.films, posterior.optimum.predictions, strict=True):
-        squared = np.sum((seen.measured - fitted.pose)[..., :2] ** 2, axis=-1)
+        squared = distances((seen.measured - fitted.pose)[..., :2]) ** 2
         count = np.sum(np.isfinite(squared), axis=0)
         total = np.nansum(squared, axis=0)
         out.append(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
@@ -33,7 +34,10 @@ def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
     out = []
     for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
         xy = seen.measured[..., :2]
-        motion = np.linalg.norm(np.fmax.reduce(xy) - np.fmin.reduce(xy), axis=-1)
+        motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
+        if seen.observations.static:  # points near the clamp hardly move, and a ruler reads them no better
+            straight = seen.observations.length * seen.observations.marker_s[:, None] * np.array([1.0, 0.0])
+            motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
         worst = int(np.argmax(np.nan_to_num(rms / motion)))
         if rms[worst] > _MISS * motion[worst]:
             text = (

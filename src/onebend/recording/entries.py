@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Literal
 
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
+from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 from onebend.records import Remark, Rest
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
+DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
 
 
@@ -24,6 +26,13 @@ class BeamEntry:
 
     length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
     mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
+    mass_file: Path | None = key(
+        "mass_file",
+        text,
+        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
+        example='"mass.csv"',
+        default=None,
+    )
     width: float = key(
         "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
     )
@@ -60,7 +69,9 @@ class TagEntry:
 class TagsEntry:
     """[tags]: the printed tags and where they sit."""
 
-    size: float = key("size_m", number(above=0), "the side of the tag's black square, m", example="0.012")
+    size: float = key(
+        "size_m", number(above=0), "the side of the tag's black square, m", example="0.012", default=math.nan
+    )
     family: str = key("family", one_of(*FAMILIES), "the AprilTag family", example='"tag36h11"', default=FAMILIES[0])
     placement_sd: float = key(
         "placement_sd_m",
@@ -69,7 +80,7 @@ class TagsEntry:
         example=f"{DEFAULT_PLACEMENT_SD}",
         default=DEFAULT_PLACEMENT_SD,
     )
-    on_base: tuple[TagEntry, ...] = ()  # at least one; the first is the origin
+    on_base: tuple[TagEntry, ...] = ()  # at least one where a camera looks; the first is the origin
     on_beam: tuple[TagEntry, ...] = ()  # at least one
 
 
@@ -95,7 +106,7 @@ class CameraEntry:
 class VideoEntry:
     """[video]: the film and its clock."""
 
-    file: Path = key("file", text, "the video file, relative to this folder", example='"video.mp4"')
+    file: Path = key("file", text, "the video file or a bag, relative to this folder", example='"video.mp4"')
     fps: float = key(
         "fps", number(above=0), "the frame rate, only checked against the file's own", example="30", default=math.nan
     )
@@ -105,6 +116,13 @@ class VideoEntry:
         '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
         example='"container"',
         default="container",
+    )
+    topic: str = key("topic", text, "the image topic, where file is a bag", example='"/camera/image_raw"', default="")
+    definitions: Path | None = key(
+        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
+    )
+    damaged: Literal["refuse", "keep"] = key(
+        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
     )
     start: float = key(
         "start_s", number(), "the time of the first frame on the force log's clock, s", example="0.0", default=math.nan
@@ -122,13 +140,37 @@ class VideoEntry:
 class ForceEntry:
     """[force]: the force log, and what is known of its sensor."""
 
-    file: Path = key("file", text, "the force log, a CSV file, relative to this folder", example='"force.csv"')
+    file: Path = key("file", text, "the force log, a CSV file or a bag, relative to this folder", example='"force.csv"')
     columns: tuple[str, str, str] = key(
         "columns",
         several(text, 3),
         "the columns with the time [s] and the two forces [N]",
         example='["time_s", "fx_N", "fy_N"]',
         default=("time_s", "fx_N", "fy_N"),
+    )
+    time_unit: Literal["s", "ms", "us", "ns"] = key(
+        "time_unit", one_of("s", "ms", "us", "ns"), "the unit of the column with the time", example='"s"', default="s"
+    )
+    topic: str = key("topic", text, "the force's topic, where file is a bag", example='"/wrench"', default="")
+    field: str = key(
+        "field",
+        text,
+        "where the force stands in the topic's messages; known for wrenches and Franka's states",
+        example='"wrench.force"',
+        default="",
+    )
+    axes: tuple[str, str] = key(
+        "axes",
+        several(one_of("x", "y", "z", "-x", "-y", "-z"), 2),
+        "the two axes of the bag's forces that span the plane of bending, in the order of x and y",
+        example='["x", "y"]',
+        default=("x", "y"),
+    )
+    definitions: Path | None = key(
+        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
+    )
+    damaged: Literal["refuse", "keep"] = key(
+        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
     )
     rotation: float = key(
         "rotation_deg",
@@ -203,8 +245,17 @@ class Recording:
     beam: BeamEntry
     tags: TagsEntry
     camera: CameraEntry | None
-    video: VideoEntry | None  # None where markers were tracked elsewhere (not supported yet)
+    video: VideoEntry | None  # one of this and the three sources at the end
     force: ForceEntry | None
     push: PushEntry | None
     gravity: GravityEntry | None
     remarks: tuple[Remark, ...] = ()
+    markers: MarkersEntry | None = None
+    poses: PosesEntry | None = None
+    photos: PhotosEntry | None = None
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """s: what the film's (or the tracker's) clock lacks to the log's as written, and its largest error."""
+        source = self.video or self.markers
+        return (source.start, source.start_uncertainty) if source is not None else (math.nan, math.inf)

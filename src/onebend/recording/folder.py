@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from onebend.errors import RecordingError
+from onebend.recording.bag import is_bag
+from onebend.recording.bag_recording import check_bag, with_bags
 from onebend.recording.entries import (
     BeamEntry,
     CameraEntry,
@@ -22,6 +24,7 @@ from onebend.recording.entries import (
     VideoEntry,
 )
 from onebend.recording.schema import Mistakes, read_table, report_unknown
+from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 from onebend.records import Remark
 
 FILE_NAME = "recording.toml"
@@ -32,9 +35,13 @@ SECTIONS: dict[str, type] = {
     "force": ForceEntry,
     "push": PushEntry,
     "gravity": GravityEntry,
+    "markers": MarkersEntry,
+    "poses": PosesEntry,
+    "photos": PhotosEntry,
 }
-PLANNED = {"markers": "marker tracks", "poses": "bench poses"}
-TABLES = ("beam", "tags", *SECTIONS, *PLANNED)
+SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
+BAGS = ("video", "force")  # whose file may be a bag
+TABLES = ("beam", "tags", *SECTIONS)
 
 
 def read_recording(folder: Path | str) -> Recording:
@@ -51,17 +58,22 @@ def read_recording(folder: Path | str) -> Recording:
     check_top(data, mistakes)
     if mistakes.found:
         raise RecordingError(str(mistakes))
-    tags = read_tags(data["tags"], mistakes)
+    tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
     beam = read_table(BeamEntry, data["beam"], ("beam",), mistakes)
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in SECTIONS.items()
     }
+    beam = with_paths(beam, "beam", folder, mistakes)
     found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
     check_together(found, data, mistakes)
+    if not mistakes.found:
+        for name in BAGS:
+            if found[name] is not None:
+                check_bag(name, found[name], data[name], mistakes)
     if mistakes.found or beam is None or tags is None:
         raise RecordingError(str(mistakes))
-    return Recording(
+    rec = Recording(
         folder=folder,
         name=data.get("name", folder.resolve().name),
         beam=beam,
@@ -69,6 +81,7 @@ def read_recording(folder: Path | str) -> Recording:
         remarks=remarks_on(tags, data),
         **found,
     )
+    return with_bags(rec, data)
 
 
 def load(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -94,25 +107,26 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
     if not isinstance(data.get("name", ""), str):
         mistakes.add(("name",), f"name must be text in quotes, not {data['name']!r}.")
-    for name, what in PLANNED.items():
-        if name in data:
-            mistakes.add((name,), f"[{name}]: {what} instead of a video are not supported yet. Give a [video].")
-    if "video" not in data and not any(name in data for name in PLANNED):
+    sources = [name for name in SOURCES if name in data]
+    if not sources:
         mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
+    if len(sources) > 1:
+        names = " and ".join(f"[{name}]" for name in sources)
+        mistakes.add((sources[1],), f"The file has {names}: a recording has one of them. Make a folder of each.")
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
         if name not in data:
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
 
 
-def read_tags(table: Any, mistakes: Mistakes) -> TagsEntry | None:
-    """[tags] with its two lists."""
+def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
+    """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing."""
     if not isinstance(table, dict):
         mistakes.add(("tags",), f"[tags] must be a table, not {table!r}.")
         return None
     lists: dict[str, tuple[TagEntry, ...]] = {}
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
         rows = table.get(group, [])
-        if not isinstance(rows, list) or not rows:
+        if not isinstance(rows, list) or not (rows or (group == "on_base" and not pictures)):
             mistakes.add(("tags", group), f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
             rows = []
         read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
@@ -125,6 +139,8 @@ def read_tags(table: Any, mistakes: Mistakes) -> TagsEntry | None:
                     ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
                 )
             seen.add(tag.id)
+    if pictures and "size_m" not in table:
+        mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
     return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
 
 
@@ -132,17 +148,20 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     """`entry` with the files it names made whole paths; each must exist."""
     if entry is None:
         return None
-    for field_name in ("file", "frame_times", "base_angle_file"):
+    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder", "definitions"):
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue
         path = folder / written
-        if not path.is_file():
+        wants_folder = field_name in ("folder", "definitions")
+        there = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
+        if not there:
+            what = "folder" if wants_folder else "file"
             near = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
             hint = f"Did you mean {near[0]}?" if near else "Put it there, or correct the name."
-            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no file {path}. {hint}")
+            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {path}. {hint}")
         entry = replace(entry, **{field_name: path})
-    if isinstance(entry, VideoEntry) and math.isnan(entry.start):
+    if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
         entry = replace(entry, start_uncertainty=math.inf)
     return entry
 
@@ -150,6 +169,8 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
 def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
     """What no table can say alone."""
     push, gravity = found["push"], found["gravity"]
+    if push is not None and push.column and found["force"] is not None and found["force"].topic:
+        mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
     if push is not None and math.isnan(push.at) == (push.column == ""):
         mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
     if "force" in data and "push" not in data:
@@ -163,9 +184,11 @@ def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistak
 def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
     """What was assumed because the file does not say it."""
     remarks = []
-    if "placement_sd_m" not in data["tags"]:
+    if "placement_sd_m" not in data["tags"] and "poses" not in data:
         said = f"{1000 * tags.placement_sd:g} mm"
         remarks.append(Remark("note", f"recording.toml does not say how exactly the tags were placed: {said} assumed."))
-    if "start_s" not in data["video"] and "force" in data:
-        remarks.append(Remark("note", "recording.toml does not say when the video starts on the force log's clock."))
+    film = data.get("video", data.get("markers"))
+    if film is not None and "start_s" not in film and "force" in data:
+        what = "the video starts" if "video" in data else "the tracks start"
+        remarks.append(Remark("note", f"recording.toml does not say when {what} on the force log's clock."))
     return tuple(remarks)

@@ -6,21 +6,37 @@ import csv
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from onebend.errors import RecordingError
+from onebend.recording import franka
+from onebend.recording.dropped import false_zeros, missing_remarks
 from onebend.records import Array, ForceLog, Remark
 
 FEWEST_ROWS = 10
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TWICE = "rows of the force log repeat a time; their mean is taken"
+LOST = (
+    "rows of the force log are exactly zero amid others (a robot that did not stream, or near a singularity) and are "
+    "left out"
+)
 MANY = 0.1  # of the rows: more that are left out or share a time are a warning
 
 
-def read_force_log(path: Path | str, columns: Sequence[str], push_column: str = "") -> ForceLog:
+def read_force_log(
+    path: Path | str,
+    columns: Sequence[str],
+    push_column: str = "",
+    *,
+    time_unit: Literal["s", "ms", "us", "ns"] = "s",
+) -> ForceLog:
     """Read a CSV force log: a header, then one row a sample.
 
-    `columns` names time [s] and the two forces [N]; `push_column`, where not empty, the place of the push. Rows with an
-    empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how many.
+    `columns` names time [`time_unit`] and two forces [N]; `push_column`, where not empty, the place of the push.
+    Rows with an empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how
+    many.
 
     Raises
     ------
@@ -44,22 +60,38 @@ def read_force_log(path: Path | str, columns: Sequence[str], push_column: str = 
     except (UnicodeDecodeError, csv.Error):
         raise RecordingError(f"{path} is not a CSV text file. Export the force log as CSV with a header.") from None
     read = np.array(table).reshape(-1, len(wanted))
+    read[:, 0] *= TIME_UNITS[time_unit]
     full = np.isfinite(read).all(axis=1)
-    data = read[full]
-    check_times(path, data[:, 0], np.array(lines, dtype=int)[full])
-    data = one_row_a_time(data)
+    check_times(path, read[full, 0], np.array(lines, dtype=int)[full])
+    return whole_log(str(path), read)
+
+
+def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:
+    """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall.
+
+    Raises
+    ------
+    RecordingError
+        Too few rows are left, or every force is zero.
+    """
+    full = np.isfinite(read).all(axis=1)
+    lost = false_zeros(read[full, 1:3])
+    data = one_row_a_time(read[full][~lost])
     if len(data) < FEWEST_ROWS:
         raise RecordingError(
-            f"{path} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
+            f"{where} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
             "Was the log cut short?"
         )
     if not np.any(data[:, 1:3]):
-        raise RecordingError(f"{path}: every force is zero: the sensor was not streaming. Record the push again.")
+        raise RecordingError(f"{where}: every force is zero: the sensor was not streaming. Record the push again.")
     remarks = (
+        *remarks,
         *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
-        *remark(int(np.sum(full)) - len(data), len(read), "rows of the force log repeat a time; their mean is taken"),
+        *remark(int(np.sum(lost)), len(read), LOST),
+        *missing_remarks(data[:, 0], "rows of the force log"),
+        *remark(len(lost) - int(np.sum(lost)) - len(data), len(read), TWICE),
     )
-    push_s = data[:, 3] if push_column else None
+    push_s = data[:, 3] if data.shape[1] > 3 else None
     return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
 
 
@@ -71,10 +103,11 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
         raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
     missing = [name for name in wanted if name not in header]
     if missing:
+        hint_of_robot = franka.hint(header)
         hint = " Columns must be separated by commas." if len(header) == 1 and set(header[0]) & set(";\t") else ""
         raise RecordingError(
             f"{path}, line 1: no column {', '.join(missing)}; found {', '.join(header)}.{hint} "
-            "Name the columns with columns in [force], or column in [push], of recording.toml."
+            f"Name the columns with columns in [force], or column in [push], of recording.toml.{hint_of_robot}"
         )
     places = [header.index(name) for name in wanted]
     for row in rows:

@@ -30,18 +30,20 @@ def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
     """
     poses = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)[still]
     m = len(markers.tag_id)
-    seen = np.isfinite(poses).all(axis=-1)
+    turns: BoolArray = np.asarray(np.isfinite(markers.angle).any(axis=0))  # a marker of a tracker may have no angle
+    seen = np.isfinite(markers.xy[still]).all(axis=-1) & (np.isfinite(markers.angle[still]) | ~turns)
     mean = np.full((m, 3), np.nan)
     covariance = np.full((m, 3, 3), np.nan)
     for i in range(m):
-        mine = poses[seen[:, i], i]
+        parts = slice(0, 3 if turns[i] else 2)
+        mine = poses[seen[:, i], i, parts]
         if not len(mine):
             continue
-        mean[i] = np.median(mine, axis=0)
+        mean[i, parts] = np.median(mine, axis=0)
         covariance[i] = markers.covariance[still][seen[:, i], i].mean(axis=0) / len(mine)
         if len(mine) >= 3 * BLOCKS:
             blocks = np.stack([np.median(part, axis=0) for part in np.array_split(mine, BLOCKS)])
-            covariance[i] += np.diag(blocks.var(axis=0, ddof=1) / BLOCKS)
+            covariance[i][parts, parts] += np.diag(blocks.var(axis=0, ddof=1) / BLOCKS)
     return RestShape(mean[:, :2], mean[:, 2], covariance)
 
 

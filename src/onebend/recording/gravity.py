@@ -109,9 +109,9 @@ def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -
     film = markers.time[[0, -1]] + offset
     if film[1] < log_time[0] or film[0] > log_time[-1]:
         long = log_time[-1] - log_time[0] > MILLISECONDS * (film[1] - film[0])
-        hint = " Its times look like milliseconds; they must be in seconds." if long else ""
+        hint = ' Its times look like milliseconds: write time_unit = "ms" in [force].' if long else ""
         raise ObservationError(
             f"The film ({film[0]:.1f} to {film[1]:.1f} s on the log's clock) and the {what} ({log_time[0]:.1f} to "
-            f"{log_time[-1]:.1f} s) do not overlap. Check start_s in [video] of recording.toml, and that the log "
+            f"{log_time[-1]:.1f} s) do not overlap. Check start_s in recording.toml, and that the log "
             f"belongs to this film.{hint}"
         )

@@ -12,14 +12,19 @@ from onebend.blas import one_blas_thread
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent
 from onebend.recording.camera import measure_markers
+from onebend.recording.chords import with_angles
 from onebend.recording.clock import ClockSettings
 from onebend.recording.contact import ContactSettings, find_contact
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import ForceSettings
-from onebend.recording.frame import to_beam_frame
+from onebend.recording.frame import rest_shape, to_beam_frame
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
+from onebend.recording.marker_tracks import track_markers
+from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
+from onebend.recording.photos import photo_observations
+from onebend.recording.pose_tables import pose_observations
 from onebend.recording.tags import detect_tags
 from onebend.recording.turns import check_turns
 from onebend.records import Detections, ForceLog, Markers, Observations
@@ -69,10 +74,16 @@ def observe(
         No tags, no overlap of film and log, or a force that contradicts the bending.
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
-    if rec.video is None:
-        raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
+    if rec.poses is not None:
+        return pose_observations(rec)
+    if rec.photos is not None:
+        return photo_observations(rec, progress=progress)
     log = read_log(rec)
     base = read_base_log(rec.gravity.base_angle_file) if rec.gravity and rec.gravity.base_angle_file else None
+    if rec.markers is not None:
+        return assemble(rec, track_markers(rec, settings.contact), log, base, settings)
+    if rec.video is None:
+        raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = measure_markers(detections, rec)
@@ -87,19 +98,23 @@ def assemble(
     """Markers and logs on one clock and in one frame."""
     if len(markers.time) < FEWEST_FRAMES:
         raise ObservationError(
-            f"{rec.name}: the film has {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film the whole "
-            "push, with the beam at rest before it."
+            f"{rec.name}: there are {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film (or track) "
+            "the whole push, with the beam at rest before it."
         )
-    fit = match_clocks(rec, markers, log, base, settings.clock)
+    reading = with_angles(markers)  # clocks and contact are read with angles; only measured ones are learned from
+    fit = match_clocks(rec, reading, log, base, settings.clock)
     at = markers.time + fit.clock.offset
-    contact = find_contact(markers, log, offset=fit.clock.offset, settings=settings.contact)
+    contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     gravity = gravity_in_frame(rec.gravity, base, markers, at)
     seen, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     clean = None if log is None else cleaned(rec, markers, log, contact, fit, settings.force)
     force, push_s = pair(rec, clean, at, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
     loaded = contact.loaded if clean is not None else np.zeros(len(at), dtype=bool)
-    odd = check_direction(rec, seen, rest, force, push_s, loaded, refuse=settings.check_force)
+    angled = with_angles(seen)
+    bare = rest if angled is seen else rest_shape(angled, contact.still)
+    odd = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
     kept, drop_remarks = usable(markers, force)
+    mass, line = beam_mass(rec)
     return Observations(
         name=rec.name,
         length=rec.beam.length,
@@ -118,7 +133,7 @@ def assemble(
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         gravity=gravity[kept],
-        mass=rec.beam.mass,
+        mass=mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
         clock=fit.clock,
@@ -126,6 +141,8 @@ def assemble(
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
         view=seen.view,
         video=rec.video.file if rec.video else None,
+        video_topic=rec.video.topic if rec.video else "",
+        mass_line=line,
         remarks=(
             *rec.remarks,
             *markers.remarks,

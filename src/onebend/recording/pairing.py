@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import ObservationError
+from onebend.recording.bag_force import read_bag_force
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
 from onebend.recording.entries import Recording
@@ -32,7 +33,10 @@ def read_log(rec: Recording) -> ForceLog | None:
     """The force log, where the recording has one."""
     if rec.force is None:
         return None
-    return read_force_log(rec.force.file, rec.force.columns, rec.push.column if rec.push else "")
+    if rec.force.topic:
+        return read_bag_force(rec.force)
+    column = rec.push.column if rec.push else ""
+    return read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
 
 
 def match_clocks(
@@ -45,7 +49,7 @@ def match_clocks(
     ObservationError
         Film and log do not overlap, or nothing says when the film starts.
     """
-    said, uncertainty = (rec.video.start, rec.video.start_uncertainty) if rec.video else (math.nan, math.inf)
+    said, uncertainty = rec.start
     if log is None and base is None:
         start = said if math.isfinite(said) else 0.0
         return ClockFit(ClockOffset(offset=start, sd=uncertainty, said=said, found=False), None)
@@ -59,10 +63,12 @@ def match_clocks(
         if seen.found or fit is None:
             fit = ClockFit(seen, None)
     assert fit is not None
+    if rec.markers is not None and uncertainty == 0.0 and math.isfinite(said):
+        fit = ClockFit(ClockOffset(offset=said, sd=0.0, said=said, found=True), fit.noise)  # one clock for both
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
-            f"{rec.name}: nothing says when the film starts on the log's clock, and the data do not show it. "
-            "Write start_s in [video] of recording.toml."
+            f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
+            "show it. Write start_s in recording.toml."
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
@@ -75,7 +81,8 @@ def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
     if apart * FEWEST_ROWS > film:
         raise ObservationError(
             f"{rec.name}: the force log has a row every {apart:.3g} s, fewer than {FEWEST_ROWS} during the film of "
-            f"{film:.3g} s. Times must be in seconds: divide those in milliseconds by 1000. Or log more often."
+            f"{film:.3g} s. Times must be in seconds: for milliseconds write "
+            'time_unit = "ms" in [force]. Or log more often.'
         )
 
 

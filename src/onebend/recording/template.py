@@ -17,6 +17,7 @@ from onebend.recording.entries import (
 )
 from onebend.recording.folder import FILE_NAME, FORMAT
 from onebend.recording.schema import keys_of
+from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 
 INTRODUCTION = f"""\
 # What was filmed, for onebend. Fill in your own values; lines that start with # are optional and show an example.
@@ -24,8 +25,12 @@ INTRODUCTION = f"""\
 
 format = {FORMAT}
 """
-WRITTEN = {"start_s", "start_uncertainty_s", "family", "turn_deg", "rotation_deg", "acts_on", "at_s"}  # though optional
+# Written out though they are optional:
+WRITTEN = {"start_s", "start_uncertainty_s", "family", "turn_deg", "rotation_deg", "acts_on", "at_s", "size_m"}
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
+MARKERS = "In place of [video]: tracks from a motion capture or any tracker."
+POSES = "In place of [video], [force] and [push]: static poses measured by hand, with weighed loads."
+PHOTOS = "In place of [video], [force] and [push]: stills of the tags, with weighed loads."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 
 
@@ -65,6 +70,9 @@ def template() -> str:
         table("[push]", PushEntry),
         optional(CAMERA, table("[camera]", CameraEntry)),
         optional(GRAVITY, table("[gravity]", GravityEntry)),
+        optional(MARKERS, table("[markers]", MarkersEntry)),
+        optional(POSES, table("[poses]", PosesEntry)),
+        optional(PHOTOS, table("[photos]", PhotosEntry)),
     ]
     return "\n".join(parts)
 

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onebend.errors import RecordingError
+from onebend.recording.bag_film import bag_film, bag_frames, picture_of
+from onebend.recording.dropped import missing_remarks
 from onebend.recording.entries import VideoEntry
 from onebend.records import Array, Remark
 
@@ -35,14 +37,19 @@ class Frame:
 def read_frames(video: VideoEntry) -> Iterator[Frame]:
     """Every frame in order, one at a time.
 
-    The times are the presentation times of the container, or those of the CSV file that `recording.toml` names. A
-    frame's time is taken as the middle of its exposure; a constant delay is part of the clock offset found later.
+    The times are the presentation times of the container, or those of the CSV file that `recording.toml` names, or in a
+    bag the stamps of its images. A frame's time is taken as the middle of its exposure; a constant delay is part of
+    the clock offset found later.
 
     Raises
     ------
     RecordingError
         Not a video, no frame, truncated or damaged (with the last good frame), no or falling frame times.
     """
+    if video.topic:
+        for index, (time, message) in enumerate(bag_frames(video)):
+            yield Frame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
+        return
     given = None if video.frame_times == "container" else read_times(video.frame_times)
     index, first, last = -1, 0.0, -math.inf
     for index, frame in enumerate(decoded(video.file)):
@@ -80,6 +87,11 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
     RecordingError
         The video has no such frame, or cannot be read.
     """
+    if video.topic:
+        for count, (_, message) in enumerate(bag_frames(video)):
+            if count == index:
+                return picture_of(message, f"{video.file}, image {index} of {video.topic}", colour=True)
+        raise RecordingError(f"{video.file} has no frame {index} of {video.topic}.")
     for count, frame in enumerate(decoded(video.file)):
         if count == index:
             return upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
@@ -88,11 +100,18 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
 
 def frame_count(video: VideoEntry) -> int | None:
     """How many frames the container says it holds; None where it does not say. For progress only."""
+    if video.topic:
+        return bag_film(video)[1].count
     with opened(video.file) as container:
         return container.streams.video[0].frames or None
 
 
 def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
+    """Remarks where the written frame rate is not the one found, and where a bag lacks frames."""
+    return (*wrong_rate(video, time), *(missing_remarks(time, "images of the bag") if video.topic else ()))
+
+
+def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     """A remark where the written frame rate is not the one found."""
     if math.isnan(video.fps) or len(time) < 2:
         return ()

@@ -41,7 +41,8 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, 
         wanted[f"learned-{i}-residuals"] = partial(figures.residuals, one)
     if learned is not None:
         wanted["selection"] = partial(figures.selection, learned)
-    wanted["force"] = partial(figures.force, seen)
+    if not seen.static:  # poses have no time
+        wanted["force"] = partial(figures.force, seen)
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
     wanted |= validation_figures(beam, pairs, *findings.trainings)
     return draw(wanted, progress)
@@ -88,7 +89,8 @@ def fit(beam: Beam, one: Comparison, seen: Observations) -> Figure | None:
     if seen.view is None or seen.video is None:
         return None
     try:
-        image = frame_at(VideoEntry(file=seen.video), int(one.frame[largest_push(one)]))
+        film = VideoEntry(file=seen.video, topic=seen.video_topic, damaged="keep" if seen.video_topic else "refuse")
+        image = frame_at(film, int(one.frame[largest_push(one)]))
     except OnebendError:
         return None
     return figures.fit_over_frame(image, seen.view, beam, one, seen)

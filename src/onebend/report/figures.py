@@ -14,6 +14,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from onebend.beam.model import Beam
+from onebend.learning.frames import distances
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.recording.lens import project
 from onebend.records import Array, Observations, View
@@ -110,7 +111,7 @@ def markers(one: Comparison) -> Figure:
             axes.plot(*_unbroken(time, MM * one.predicted[:, i, axis]), color=colour(i), linewidth=1.4,
                       label=f"M{i + 1}, s = {one.marker_s[i]:.3g}")  # fmt: skip
         axes.set_ylabel(f"{name} [mm]")
-    below.set_xlabel("time [s]")
+    below.set_xlabel("pose" if one.static else "time [s]")
     above.set_title(f"{one.name}: markers measured (dots) and simulated (lines)")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(one.tag_id)))
     return figure
@@ -130,10 +131,10 @@ def residuals(one: Comparison) -> Figure:
     residual = MM * (one.measured - one.predicted)
     time = one.time - one.time[0]
     for i, rms in enumerate(MM * one.rms):
-        distance = np.linalg.norm(residual[:, i], axis=1)
+        distance = distances(residual[:, i])
         left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=f"M{i + 1}: {rms:.2f} mm RMS")
         right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
-    left.set(xlabel="time [s]", ylabel="distance [mm]", ylim=(0, None))
+    left.set(xlabel="pose" if one.static else "time [s]", ylabel="distance [mm]", ylim=(0, None))
     left.set_title(f"{one.name}: distance, measured to simulated")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(one.tag_id))), fontsize=8)
     right.axhline(0, color=MUTED, linewidth=0.8)

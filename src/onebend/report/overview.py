@@ -8,9 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from onebend.recording.bag_recording import bag_span
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.force_log import read_force_log
+from onebend.recording.marker_tracks import read_tracks
+from onebend.recording.pairing import read_log
+from onebend.recording.pose_loads import read_loads
+from onebend.recording.pose_tables import read_points
 from onebend.recording.video import frame_count, opened, read_frames
 from onebend.records import ForceLog, Remark
 from onebend.report.wording import significant
@@ -47,10 +51,7 @@ def overview(folder: Path | str) -> Overview:
     """
     recording = read_recording(folder)
     film = None if recording.video is None else first_look(recording.video)
-    log = None
-    if recording.force is not None:
-        column = recording.push.column if recording.push is not None else ""
-        log = read_force_log(recording.force.file, recording.force.columns, column)
+    log = read_log(recording)
     rows = [*_beam_rows(recording), *_film_rows(recording, film), *_log_rows(recording, log)]
     remarks = (*recording.remarks, *(log.remarks if log else ()), *_oddities(recording, film, log))
     return Overview(recording.name, tuple(rows), remarks)
@@ -59,6 +60,9 @@ def overview(folder: Path | str) -> Overview:
 def first_look(video: VideoEntry) -> Film:
     """Size, and what the container says of its length."""
     height, width = next(read_frames(video)).luma.shape
+    if video.topic:
+        frames, seconds = bag_span(video)
+        return Film(width, height, frames, seconds)
     with opened(video.file) as container:
         seconds = container.duration / 1e6 if container.duration else float("nan")
     return Film(width, height, frame_count(video), seconds)
@@ -70,13 +74,22 @@ def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
     places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam)
     base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
     weight = "acts in the plane of bending" if recording.gravity is not None else "across the plane of bending"
+    size = f"{tags.family}, {1000 * tags.size:.4g} mm; " if np.isfinite(tags.size) else ""
     return [
         ("beam", f"{1000 * beam.length:.4g} mm long, {mass}, at rest: {beam.rest}; gravity {weight}"),
-        ("tags", f"{tags.family}, {1000 * tags.size:.4g} mm; {base} on the base; {places}"),
+        ("tags", f"{size}{base or 'none'} on the base; {places}"),
     ]
 
 
 def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]:
+    if recording.poses is not None or recording.photos is not None:
+        return _pose_rows(recording)
+    if recording.markers is not None:
+        tracks = read_tracks(recording)
+        rate = (len(tracks.time) - 1) / max(float(np.ptp(tracks.time)), 1e-9)
+        seen = 100.0 * float(np.mean(np.isfinite(tracks.xy).all(axis=-1)))
+        said = f"{len(tracks.time)} frames, {np.ptp(tracks.time):.2f} s at {significant(rate)} Hz, {seen:.3g} % of the"
+        return [("markers", f"{recording.markers.file.name}, {said} points there")]
     if film is None or recording.video is None:
         return []
     length = f", {film.seconds:.2f} s" if np.isfinite(film.seconds) else ""
@@ -85,22 +98,41 @@ def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]
     how = "not calibrated: the tags' size gives the scale"
     if camera is not None:
         how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
-    video = recording.video.file.name
+    video = " ".join((recording.video.file.name, recording.video.topic)).strip()
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
 
+def _pose_rows(recording: Recording) -> list[tuple[str, str]]:
+    """Poses and loads; photos are not searched for tags."""
+    source = recording.poses or recording.photos
+    assert source is not None
+    loads = read_loads(source.loads, recording, source.axes)
+    forces = np.linalg.norm(loads.force, axis=1)
+    more = "; further forces or moments besides" if loads.others is not None else ""
+    said = f"{source.loads.name}, {len(loads.names)} poses, {forces.min():.3g} … {forces.max():.3g} N{more}"
+    if recording.photos is not None:
+        return [("photos", recording.photos.folder.name), ("loads", said)]
+    assert recording.poses is not None
+    points, name = read_points(recording, loads), recording.poses.file.name
+    seen = int(np.isfinite(points.xy).any(axis=-1).sum())
+    both = int(np.isfinite(points.xy).all(axis=-1).sum())
+    return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
+
+
 def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str]]:
-    if log is None or recording.force is None or recording.push is None or recording.video is None:
-        return [("force", "none")]
+    if log is None or recording.force is None or recording.push is None:
+        return [] if recording.poses is not None or recording.photos is not None else [("force", "none")]
     span = log.time[-1] - log.time[0]
     rate = 1.0 / float(np.median(np.diff(log.time)))
     reach = ", ".join(f"{low:.2f} … {high:.2f} N" for low, high in zip(log.force.min(0), log.force.max(0), strict=True))
     column = recording.push.column
     place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
-    start = recording.video.start
-    said = f"the video starts at {start:.3f} s of the log, give or take {recording.video.start_uncertainty:.2g} s"
+    start, doubt = recording.start
+    source = " ".join((recording.force.file.name, recording.force.topic)).strip()
+    what = "the video starts" if recording.video is not None else "the tracks start"
+    said = f"{what} at {start:.3f} s of the log, give or take {doubt:.2g} s"
     return [
-        ("force log", f"{recording.force.file.name}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
+        ("force log", f"{source}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
         ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "
                                    f"{np.rad2deg(recording.force.rotation):.4g} deg"),
         ("push", place),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from onebend.progress import Progress, Silent
+from onebend.recording.bag import files_of
 from onebend.recording.entries import TagsEntry, VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections, Remark
@@ -28,9 +29,10 @@ class KeptDetections:
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
     ) -> Detections:
         """As `detect_tags`, but what was found earlier in the same video is taken from the folder."""
-        files = (video.file,) if video.frame_times == "container" else (video.file, video.frame_times)
+        files = files_of(video.file) if video.topic else (video.file,)
+        files = files if video.frame_times == "container" else (*files, video.frame_times)
         ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
-        key = key_of(files, self.version, tags.family, video.fps, ids)
+        key = key_of(files, self.version, tags.family, video.fps, ids, video.topic, video.damaged)
         found = self.load(key)
         if found is None:
             found = detect_tags(video, tags, threads=threads, progress=progress)

@@ -8,6 +8,7 @@ leaves it something to say.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,34 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
-from onebend.records import Array, CleanForce, ClockOffset, ForceNoise, Observations, Remark, View
+from onebend.records import (
+    Array,
+    CleanForce,
+    ClockOffset,
+    ForceNoise,
+    KnownLoads,
+    MassLine,
+    Observations,
+    Remark,
+    View,
+)
 
 FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
 _VERSION = 1
 _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of what the filter passes
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
-_SCALARS = ("name", "length", "mass", "placement_sd", "rest", "gain_sd")
+_SCALARS = ("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd")
+_LATER: dict[str, Any] = {  # what files of earlier versions lack
+    "gain_sd": 0.0,
+    "clean_force": None,
+    "static": False,
+    "sd_known": True,
+    "mass_sd": math.nan,
+    "clamp_sd": math.nan,
+    "known": None,
+    "mass_line": None,
+}
 
 
 def save_observations(path: Path, observations: Observations) -> None:
@@ -62,7 +83,7 @@ def load_observations(path: Path | str) -> Observations:
         raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
     try:
         table = pq.read_table(file)
-        rest = {"gain_sd": 0.0, "clean_force": None} | json.loads(table.schema.metadata[_KEY])  # earlier files lack it
+        rest = _LATER | json.loads(table.schema.metadata[_KEY])
         if rest["version"] != _VERSION:
             raise ResultsError(f"{file}: version {rest['version']!r}, but this onebend reads version {_VERSION}")
         return _observations(table, rest)
@@ -82,7 +103,10 @@ def _rest_of(o: Observations) -> dict[str, Any]:
         "clock": None if o.clock is None else asdict(o.clock),
         "clean_force": None if o.clean_force is None else _force_of(o.clean_force),
         "view": view,
+        "known": _listed(o.known),
+        "mass_line": _listed(o.mass_line),
         "video": None if o.video is None else str(o.video),
+        "video_topic": o.video_topic,
         "remarks": [[remark.level, remark.text] for remark in o.remarks],
     }
 
@@ -115,9 +139,22 @@ def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
         clock=None if rest["clock"] is None else ClockOffset(**rest["clock"]),
         clean_force=_clean_force(rest["clean_force"]),
         view=_view(rest["view"]),
+        known=None if rest["known"] is None else _known(rest["known"], table.num_rows),
+        mass_line=None if rest["mass_line"] is None else MassLine(*map(np.asarray, rest["mass_line"].values())),
         video=None if rest["video"] is None else Path(rest["video"]),
+        video_topic=rest.get("video_topic", ""),
         remarks=tuple(Remark(level, text) for level, text in rest["remarks"]),
     )
+
+
+def _listed(record: KnownLoads | MassLine | None) -> dict[str, Any] | None:
+    return None if record is None else {name: value.tolist() for name, value in vars(record).items()}
+
+
+def _known(data: dict[str, Any], count: int) -> KnownLoads:
+    """Arrays keep their shape, which a list of no loads does not show."""
+    array = {name: np.asarray(data[name], dtype=float).reshape(count, -1) for name in data}
+    return KnownLoads(**{**array, "force": array["force"].reshape(count, -1, 2)})
 
 
 def _force_of(clean: CleanForce) -> dict[str, Any]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from onebend.errors import ResultsError
@@ -15,23 +17,39 @@ def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> Non
     Raises:
         ResultsError: the file exists and `overwrite` is False, or it cannot be written.
     """
-    content = data.encode("utf-8") if isinstance(data, str) else data
-    try:
-        if path.is_dir():
-            raise ResultsError(f"{path}: this is a folder. Name a file in it")
-        if path.exists() and not overwrite:
-            raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
+    with fresh_file(path, overwrite=overwrite) as beside:
+        beside.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
+
+
+@contextmanager
+def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """An empty file beside `path` to write into; it takes that name when all went well, and is gone otherwise.
+
+    Raises:
+        ResultsError: as `write_file`.
+    """
+    if path.is_dir():
+        raise ResultsError(f"{path}: this is a folder. Name a file in it")
+    if path.exists() and not overwrite:
+        raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
+    with _said(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        beside = Path(name)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+    beside = Path(name)
+    try:
+        yield beside
+        with _said(path):
             beside.chmod(0o666 & ~_umask())
             beside.replace(path)
-        except BaseException:
-            beside.unlink(missing_ok=True)
-            raise
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def _said(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise ResultsError(f"{path}: cannot be written ({error.strerror}). Choose another place") from error
 

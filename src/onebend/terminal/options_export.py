@@ -22,3 +22,8 @@ MassKg = Annotated[
 DampingTime = Annotated[
     float, typer.Option("--damping-time-s", metavar="SECONDS", help="Of every hinge, damping over stiffness.")
 ]
+RerunFile = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: the recording's name.rrd."),
+]
+Every = Annotated[int, typer.Option(min=1, metavar="N", help="Keep one picture of the video in N.")]

@@ -1,0 +1,259 @@
+"""From pixels to k(s) and back to the truth: films of random benches learned from, and their tags against the truth.
+
+Each run draws a beam, its tags and mounting, a camera, a scene, a sensor and a clock, films a slow push, learns from
+the folder as a user would, and compares. `inside` counts the places s = 0.05 to 0.9 that the fit calls identified and
+whose 95 % band holds the true k, with the standard error over whole runs; `without a warning` are runs in which nothing
+was said against the result. Runs are kept in out/film: the next call goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import tempfile
+import time
+import warnings
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.markers import errors
+from benchmarks.truth import RECORDINGS, Truth, read_truth
+from onebend.errors import OnebendError
+from onebend.lab.chance import random_bench
+from onebend.lab.designs import DESIGNS
+from onebend.lab.film import film
+from onebend.lab.filming import Filming
+from onebend.lab.strategies import PushName, Wish, filming_of
+from onebend.learning.posterior import FitSettings, Posterior
+from onebend.pipeline import learn_recording
+from onebend.progress import Progress, Silent
+from onebend.recording.camera import measure_markers
+from onebend.recording.entries import TagsEntry, VideoEntry
+from onebend.recording.folder import read_recording
+from onebend.recording.observe import ObserveSettings
+from onebend.recording.tags import detect_tags
+from onebend.records import Detections
+
+S = np.linspace(0.05, 0.9, 35)
+KEPT = Path(__file__).parents[1] / "out" / "film"
+STREAM = 77  # of the random numbers of benches
+TWINS: tuple[tuple[str, PushName, bool, str], ...] = (  # calibrated as the recording is
+    ("linear", "slow", True, "linear_train"),
+    ("quadratic", "s08", True, "quadratic_s08"),
+    ("cubic", "fast", False, "cubic_fast"),
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One film, learned from."""
+
+    seed: int
+    sensor: str
+    failure: str = ""
+    frames: int = 0
+    film_seconds: float = 0.0  # of one core
+    learn_seconds: float = 0.0
+    place: float = 0.0  # m RMS, tags against the truth
+    angle: float = 0.0  # rad RMS
+    claimed: float = 0.0
+    seen: float = 0.0  # share of tags
+    inside: float = 0.0  # share of the identified places
+    inside_all: float = 0.0  # share of all places, identified or not
+    identified: float = 0.0  # share of the places
+    error: float = 0.0  # RMS of log k over the identified places
+    width: float = 0.0  # RMS of half the 95 % band of log k there, over 1.96
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass
+class Keeping:
+    """Finds tags and keeps what was found."""
+
+    found: Detections | None = None
+
+    def __call__(
+        self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
+    ) -> Detections:
+        self.found = detect_tags(video, tags, threads=threads, progress=progress)
+        return self.found
+
+
+def run(seed: int) -> Run:
+    """Film the bench of a seed, learn, compare."""
+    filming = random_bench(np.random.default_rng([STREAM, seed]), name=f"drawn-{seed}")
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return learned(filming, Path(place) / "film", seed)
+
+
+def learned(filming: Filming, folder: Path, seed: int) -> Run:
+    """Film a bench into `folder`, learn, compare."""
+    began = time.process_time()
+    try:
+        film(filming, folder, seed=seed)
+    except OnebendError as wrong:
+        return Run(seed, filming.sensor_name, failure=f"film: {wrong}")
+    filmed, started = time.process_time() - began, time.perf_counter()
+    detect, truth = Keeping(), read_truth(folder)
+    try:
+        found = learn_recording(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
+    except OnebendError as wrong:
+        return Run(seed, filming.sensor_name, failure=f"learn: {wrong}", film_seconds=filmed)
+    assert found.posterior is not None
+    assert detect.found is not None
+    place, angle, claimed = errors(measure_markers(detect.found, read_recording(folder)), truth)
+    made = Run(
+        seed,
+        filming.sensor_name,
+        frames=len(truth.time),
+        film_seconds=filmed,
+        learn_seconds=time.perf_counter() - started,
+        place=place,
+        angle=angle,
+        claimed=claimed,
+        seen=float(np.isfinite(detect.found.corners).all(axis=(2, 3)).mean()),
+        warnings=tuple(one.text for one in found.remarks if one.level == "warning"),
+    )
+    return against(made, found.posterior, truth)
+
+
+def against(made: Run, posterior: Posterior, truth: Truth) -> Run:
+    """A run with its band compared with the true k(s)."""
+    band, k = posterior.band(S), np.interp(S, truth.s, truth.k)
+    held = (band.low <= k) & (k <= band.high)
+    known = band.identified
+    sd = np.log(band.high / band.low) / (2.0 * 1.96)
+    some = bool(known.any())
+    return replace(
+        made,
+        inside=float(held[known].mean()) if some else float("nan"),
+        inside_all=float(held.mean()),
+        identified=float(known.mean()),
+        error=float(np.sqrt(np.mean(np.log(band.k[known] / k[known]) ** 2))) if some else float("nan"),
+        width=float(np.sqrt(np.mean(sd[known] ** 2))) if some else float("nan"),
+    )
+
+
+def study(runs: int, jobs: int, kept: Path) -> list[Run]:
+    """Runs 0 to `runs` - 1; those in the file `kept` are not made again, each new one is added to it."""
+    done = {one.seed: one for one in read(kept)}
+    wanted = [seed for seed in range(runs) if seed not in done]
+    if wanted:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that start now
+        with ProcessPoolExecutor(jobs) as pool, kept.open("a", encoding="utf-8") as file:
+            for future in as_completed([pool.submit(run, seed) for seed in wanted]):
+                one = future.result()
+                done[one.seed] = one
+                file.write(json.dumps(asdict(one)) + "\n")
+                file.flush()
+    return [done[seed] for seed in sorted(done) if seed < runs]
+
+
+def read(kept: Path) -> list[Run]:
+    """The runs of a file; a line that was cut off is left out."""
+    found = []
+    for line in kept.read_text(encoding="utf-8").splitlines() if kept.is_file() else []:
+        with contextlib.suppress(json.JSONDecodeError):
+            data: dict[str, Any] = json.loads(line)
+            found.append(Run(**{**data, "warnings": tuple(data["warnings"])}))
+    return found
+
+
+def study_table(runs: Sequence[Run]) -> str:
+    """A row a sensor, and one for those without a warning."""
+    lines = [
+        "| films | runs | not learned | inside the 95 % band | identified | error of log k (median) "
+        "| claimed sd (median) | place [mm] (median) | angle [deg] (median) | claimed chi^2 | learn [s] |",
+        "| " + "--- | " * 11,
+    ]
+    groups = {"all": list(runs)}
+    groups |= {sensor: [one for one in runs if one.sensor == sensor] for sensor in sorted({r.sensor for r in runs})}
+    groups["without a warning"] = [one for one in runs if not one.warnings and not one.failure]
+    for name, group in groups.items():
+        good = [one for one in group if not one.failure]
+        if not good:
+            continue
+        share = np.array([one.inside for one in good if np.isfinite(one.inside)])
+        identified = 100 * np.mean([one.identified for one in good])
+        spread = share.std(ddof=1) / np.sqrt(len(share)) if len(share) > 1 else float("nan")
+        middle = {
+            key: float(np.nanmedian([getattr(one, key) for one in good]))
+            for key in ("error", "width", "place", "angle", "claimed", "learn_seconds")
+        }
+        lines.append(
+            f"| {name} | {len(group)} | {len(group) - len(good)} | {100 * share.mean():.1f} ± {100 * spread:.1f} % "
+            f"| {identified:.0f} % | {middle['error']:.3f} | {middle['width']:.3f} "
+            f"| {1e3 * middle['place']:.4f} | {np.degrees(middle['angle']):.4f} | {middle['claimed']:.2f} "
+            f"| {middle['learn_seconds']:.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def odd_runs(runs: Iterable[Run]) -> str:
+    """Every run that was not learned, or whose band holds less than nine tenths of the identified places, and why."""
+    lines = ["| run | sensor | seen | inside | error of log k | claimed sd | what it said |", "| " + "--- | " * 7]
+    for one in runs:
+        if one.failure or not one.inside >= 0.9:
+            said = (one.failure or "; ".join(one.warnings) or "nothing").replace("\n", " ").replace("|", "/")
+            lines.append(
+                f"| {one.seed} | {one.sensor} | {100 * one.seen:.0f} % | {100 * one.inside:.0f} % | {one.error:.3f} "
+                f"| {one.width:.3f} | {said} |"
+            )
+    return "\n".join(lines)
+
+
+def twins_table(recordings: Path) -> str:
+    """Tags of films of the named designs beside those of the development recordings that they resemble."""
+    lines = [
+        "| film | frames | place [mm] | angle [deg] | claimed chi^2 | film [frames/s of one core] | recording "
+        "| place [mm] | angle [deg] |",
+        "| " + "--- | " * 9,
+    ]
+    for design, push, calibrated, other in TWINS:
+        filming = filming_of(DESIGNS[design], Wish(push=push, calibrated=calibrated), f"{design}-{push}")
+        with tempfile.TemporaryDirectory() as place:
+            folder, began = Path(place) / "film", time.process_time()
+            film(filming, folder, seed=1)
+            seconds = time.process_time() - began
+            mine, frames = tag_errors(folder), len(read_truth(folder).time)
+        theirs = tag_errors(recordings / other) if (recordings / other / "truth").is_dir() else (float("nan"),) * 3
+        lines.append(
+            f"| {design} {push} | {frames} | {1e3 * mine[0]:.4f} | {np.degrees(mine[1]):.4f} | {mine[2]:.2f} "
+            f"| {frames / seconds:.1f} | {other} | {1e3 * theirs[0]:.4f} | {np.degrees(theirs[1]):.4f} |"
+        )
+    return "\n".join(lines)
+
+
+def tag_errors(folder: Path) -> tuple[float, float, float]:
+    """RMS error of place [m] and angle [rad] of a recording's tags, and the median of their squares as claimed."""
+    rec = read_recording(folder)
+    assert rec.video is not None
+    return errors(measure_markers(detect_tags(rec.video, rec.tags, threads=1), rec), read_truth(folder))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--kept", type=Path, default=KEPT / "runs.jsonl", help="file that the runs are added to")
+    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser.add_argument("--no-twins", action="store_true", help="leave out the films of the named designs")
+    asked = parser.parse_args()
+    runs = study(asked.runs, asked.jobs, asked.kept)
+    print(study_table(runs))
+    print(f"\nRuns to look at:\n\n{odd_runs(runs)}")
+    if not asked.no_twins:
+        print(f"\nTags of films and of the development recordings:\n\n{twins_table(asked.recordings)}")
+
+
+if __name__ == "__main__":
+    main()

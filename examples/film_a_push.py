@@ -1,0 +1,26 @@
+"""Film a beam that is known, and see that the tags are where they truly are."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from onebend.lab.designs import design_named
+from onebend.lab.film import film
+from onebend.lab.strategies import Wish, filming_of
+from onebend.recording.camera import measure_markers
+from onebend.recording.folder import read_recording
+from onebend.recording.tags import detect_tags
+
+wish = Wish(push="s08", seconds=1.5, camera="webcam", fps=6.0, sensor="wrist")
+with tempfile.TemporaryDirectory() as place:
+    folder = film(filming_of(design_named("linear"), wish, "example"), Path(place) / "example", seed=1)
+    recording = read_recording(folder)  # as any other; `onebend learn` takes a slower push
+    assert recording.video is not None
+    seen = measure_markers(detect_tags(recording.video, recording.tags), recording)
+    truth = np.load(folder / "truth" / "truth.npz")
+
+off = seen.xy - (truth["tag_xya"][:, 1:, :2] - truth["tag_xya"][:, :1, :2])
+print(
+    "frames:", len(seen.time), "RMS error of the tags' places [mm]:", round(1e3 * float(np.sqrt(np.nanmean(off**2))), 4)
+)

@@ -1,0 +1,60 @@
+"""The command that looks into a robot's log."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import typer
+from rich.console import Console
+
+from onebend.cli.common import clean_errors, print_json
+from onebend.recording.bag_force import FIELDS
+from onebend.recording.bag_topics import BagContents, bag_contents
+from onebend.terminal.bags import show_bag
+from onebend.terminal.options import Json
+from onebend.terminal.options_bags import BagPath, Definitions
+
+# What no bag knows.
+TO_ADD = (
+    'axes = ["x", "y"]  # the two in the plane of bending, in the order of x and y',
+    "rotation_deg = 0.0  # the first of them against the beam, counter-clockwise as the camera sees it",
+    'acts_on = "beam"  # or "robot"',
+)
+
+
+def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:
+    """List the topics of a ROS bag, with types, counts, rates and times, and what to write of them."""
+    with clean_errors():
+        found = bag_contents(bag, definitions)
+    if as_json:
+        print_json(as_data(found))
+    else:
+        show_bag(Console(), found)
+        typer.echo(lines_to_write(found))
+
+
+def as_data(found: BagContents) -> dict[str, object]:
+    """Plain data for `--json`."""
+    rows = [dataclasses.asdict(row) for row in found.rows]
+    return {
+        "bag": str(found.path),
+        "topics": rows,
+        "force": found.force or None,
+        "image": found.image or None,
+        "fault": found.fault or None,
+    }
+
+
+def lines_to_write(found: BagContents) -> str:
+    """The tables of recording.toml for the likeliest topics."""
+    keep = ['damaged = "keep"'] if found.fault else []
+    tables = []
+    if found.image:
+        tables.append(["[video]", f'file = "{found.path.name}"', f'topic = "{found.image}"', *keep])
+    if found.force:
+        others = [row.topic for row in found.rows if row.type in FIELDS and row.count and row.topic != found.force]
+        more = f"  # or {', '.join(others)}" if others else ""
+        tables.append(["[force]", f'file = "{found.path.name}"', f'topic = "{found.force}"{more}', *keep, *TO_ADD])
+    if not tables:
+        return "It holds no images, and no topic whose force is known: name the topic and its field in [force]."
+    return "\n\n".join(["For recording.toml:", *("\n".join(table) for table in tables)])

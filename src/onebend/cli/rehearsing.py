@@ -1,0 +1,155 @@
+"""The command that rehearses a push before it is filmed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, progress_of, workplace
+from onebend.errors import RecordingError
+from onebend.lab.strategies import Wish
+from onebend.progress import Progress
+from onebend.rehearse.rehearsal import Rehearsal, cores
+from onebend.rehearse.rehearsal import rehearse as make_rehearsal
+from onebend.rehearse.setup import Setup, known_beam, setup_of
+from onebend.rehearse.writing import REHEARSE_FORMAT, summary_of, writer_of
+from onebend.results.folder import publish
+from onebend.terminal.options import Json, Overwrite, Quiet
+from onebend.terminal.options_film import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
+from onebend.terminal.options_rehearse import (
+    TURN_DEG,
+    Advices,
+    ClockSd,
+    Directions,
+    Forces,
+    GainSd,
+    Jobs,
+    PlacementSd,
+    PushesAt,
+    RehearsalFolder,
+    Rehearsed,
+    Runs,
+    RunSeed,
+    SlowPush,
+    TagPlaces,
+    TurnSd,
+)
+from onebend.terminal.rehearsals import show_rehearsal
+
+
+def rehearse(
+    design: Rehearsed,
+    *,
+    output: RehearsalFolder = None,
+    tags: TagPlaces = None,
+    push: SlowPush = "slow",
+    push_at: PushesAt = None,
+    force: Forces = None,
+    bend: Bend = 65.0,
+    direction: Directions = None,
+    seconds: Seconds = None,
+    sensor: Sensor = "franka",
+    gain_sd: GainSd = None,
+    camera: Camera = "hd",
+    fps: Fps = None,
+    tilt: Tilt = None,
+    distance: Distance = None,
+    placement: PlacementSd = 1e3 * Setup.placement_sd,
+    turn: TurnSd = TURN_DEG,
+    clock_sd: ClockSd = None,
+    runs: Runs = 24,
+    seed: RunSeed = 0,
+    jobs: Jobs = None,
+    count: Advices = 8,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
+    with clean_errors():
+        first = Wish(
+            push=push,
+            bend=math.radians(bend),
+            seconds=_or_nan(seconds),
+            camera=camera,
+            fps=_or_nan(fps),
+            tilt=math.radians(_or_nan(tilt)),
+            distance=_or_nan(distance),
+            sensor=sensor,
+        )
+        setup = setup_of(
+            known_beam(design),
+            wishes_of(first, push_at or [], force or [], direction or []),
+            tags=places_of(tags),
+            gain_sd=_or_nan(gain_sd),
+            placement_sd=1e-3 * placement,
+            turn_sd=math.radians(turn),
+            clock_sd=_or_nan(clock_sd),
+        )
+
+        def work(keep: Path | None, progress: Progress) -> Rehearsal:
+            processes = jobs or cores()
+            return make_rehearsal(
+                setup, runs=runs, seed=seed, jobs=processes, keep=keep, count=count, progress=progress
+            )
+
+        if output is None:
+            with progress_of(quiet) as progress:
+                found = work(None, progress)
+        else:
+            with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+                found = work(place.partial, progress)
+                publish(place, writer_of(found, written_by=BY))
+    if as_json:
+        print_json(summary_of(found, written_by=BY))
+        return
+    show_rehearsal(Console(), found)
+    if output is not None:
+        typer.echo(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+
+
+def wishes_of(first: Wish, at: list[float], force: list[float], direction: list[float]) -> list[Wish]:
+    """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
+    given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
+    count = max(1, *map(len, given.values()))
+    for name, values in given.items():
+        if len(values) not in (0, 1, count):
+            raise RecordingError(
+                f"{name} is given {len(values)} times for {count} pushes. Give it once, or once a push"
+            )
+    for s in at:
+        if not 0.0 < s <= 1.0:
+            raise RecordingError(f"--push-at {s:g} is not on the beam: give a place in (0, 1]")
+
+    def pick(values: list[float], i: int) -> float:
+        return values[min(i, len(values) - 1)] if values else math.nan
+
+    return [
+        Wish(
+            **(
+                vars(first)
+                | {"at_s": pick(at, i), "force": pick(force, i), "direction": math.radians(pick(direction, i))}
+            )
+        )
+        for i in range(count)
+    ]
+
+
+def places_of(text: str | None) -> tuple[float, ...]:
+    """Numbers of `0.33,0.67,1`. Raises `RecordingError` where one is none."""
+    if text is None:
+        return ()
+    try:
+        places = tuple(float(one) for one in text.split(","))
+    except ValueError:
+        raise RecordingError(f"--tags {text!r}: write places along the beam such as 0.33,0.67,1") from None
+    if not all(math.isfinite(s) for s in places):
+        raise RecordingError(f"--tags {text!r}: every place must be a number in (0, 1]")
+    return places
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

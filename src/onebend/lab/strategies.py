@@ -1,0 +1,144 @@
+"""Pushes, cameras and sensors that have a name: what `onebend film` offers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import nan, radians
+from typing import Literal, get_args
+
+from onebend.beam.model import Beam
+from onebend.errors import RecordingError
+from onebend.lab.designs import Design
+from onebend.lab.filming import Filming
+from onebend.lab.pushes import Push
+from onebend.lab.sensors import FRANKA, WRIST, ForceSensor
+from onebend.lab.truths import force_that_bends
+from onebend.lab.viewpoint import Camera
+from onebend.lab.virtual import Bench, Clock, Tag
+
+PushName = Literal["slow", "fast", "s08", "s06", "free"]
+CameraName = Literal["hd", "full-hd", "phone", "webcam", "wide", "tilted"]
+SensorName = Literal["franka", "wrist", "ideal"]
+
+SLOW = Push(nan, before=1.5, rise=6.0, hold=1.0, fall=6.0, after=1.5)
+FAST = Push(nan, before=1.0, rise=2.2, hold=0.5, fall=1.6, after=1.7)
+PUSHES: dict[str, Push] = {
+    "slow": SLOW,
+    "fast": FAST,
+    "s08": replace(SLOW, at_s=0.8, rise=3.5, fall=3.0),
+    "s06": replace(SLOW, at_s=0.6, rise=3.5, fall=3.0),
+    "free": replace(FAST, hold=0.8, fall=0.03, after=4.0),
+}
+SWINGING = ("fast", "free")  # those that need the equation of motion
+CAMERAS: dict[str, tuple[Camera, float]] = {  # and frames/s
+    "hd": (Camera(), 30.0),
+    "full-hd": (Camera(1920, 1080, 1750.0), 30.0),
+    "phone": (Camera(1920, 1080, 1500.0, dist=(0.04, -0.06, 0.0003, -0.0005, 0.0), tilt=(0.06, 0.05)), 60.0),
+    "webcam": (Camera(960, 540, 800.0, dist=(0.08, -0.15, 0.0008, 0.0006, 0.0), tilt=(0.05, -0.04)), 15.0),
+    "wide": (Camera(focal=700.0, dist=(-0.22, 0.06, 0.0004, -0.0003, 0.0)), 30.0),
+    "tilted": (Camera(tilt=(0.25, -0.12), roll=0.1), 30.0),
+}
+SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls it
+    "franka": (FRANKA, "franka-estimate"),
+    "wrist": (WRIST, "wrist six-axis"),
+    "ideal": (ForceSensor(rate=500.0), "without errors"),
+}
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked of a film; NaN: as the named push has it."""
+
+    push: PushName = "slow"
+    at_s: float = nan
+    force: float = nan  # N, peak
+    bend: float = radians(65.0)  # rad, turn of the pushed place at the peak where no force is given
+    direction: float = nan  # rad
+    seconds: float = nan  # s, from first to last contact
+    camera: CameraName = "hd"
+    fps: float = nan
+    tilt: float = nan  # rad
+    distance: float = nan  # m
+    sensor: SensorName = "franka"
+    gravity: float = 0.0  # m/s^2
+    base_angle: float = 0.0  # rad
+    calibrated: bool = True
+
+
+def push_of(wish: Wish, beam: Beam) -> Push:
+    """The push that is asked for, with a peak that bends this beam as far.
+
+    Raises
+    ------
+    RecordingError
+        A time, place or force that cannot be.
+    """
+    push = PUSHES[check_name(wish.push, PushName, "push")]
+    if wish.at_s == wish.at_s:
+        push = replace(push, at_s=wish.at_s)
+    if wish.direction == wish.direction:
+        push = replace(push, direction=wish.direction)
+    if wish.seconds == wish.seconds:
+        begin, end = push.contact
+        share = wish.seconds / (end - begin)
+        sudden = wish.push == "free"
+        push = replace(
+            push,
+            rise=share * push.rise,
+            hold=share * push.hold,
+            fall=push.fall if sudden else share * push.fall,
+        )
+    if wish.force == wish.force:
+        if not wish.force > 0.0:
+            raise RecordingError(f"a push needs a force above zero, got {wish.force} N")
+        return replace(push, peak=wish.force)
+    return replace(push, peak=force_that_bends(beam, wish.bend, push.direction, push.at_s))
+
+
+def camera_of(wish: Wish) -> tuple[Camera, float]:
+    """The camera that is asked for, and its frames/s."""
+    camera, fps = CAMERAS[check_name(wish.camera, CameraName, "camera")]
+    if wish.tilt == wish.tilt:
+        camera = replace(camera, tilt=(wish.tilt, 0.0))
+    return replace(camera, distance=wish.distance), wish.fps if wish.fps == wish.fps else fps
+
+
+def filming_of(design: Design, wish: Wish, name: str) -> Filming:
+    """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
+
+    Raises
+    ------
+    RecordingError
+        A name that is not known, or a number that cannot be.
+    """
+    beam = design.beam()
+    camera, fps = camera_of(wish)
+    sensor, called = SENSORS[check_name(wish.sensor, SensorName, "sensor")]
+    bench = Bench(
+        beam=beam,
+        push=push_of(wish, beam),
+        tags=(Tag(1, 0.333333), Tag(2, 0.666667), Tag(3, 1.0)),
+        sensor=sensor,
+        fps=fps,
+        clock=Clock(offset=250.0, said=250.4, uncertainty=2.0),
+        name=name,
+    )
+    return Filming(
+        bench,
+        width=design.width,
+        rotary_inertia=design.along.rotary_inertia,
+        camera=camera,
+        swings=wish.push in SWINGING,
+        gravity=wish.gravity,
+        base_angle=wish.base_angle,
+        sensor_name=called,
+        calibrated=wish.calibrated,
+    )
+
+
+def check_name(name: str, names: object, what: str) -> str:
+    """`name`, if it is one of them."""
+    known = get_args(names)
+    if name not in known:
+        raise RecordingError(f"there is no {what} {name!r}. Take one of {', '.join(known)}.")
+    return name

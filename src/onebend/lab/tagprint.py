@@ -1,0 +1,52 @@
+"""A printed tag as polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from onebend.recording.entries import FAMILIES
+from onebend.recording.printed import printed_tag
+from onebend.records import Array
+
+
+@dataclass(frozen=True)
+class Outlines:
+    """In the tag's own frame, in sides of its detected square: origin in its middle, x to the print's right, y up."""
+
+    paper: Array  # (1, 4, 2)
+    ink: Array  # (K, 4, 2): black cells that are neighbours in a row make one patch
+
+
+@cache
+def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Outlines:
+    """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
+
+    Raises
+    ------
+    RecordingError
+        A family that is not known, or a number that it does not have.
+    """
+    tag = printed_tag(tag_id, family)
+    count = len(tag.cells)
+    patches = []
+    for row in range(count):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], ~tag.cells[row], [0]]).astype(int)))
+        patches += [rectangle(left, right, row, row + 1) for left, right in edges.reshape(-1, 2).tolist()]
+    beyond = max(margin - tag.margin, 0.0)
+    scale, middle = np.array([1.0, -1.0]) / tag.border, 0.5 * count
+    paper = (rectangle(-beyond, count + beyond, -beyond, count + beyond) - middle) * scale
+    return Outlines(paper[None], (np.stack(patches) - middle) * scale)
+
+
+def rectangle(left: float, right: float, top: float, bottom: float) -> Array:
+    """Corners (4, 2)."""
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=float)
+
+
+def placed(loops: Array, pose: Array) -> Array:
+    """Polygons (..., corners, 2) [m] of a thing that sits at `pose` (3,) x, y [m], angle [rad]."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(loops @ np.array([[cos, sin], [-sin, cos]]) + pose[:2])

@@ -1,0 +1,89 @@
+"""What is known of the beam's mass, and a first guess where nothing is: stiffness and mass are then learned together.
+
+Weight bends the beam by mu / k, so from weight alone only their ratio can be had. A force of known size, logged or
+hung on, fixes both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.errors import LearningError
+from onebend.records import Observations, Remark
+
+FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowledge
+TOLD = 0.7  # of the prior's sd: a weighed mass that stays less sure than this was hardly learned
+KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
+
+
+@dataclass(frozen=True)
+class LearnedMass:
+    """The beam's mass after the fit."""
+
+    value: float  # kg
+    sd: float  # kg
+    even: float  # kg, of an evenly heavy beam whose weight has the same moment about the clamp: what the data see
+    even_sd: float  # kg
+    written: float  # kg, as recording.toml says; NaN where it does not
+    identified: bool  # the data said more of it than was known
+
+
+def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
+    """What the fit says of the mass."""
+    if mass is None:
+        return ()
+    size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
+    even = f"it pulls on the clamp like {1000 * mass.even:.4g} g (sd {1000 * mass.even_sd:.2g} g) evenly spread"
+    if not np.isfinite(mass.written):
+        if mass.identified:
+            return (Remark("note", f"the mass was not written down; learned with k(s): {size}; {even}"),)
+        text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
+        return (Remark("warning", text),)
+    if mass.identified:
+        return (Remark("note", f"mass {1000 * mass.written:.4g} g as written; the data make it {size}; {even}"),)
+    text = f"mass {1000 * mass.written:.4g} g as written; the data say no more of it: beside it, only k/mu"
+    return (Remark("note", text),)
+
+
+def weighs(observations: Observations) -> bool:
+    """Whether the beam's own weight bends it in the plane."""
+    return bool(np.any(observations.gravity != 0.0))
+
+
+def mass_is_open(recordings: Sequence[Observations]) -> bool:
+    """Whether weight acts and no recording of the beam says its mass."""
+    return any(weighs(o) for o in recordings) and not any(np.isfinite(o.mass) for o in recordings)
+
+
+def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
+    """Raises `LearningError` where an unknown weight is all that bends the beam."""
+    if not mass_is_open(recordings) or any(forced(o) for o in recordings):
+        return
+    names = ", ".join(o.name for o in recordings)
+    raise LearningError(
+        f"{names}: the beam's own weight is all that bends it, and its mass is not written down. Such data hold only "
+        "the ratio k/mu of stiffness to mass per metre. Give mass_kg in [beam], or learn together with a push or a "
+        "hung weight of known size"
+    )
+
+
+def forced(observations: Observations) -> bool:
+    """Whether something other than the beam's own weight acts on it."""
+    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0 or observations.known is not None)
+
+
+def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
+    """The recordings, those without a mass with that of the others; where none says it, with a `guess` [kg]."""
+    known = [o for o in recordings if np.isfinite(o.mass)]
+    if known:
+        first = known[0]
+        given = [
+            o if np.isfinite(o.mass) else replace(o, mass=first.mass, mass_line=first.mass_line) for o in recordings
+        ]
+        return tuple(given)
+    if not mass_is_open(recordings) or not np.isfinite(guess):
+        return tuple(recordings)
+    return tuple(replace(o, mass=guess, mass_sd=FREE) for o in recordings)

@@ -1,0 +1,49 @@
+"""What a logger lost: samples that are missing between others, and forces of exactly zero in place of measured ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.recording.signals import step
+from onebend.records import Array, BoolArray, Remark
+
+EVEN = 0.1  # of the samples: more that are off their place mean that the log has no rate to miss samples of
+JUMP = 5.0  # noise sd: a zero that is entered or left by less may be a force that was zero
+NOTICED = 0.01  # of the samples: more that are missing are a warning
+
+
+def missing(time: Array) -> int:
+    """How many samples lack among those at `time` [s, rising]; 0 where they do not come evenly."""
+    if len(time) < 3:
+        return 0
+    steps, usual = np.diff(time), step(time)
+    if not usual > 0 or np.mean(np.abs(steps - usual) > usual / 2) > EVEN:
+        return 0
+    return int(np.sum(np.maximum(np.rint(steps / usual) - 1, 0)))
+
+
+def missing_remarks(time: Array, what: str) -> tuple[Remark, ...]:
+    """What is missing among the `what` ("rows of the force log") at `time` [s, rising], in words."""
+    lost = missing(time)
+    if not lost:
+        return ()
+    longest = float(np.diff(time).max())
+    text = f"About {lost} {what} are missing, {len(time)} are there; the longest gap is {longest:.3g} s."
+    return (Remark("warning" if lost > NOTICED * len(time) else "note", text),)
+
+
+def false_zeros(force: Array) -> BoolArray:
+    """(N,) rows in which all of `force` (N, c) is exactly zero though it is not just before or after: a robot that was
+    not streaming, or near a singularity. Runs that are entered and left gently may be true and are not among them."""
+    zero = np.asarray(np.all(force == 0.0, axis=1))
+    if not zero.any() or zero.all():
+        return np.zeros(len(force), dtype=bool)
+    size = np.linalg.norm(force, axis=1)
+    pairs = ~zero[1:] & ~zero[:-1]
+    noise = 1.4826 * float(np.median(np.linalg.norm(np.diff(force, axis=0), axis=1)[pairs])) if pairs.any() else 0.0
+    edges = np.diff(zero.astype(int), prepend=0, append=0)
+    found = np.zeros(len(force), dtype=bool)
+    for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        beside = [size[i] for i in (begin - 1, end) if 0 <= i < len(size)]
+        found[begin:end] = noise > 0 and min(beside) > JUMP * noise
+    return found

@@ -1,0 +1,34 @@
+"""The beam's mass, and how it is spread, as recording.toml says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from onebend.recording.entries import Recording
+from onebend.recording.tables import read_columns
+from onebend.records import MassLine
+
+
+def beam_mass(rec: Recording) -> tuple[float, MassLine | None]:
+    """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given.
+
+    Raises
+    ------
+    RecordingError
+        Fewer than two rows, places outside the beam or that do not rise, a mass that is not positive.
+    """
+    if rec.beam.mass_file is None:
+        return rec.beam.mass, None
+    table = read_columns(rec.beam.mass_file, ("s", "kg_per_m"), kind="table of the mass")
+    s, value = table.get("s"), table.get("kg_per_m")
+    table.refuse(~((s >= 0.0) & (s <= 1.0)), "s must be between 0 at the clamp and 1 at the tip.")
+    table.refuse(np.diff(s, prepend=-1.0) <= 0.0, "s must rise from row to row.")
+    table.refuse(~(value > 0.0), "kg_per_m must be above zero.")
+    table.refuse(np.full(len(s), len(s) < 2), "one place is no profile. Give mass_kg in [beam] instead.")
+    fine = np.linspace(0.0, 1.0, 2001)
+    total = rec.beam.length * float(np.trapezoid(np.interp(fine, s, value), fine))
+    if math.isnan(rec.beam.mass):
+        return total, MassLine(s, value)
+    return rec.beam.mass, MassLine(s, value * rec.beam.mass / total)

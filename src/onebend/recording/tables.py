@@ -1,0 +1,106 @@
+"""Tables of numbers on disk, CSV or Parquet: named columns, empty cells as NaN, and the row of every mistake."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from onebend.errors import RecordingError
+from onebend.records import Array, IntArray
+
+EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of one table, all of one length; `rows` are their numbers in the file, for messages."""
+
+    path: Path
+    rows: IntArray  # (N,)
+    numbers: dict[str, Array]  # (N,) each; NaN where the cell is empty
+    labels: dict[str, tuple[str, ...]]  # (N,) each
+
+    def get(self, name: str) -> Array:
+        """(N,) a column, NaN throughout where the table lacks it."""
+        return self.numbers.get(name, np.full(len(self.rows), np.nan))
+
+    def refuse(self, wrong: np.ndarray, text: str) -> None:
+        """Raise `RecordingError` with the first row where `wrong` (N,)."""
+        if np.any(wrong):
+            row = int(self.rows[int(np.argmax(wrong))])
+            raise RecordingError(f"{self.path}, row {row}: {text}")
+
+
+def read_columns(
+    path: Path, needed: Sequence[str], known: Sequence[str] = (), *, labels: Sequence[str] = (), kind: str = "table"
+) -> Columns:
+    """The columns `needed`, those of `known` that are there, and the text columns `labels` (needed, too).
+
+    Other columns are ignored. `kind` names the table in messages.
+
+    Raises
+    ------
+    RecordingError
+        Unreadable, a missing column (those found are listed), text where a number belongs, no rows.
+    """
+    cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
+    missing = [name for name in (*labels, *needed) if name not in cells]
+    if missing:
+        raise RecordingError(
+            f"{path}: the {kind} lacks the column {', '.join(missing)}; found {', '.join(cells) or 'none'}. Name the "
+            "columns in its first line as docs/recording.md does."
+        )
+    count = len(next(iter(cells.values())))
+    if count == 0:
+        raise RecordingError(f"{path}: the {kind} has no rows. Was it cut short?")
+    rows = np.arange(first, first + count)
+    wanted = [name for name in (*needed, *known) if name in cells]
+    numbers = {name: _numbers(path, name, cells[name], rows) for name in wanted}
+    return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
+
+
+def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
+    """Cells by column, empty lines left out, and the line of the first row."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            lines = [row for row in csv.reader(stream, skipinitialspace=True) if any(cell.strip() for cell in row)]
+    except OSError as wrong:
+        raise RecordingError(f"{path} cannot be read: {wrong.strerror}. Check its name in recording.toml.") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise RecordingError(f"{path} is not a CSV text file. Export the table as CSV with a header.") from None
+    header = [name.strip() for name in lines[0]] if lines else []
+    twice = sorted({name for name in header if name and header.count(name) > 1})
+    if twice:
+        raise RecordingError(f"{path}: the column {twice[0]} is there twice. Remove one.")
+    body = [row + [""] * (len(header) - len(row)) for row in lines[1:]]
+    return {name: [row[i] for row in body] for i, name in enumerate(header) if name}, 2
+
+
+def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as wrong:
+        raise RecordingError(f"{path} cannot be read as Parquet ({wrong}). Export it anew, or as CSV.") from None
+    return {name: table[name].to_pylist() for name in table.column_names}, 1
+
+
+def _numbers(path: Path, name: str, cells: list[object], rows: IntArray) -> Array:
+    out = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
+            continue
+        try:
+            out[i] = float(cell)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise RecordingError(
+                f"{path}, row {rows[i]}: {name} is {cell!r}, not a number. Correct it, or leave the cell empty."
+            ) from None
+        if np.isinf(out[i]):
+            raise RecordingError(f"{path}, row {rows[i]}: {name} is infinite. Leave the cell empty where unknown.")
+    return out
