@@ -56,7 +56,18 @@ def test_what_cannot_be_rehearsed_is_refused(asked: dict[str, float]) -> None:
 def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", BEAM, written_by="a test")
     goal = [f"{value:.6g}" for value in GOAL]
-    command = ["loop", str(tmp_path / "model.json"), "--goal", *goal, "--duration-s", "2", "--k-error", "0.2", "--delay-ms", "60"]
+    command = [
+        "loop",
+        str(tmp_path / "model.json"),
+        "--goal",
+        *goal,
+        "--duration-s",
+        "2",
+        "--k-error",
+        "0.2",
+        "--delay-ms",
+        "60",
+    ]
     done = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)

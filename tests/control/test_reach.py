@@ -10,7 +10,7 @@ from benchmarks.reach_goals import goals, places_under
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Steps, Uniform
 from onebend.control.reach import Reach, ReachSettings, reach
-from onebend.control.reach_beam import PushedBeam, State
+from onebend.control.reach_beam import PushedBeam
 from onebend.control.reach_follow import trace
 from onebend.control.reach_warm import WarmReach
 from onebend.errors import ControlError
