@@ -38,7 +38,7 @@ def show_loop(console: Console, control: Controller, known: Margins, trials: tup
     table.add_row("margins", f"gain {known.gain:.2f} times, phase {turn}, delay {later}")
     table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
     console.print(table, highlight=False)
-    rehearsed = Table("true k(s)", "steady [mm]", "settled to 1 mm [s]", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    rehearsed = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for one in trials:
         steady = "the beam snapped away" if one.run is None else f"{1e3 * one.steady:.2f}"
         settled = one.settled(WITHIN)
