@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli, load_model, load_observations, load_uncertain
+from onebend.cli import learning as learning_commands
 from onebend.results import kept
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     out = tmp_path_factory.mktemp("runs") / "linear"
     command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "draw_all", interrupted)
+        patch.setattr(learning_commands, "draw_all", interrupted)
         first = CliRunner().invoke(cli.app, command)
         left = sorted(path.name.split("-")[0] for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:

@@ -82,7 +82,9 @@ def test_the_band_is_drawn_around_k_and_the_table_has_both() -> None:
     top = float(printed[0].split()[0])
     k = fit.band(np.linspace(0, 1, 41)).k
     lines = [next(9 - i for i, row in enumerate(printed) if row[10 + column] == "━") for column in range(41)]
-    np.testing.assert_allclose((np.array(lines) + 0.5) * top / 10, k, atol=0.51 * top / 10)
+    np.testing.assert_allclose(
+        (np.array(lines) + 0.5) * top / 10, k, atol=0.55 * top / 10
+    )  # half a line, and the rounding of its label
     where = console()
     where.print(tables.estimate_table(fit.stiffness, made_up.learned()))
     cells = shown(where).splitlines()[6].split()

@@ -3,7 +3,16 @@
 from onebend.beam.model import Beam, Shape
 from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
 from onebend.beam.uncertain import Band, UncertainStiffness
+from onebend.control.feedback import controller
+from onebend.control.loop import rehearse
+from onebend.control.path import follow_goals
+from onebend.control.reach import Reach, ReachSettings, reach
+from onebend.control.reachable import reachable
+from onebend.control.shape import shape
+from onebend.control.uncertainty import predicted_error
 from onebend.errors import (
+    ControlError,
+    ExportError,
     LearningError,
     MechanicsError,
     ObservationError,
@@ -39,9 +48,11 @@ __all__ = [
     "Beam",
     "Bench",
     "Comparison",
+    "ControlError",
     "Damping",
     "DampingSettings",
     "Design",
+    "ExportError",
     "FitSettings",
     "Gaussians",
     "Learned",
@@ -57,6 +68,8 @@ __all__ = [
     "Posterior",
     "Powers",
     "Push",
+    "Reach",
+    "ReachSettings",
     "RecordingError",
     "ResultsError",
     "Settings",
@@ -68,7 +81,9 @@ __all__ = [
     "Uniform",
     "Update",
     "bench_of",
+    "controller",
     "fit",
+    "follow_goals",
     "information",
     "information_along",
     "learn",
@@ -79,10 +94,15 @@ __all__ = [
     "load_uncertain",
     "observe",
     "plan",
+    "predicted_error",
+    "reach",
+    "reachable",
     "read_design",
     "read_recording",
+    "rehearse",
     "replay",
     "save_model",
     "save_observations",
+    "shape",
     "validate",
 ]

@@ -10,7 +10,8 @@ from benchmarks.reach_goals import goals, places_under
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Steps, Uniform
 from onebend.control.reach import Reach, ReachSettings, reach
-from onebend.control.reach_newton import PushedBeam, State, trace
+from onebend.control.reach_beam import PushedBeam
+from onebend.control.reach_follow import trace
 from onebend.control.reach_warm import WarmReach
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -153,14 +154,8 @@ def test_moment_holds_place_and_angle_or_makes_the_load_least() -> None:
     size = np.hypot(np.hypot(*least.force), least.moment / LENGTH)
     assert size < 0.2
     on = PushedBeam(BEAM, 1.0, 1.0)  # least: the load is a combination of the rows of its Jacobian
-    s = (
-        on.response(State(least.path_shapes[-1], least.path[-1]))[:2]
-        if len(least.path_shapes[-1]) == on.count
-        else None
-    )
-    if s is not None:
-        load, scaled = least.path[-1] / on.scale, s * on.scale
-        np.testing.assert_allclose(load - np.linalg.pinv(scaled) @ (scaled @ load), 0.0, atol=1e-5)
+    load, scaled = least.path[-1] / on.scale, least.on.response(least.states[-1])[:2] * on.scale
+    np.testing.assert_allclose(load - np.linalg.pinv(scaled) @ (scaled @ load), 0.0, atol=1e-5)
 
 
 def test_weight_is_carried_on_the_way() -> None:

@@ -18,6 +18,7 @@ from onebend.cli.exporting import export_command, rerun_command
 from onebend.cli.filming import film
 from onebend.cli.learning import learn, plan, validate
 from onebend.cli.looking import check, new, show
+from onebend.cli.looping import loop
 from onebend.cli.making import design, mould, tags
 from onebend.cli.motion import damp
 from onebend.cli.rehearsing import rehearse
@@ -32,6 +33,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "reach": reach,
     "shape": shape,
     "path": path,
+    "loop": loop,
     "new": new,
     "topics": topics,
     "check": check,

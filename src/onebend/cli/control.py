@@ -23,6 +23,7 @@ from onebend.terminal.reaching import (
     Direction,
     Goal,
     GoalAngle,
+    Gravity,
     MaxCurvature,
     Moment,
     Point,
@@ -30,6 +31,7 @@ from onebend.terminal.reaching import (
     ReachMaxForce,
     ReachMethod,
     show_reach,
+    weight_of,
 )
 
 
@@ -45,6 +47,7 @@ def reach(
     max_curvature: MaxCurvature = None,
     direction: Direction = None,
     moment: Moment = False,
+    gravity: Gravity = (0.0, 0.0),
     output: Output = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -58,6 +61,7 @@ def reach(
             max_curvature=max_curvature,
             direction=None if direction is None else math.radians(direction),
             moment=moment,
+            gravity=weight_of(stored.beam, gravity),
         )
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
         found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
@@ -69,7 +73,12 @@ def reach(
             within = None
             if max_force is not None:
                 within = reachable(
-                    stored.beam, push_s=push_at, point_s=point, max_force=max_force, max_curvature=max_curvature
+                    stored.beam,
+                    push_s=push_at,
+                    point_s=point,
+                    max_force=max_force,
+                    max_curvature=max_curvature,
+                    gravity=gravity,
                 )
             with workplace(output, REACH_FORMAT, overwrite) as place:
                 picture = png_of(reaching(found, error, within))

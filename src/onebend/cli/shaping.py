@@ -9,6 +9,7 @@ from rich.console import Console
 from onebend.cli.common import BY, clean_errors, print_json, workplace
 from onebend.control.grip import Grip, Push
 from onebend.control.path import PathSettings, follow_goals
+from onebend.control.path_spread import path_spread
 from onebend.control.shape import ShapeSettings
 from onebend.control.shape import shape as solve_shape
 from onebend.control.target_files import read_goals, read_targets
@@ -20,6 +21,7 @@ from onebend.results.folder import publish
 from onebend.results.model import read_model
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
 from onebend.terminal.options import Json, Model, Output, Overwrite
+from onebend.terminal.reaching import Gravity, weight_of
 from onebend.terminal.shaping import (
     Arm,
     BetweenGoals,
@@ -50,6 +52,7 @@ def shape(
     max_force: HandMaxForce = None,
     max_moment: HandMaxMoment = None,
     arm: Arm = None,
+    gravity: Gravity = (0.0, 0.0),
     output: Output = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -64,6 +67,7 @@ def shape(
             wanted,
             pushes=pushes,
             grip=holding,
+            gravity=weight_of(stored.beam, gravity),
             uncertain=stored.uncertain,
             settings=ShapeSettings(arm=arm),
         )
@@ -93,6 +97,7 @@ def path(
     too_fast: TooFast = "stretch",
     between: BetweenGoals = "smooth",
     arm: Arm = None,
+    gravity: Gravity = (0.0, 0.0),
     frame: FrameName = FRAME,
     output: Output = None,
     overwrite: Overwrite = False,
@@ -100,7 +105,7 @@ def path(
 ) -> None:
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
     with clean_errors():
-        beam = read_model(model).beam
+        stored = read_model(model)
         pushes, holding = _hands(grip, push_at, max_force, max_moment)
         limits = Rates(
             force=_limit(max_force_rate),
@@ -109,15 +114,23 @@ def path(
         )
         settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
         wanted = read_goals(goals, point_s=point, between=between)
-        way = follow_goals(beam, wanted, pushes=pushes, grip=holding, settings=settings)
-        summary = path_summary(str(model), way, written_by=BY)
+        way = follow_goals(
+            stored.beam,
+            wanted,
+            pushes=pushes,
+            grip=holding,
+            gravity=weight_of(stored.beam, gravity),
+            settings=settings,
+        )
+        sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
+        summary = path_summary(str(model), way, sure, written_by=BY)
         if output is not None:
             with workplace(output, PATH_FORMAT, overwrite) as place:
                 publish(place, path_writer(way, png_of(path_figure(way)), summary, frame=frame))
     if as_json:
         print_json(summary if output is None else {**summary, "output": str(output)})
     else:
-        show_path(Console(), way, output)
+        show_path(Console(), way, sure, output)
 
 
 def _hands(

@@ -14,7 +14,7 @@ from math import hypot, inf, isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.continuation import equilibrium
+from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
@@ -22,6 +22,7 @@ from onebend.beam.sensitivity import of_force, respond
 from onebend.control.margins import Gains, Loop, Margins, Timing, margins
 from onebend.control.plant import Plant, plant_at
 from onebend.control.reach import ReachSettings, reach
+from onebend.control.reach_beam import prepared
 from onebend.control.tuning import Wanted, tuned
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -163,10 +164,9 @@ class Controller:
         Where the model has no stable shape, the map is that of the goal.
         """
         at = np.array([self.point_s])
-        loads = push(_SCALES[:, None] * force, self.push_s)
-        if np.any(self.gravity):
-            loads = loads + weight(_SCALES[:, None] * self.gravity)
-        solved = equilibrium(self.beam, loads, resolution=_COARSE)
+        x, y = self.gravity.tolist()
+        under = prepared(self.beam, self.push_s, self.point_s, (x, y), _COARSE).loaded(np.append(force, 0.0))
+        solved = follow(under.take(np.zeros(len(_SCALES), dtype=int)).loaded(_SCALES))
         off = solved.xy(at)[:, 0] - self.reference.position(since)
         cost = np.sum(off**2, axis=1) + (_TRUST * self.beam.length * np.log(_SCALES)) ** 2
         cost[~(solved.converged & solved.stable)] = inf

@@ -97,11 +97,10 @@ class Loop:
         seen = linear.c @ (a_seen @ inside + b_seen)
         of_error = self.gains.rate * frame * z / (z - 1.0) * ((1.0 - keep) * z / (z - keep)) ** 2
         found = np.linalg.eigvals((of_error * z ** -(whole + 1.0))[:, None, None] * (seen @ self.inverse))
-        for i in range(1, len(found)):
-            here, before = found[i], found[i - 1]
-            if np.sum(np.abs(here - before)) > np.sum(np.abs(here[::-1] - before)):
-                found[i] = here[::-1]
-        return np.asarray(found)
+        before, here = found[:-1], found[1:]
+        crossed = np.sum(np.abs(here - before), axis=1) > np.sum(np.abs(here[:, ::-1] - before), axis=1)
+        swapped = np.append(False, np.cumsum(crossed) % 2 == 1)
+        return np.where(swapped[:, None], found[:, ::-1], found)
 
 
 @dataclass(frozen=True)

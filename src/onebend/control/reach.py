@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike
 from onebend.beam.continuation import refine
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, pose
+from onebend.beam.problem import Resolution
 from onebend.beam.statics import Equilibrium
-from onebend.control.reach_newton import PushedBeam, Trail, trace
+from onebend.control.reach_beam import PushedBeam, State, prepared
+from onebend.control.reach_follow import Trail, densified, trace
 from onebend.control.reach_paper import paper_force
 from onebend.control.reach_search import Found, from_rest, resolved, sampled, search
 from onebend.control.reach_settings import ReachSettings, checked_goal
@@ -35,23 +36,63 @@ __all__ = ["Reach", "ReachSettings", "reach"]
 class Reach:
     """A force for a goal, or why there is none; then force and shape are those of the nearest point that was found."""
 
-    beam: Beam
-    push_s: float
-    point_s: float
+    on: PushedBeam  # the beam, where it is pushed, the point
     goal: Array  # (2,) m, or (3,) m, m, rad
     settings: ReachSettings
-    force: Array  # (2,) N
-    moment: float  # N m
+    states: tuple[State, ...]  # equilibria on one branch from rest to the last
     reached: Array  # (3,) m, m, rad: the point and the tangent's angle there
     converged: bool  # the point is on its goal, within all bounds, and the beam comes there from rest
     reason: str
     iterations: int  # of Newton's method, or of Algorithm 1
-    path: Array  # (P, 3) N, N, N m: loads from rest, each an equilibrium on one branch
-    path_points: Array  # (P, 2) m: where they hold the point
-    path_shapes: tuple[Array, ...]  # P times (n,) rad: curvature at the first n nodes of `solved`, beyond as at rest
-    solved: Equilibrium  # the last shape
-    resolution: Resolution  # its nodes
     nearest: Nearest | None  # to a goal that cannot be reached
+
+    @property
+    def beam(self) -> Beam:
+        return self.on.beam
+
+    @property
+    def push_s(self) -> float:
+        return self.on.push_s
+
+    @property
+    def point_s(self) -> float:
+        return self.on.point_s
+
+    @property
+    def resolution(self) -> Resolution:
+        """The nodes of `solved`."""
+        return self.on.resolution
+
+    @property
+    def force(self) -> Array:
+        """(2,) N."""
+        return self.states[-1].load[:2].copy()
+
+    @property
+    def moment(self) -> float:
+        """N m."""
+        return float(self.states[-1].load[2])
+
+    @cached_property
+    def solved(self) -> Equilibrium:
+        """The last shape, solved again under its load by the beam's own statics."""
+        last = self.states[-1]
+        return refine(self.on.loaded(last.load), self.on.whole(last.q)[None])
+
+    @cached_property
+    def way(self) -> tuple[State, ...]:
+        """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
+        return densified(self.on, self.states, self.settings.steps)
+
+    @property
+    def path(self) -> Array:
+        """(P, 3) N, N, N m: loads from rest, each an equilibrium on one branch."""
+        return np.array([one.load for one in self.way])
+
+    @property
+    def path_points(self) -> Array:
+        """(P, 2) m: where they hold the point."""
+        return np.array([self.on.pose(one.q)[:2] for one in self.way])
 
     @property
     def error(self) -> float:
@@ -61,16 +102,17 @@ class Reach:
     @property
     def stable(self) -> bool:
         """Whether the shape is a stable equilibrium."""
-        return bool(self.solved.stable[0])
+        return self.on.stable(self.states[-1])
 
     @property
     def loads(self) -> Loads:
         """All that acts on the beam at last."""
-        return _loads(self.settings, np.append(self.force, self.moment), self.push_s)
+        weighs = weight(self.settings.gravity)
+        return weighs + push(self.force, self.push_s) + twist(self.moment, self.push_s)
 
     def shapes(self, s: Array) -> Array:
         """(P, S, 2) m: places `s` (S,) of the beam along the path."""
-        q = np.array([np.append(one, self.solved.problem.q0[len(one) :]) for one in self.path_shapes])
+        q = np.array([self.on.whole(one.q) for one in self.way])
         return replace(self.solved, q=q).xy(s)
 
 
@@ -97,10 +139,10 @@ def reach(
         MechanicsError: k(s) is not positive somewhere.
     """
     wanted = checked_goal(goal, settings)
-    on = PushedBeam(beam, push_s, point_s, gravity=settings.gravity)
+    on = prepared(beam, push_s, point_s, settings.gravity, Resolution())
     if settings.method == "paper":
         return _by_paper(on, wanted, settings)
-    samples = cache(partial(sampled, on, settings))
+    samples = partial(sampled, on, settings)
     begin = None if start is None else _way_of(on, start)
     far, found = _too_far(on, wanted), None
     if not far and settings.direction is None:
@@ -115,8 +157,8 @@ def _way_of(on: PushedBeam, start: Reach) -> Trail:
     if (start.push_s, start.point_s) != (on.push_s, on.point_s) or start.beam != on.beam:
         raise ControlError("`start` is a result for another beam or other places; leave it out")
     states = [on.start]
-    for load in start.path[1:]:
-        step = trace(on, load, start=states[-1])
+    for one in start.states[1:]:
+        step = trace(on, one.load, start=states[-1])
         if not step.arrived:
             return Trail(tuple(states), (0.0,), False)
         states.append(step.states[-1])
@@ -135,7 +177,7 @@ def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str,
     """The nearest point to a goal that was not found; where that lies within the tolerance, the goal is reached."""
     nearest = samples.nearest(goal[:2])
     last = nearest.states[-1]
-    trail = from_rest(on, last, widest=1.0 / settings.steps)
+    trail = from_rest(on, last)
     states = nearest.states if trail is None else trail.states
     there = not known and nearest.distance <= settings.tolerance and len(goal) == 2
     why = "" if there else _why(on, goal, settings, known, nearest)
@@ -159,44 +201,30 @@ def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, neare
 
 
 def _result(found: Found, goal: Array, settings: ReachSettings, why: str, nearest: Nearest | None = None) -> Reach:
-    """The record, from a second solution at the fixed load by the beam's own statics; `why` not, or empty."""
+    """The record; `why` not, or empty."""
     on, last = found.on, found.states[-1]
-    solved = refine(pose(on.beam, _loads(settings, last.load, on.push_s), on.resolution), on.whole(last.q)[None])
-    at = np.array([on.point_s])
-    reached = np.append(solved.xy(at)[0, 0], solved.angle(at)[0, 0])
+    reached = on.pose(last.q)
     allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance
     close = np.linalg.norm(reached[:2] - goal[:2]) <= allowed
-    if not why and not (close and solved.stable[0]):
-        why = "the force was found, but the shape under it is not stable or not there when it is solved again"
+    if not why and not (close and on.stable(last)):
+        why = "a force was found, but on nodes fine enough its shape is not stable, or not on the goal"
     return Reach(
-        beam=on.beam,
-        push_s=on.push_s,
-        point_s=on.point_s,
+        on=on,
         goal=goal,
         settings=settings,
-        force=last.load[:2].copy(),
-        moment=float(last.load[2]),
+        states=found.states,
         reached=reached,
         converged=not why,
         reason=why or "reached",
         iterations=found.iterations,
-        path=np.array([one.load for one in found.states]),
-        path_points=np.array([on.pose(one.q)[:2] for one in found.states]),
-        path_shapes=tuple(one.q for one in found.states),
-        solved=solved,
-        resolution=on.resolution,
         nearest=nearest,
     )
-
-
-def _loads(settings: ReachSettings, load: Array, push_s: float) -> Loads:
-    return weight(settings.gravity) + push(load[:2], push_s) + twist(load[2], push_s)
 
 
 def _by_paper(on: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
     """Algorithm 1, and what its force does to the exact beam."""
     found = paper_force(on.beam, goal, on.push_s, on.point_s, settings.paper)
-    trail = trace(on, np.append(found.force, 0.0), widest=1.0 / settings.steps)
+    trail = trace(on, np.append(found.force, 0.0))
     last = trail.states[-1]
     if not found.converged:
         why = f"the paper's iteration did not settle within {found.iterations} turns"

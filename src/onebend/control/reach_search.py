@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from onebend.beam.problem import Resolution
-from onebend.control.reach_newton import PushedBeam, State, Trail, lead, solve_goal, trace
+from onebend.control.reach_beam import PushedBeam, State, prepared
+from onebend.control.reach_follow import Trail, lead, trace
+from onebend.control.reach_newton import solve_goal
 from onebend.control.reach_settings import ReachSettings, broken_bound
 from onebend.control.reach_start import Starts, starts_of
 from onebend.control.reachable import ReachableSet, reachable
@@ -46,22 +49,29 @@ def search(
 
 def solutions(on: PushedBeam, starts: Starts, goal: Array, loads: int) -> Iterator[tuple[State, int]]:
     """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
-    iterations = 0
+    iterations, before = 0, list[State]()
     for first in (True, False):
         for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
             found = solve_goal(on, begin, goal, loads)
             iterations += found.iterations
-            if found.converged and on.stable(found.state):
+            if not (found.converged and on.stable(found.state)):
+                continue
+            if not any(_same(on, found.state, one) for one in before):
+                before.append(found.state)
                 yield found.state, iterations
 
 
-def from_rest(on: PushedBeam, found: State, *, widest: float = 1.0) -> Trail | None:
+def from_rest(on: PushedBeam, found: State) -> Trail | None:
     """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
-    trail = trace(on, found.load, widest=widest)
-    same = trail.arrived and float(np.max(np.abs(on.b @ (trail.states[-1].q - found.q)))) < _SAME
-    return trail if same else None
+    trail = trace(on, found.load)
+    return trail if trail.arrived and _same(on, trail.states[-1], found) else None
 
 
+def _same(on: PushedBeam, one: State, other: State) -> bool:
+    return float(np.max(np.abs(on.b @ (one.q - other.q)))) < _SAME
+
+
+@lru_cache(maxsize=8)
 def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
     """What can be reached at all within the settings, sampled coarsely."""
     return reachable(
@@ -80,15 +90,14 @@ def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
 def _tries(
     on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
 ) -> Iterator[Found]:
-    widest = 1.0 / settings.steps
     if begin is not None:
         yield from _led(on, begin, goal, settings.loads)
     for state, count in solutions(on, starts_of(on), goal, settings.loads):
-        trail = from_rest(on, state, widest=widest)
+        trail = from_rest(on, state)
         if trail is not None:
             yield Found(on, trail.states, count)
     for near in samples().samples_near(goal[:2], _SAMPLES):
-        yield from _led(on, trace(on, near.load, widest=widest), goal, settings.loads)
+        yield from _led(on, trace(on, near.load), goal, settings.loads)
 
 
 def _led(on: PushedBeam, trail: Trail, goal: Array, loads: int) -> Iterator[Found]:
@@ -103,18 +112,25 @@ def _led(on: PushedBeam, trail: Trail, goal: Array, loads: int) -> Iterator[Foun
         yield Found(on, states, len(states) - 1)
 
 
+@lru_cache(maxsize=32)
+def _onto(on: PushedBeam, finer: PushedBeam) -> Array:
+    """Rows that give curvatures at the unknown nodes of a finer grid."""
+    return on.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
+
+
 def resolved(found: Found, goal: Array, settings: ReachSettings) -> Found:
     """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance."""
     on, resolution = found.on, Resolution()
     for _ in range(_FINER):
         resolution = resolution.finer()
-        finer = PushedBeam(on.beam, on.push_s, on.point_s, gravity=settings.gravity, resolution=resolution)
-        rows = on.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
+        finer = prepared(on.beam, on.push_s, on.point_s, settings.gravity, resolution)
+        rows = _onto(on, finer)
         last = found.states[-1]
-        there = trace(finer, last.load, start=State(rows @ on.whole(last.q), last.load)).states[-1]
-        exact = solve_goal(finer, there, goal, settings.loads, trust=0.1)
-        moved = np.linalg.norm(finer.pose(there.q)[:2] - on.pose(last.q)[:2])
-        if moved < 0.1 * settings.tolerance or not (exact.converged and finer.stable(exact.state)):
+        exact = solve_goal(finer, State(rows @ on.whole(last.q), last.load), goal, settings.loads, trust=0.1)
+        if exact.seen is None or not finer.stable(exact.state):
+            break
+        moved = exact.seen[:2] @ (exact.state.load - last.load)[: settings.loads]
+        if float(np.hypot(*moved)) < 0.1 * settings.tolerance:
             break
         states = tuple(State(rows @ on.whole(one.q), one.load) for one in found.states[:-1])
         found, on = replace(found, on=finer, states=(*states, exact.state)), finer

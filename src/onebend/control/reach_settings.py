@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.control.reach_newton import PushedBeam, State
+from onebend.control.reach_beam import PushedBeam, State
 from onebend.control.reach_paper import PaperSettings
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -26,7 +26,7 @@ class ReachSettings:
     moment: bool = False  # whether the gripper gives a moment too
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
     tolerance: float = 1e-6  # m: a point this near to its goal is there
-    steps: int = 20  # of the path of forces, at least
+    steps: int = 20  # of the path of forces; fewer only where loads alone do not lead from one shape to the next
     paper: PaperSettings = field(default_factory=PaperSettings)
 
     def __post_init__(self) -> None:

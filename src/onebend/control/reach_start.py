@@ -8,10 +8,11 @@ nearest to a goal, of near ones the least bent, is the start; the load that fits
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from onebend.control.reach_newton import PushedBeam, State
+from onebend.control.reach_beam import PushedBeam, State
 from onebend.records import Array
 
 _TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
@@ -56,6 +57,7 @@ class Starts:
         return State(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
 
 
+@lru_cache(maxsize=32)
 def starts_of(on: PushedBeam) -> Starts:
     """The table for a beam; bent from its rest shape, or from how it hangs."""
     t = np.clip(on.problem.grid.nodes[: on.count] / on.push_s, 0.0, 1.0)

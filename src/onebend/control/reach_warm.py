@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
-from onebend.control.reach_newton import Landing, PushedBeam, State, lead, solve_goal
+from onebend.control.reach_beam import PushedBeam, State
+from onebend.control.reach_follow import lead
+from onebend.control.reach_newton import Landing, solve_goal
 from onebend.control.reach_search import from_rest, sampled, search, solutions
 from onebend.control.reach_settings import ReachSettings, broken_bound, checked_goal
 from onebend.control.reach_start import starts_of
@@ -93,7 +95,7 @@ class WarmReach:
         for state, iterations in solutions(self._on, self._starts, wanted, self._settings.loads):
             if from_rest(self._on, state) is not None:
                 return self._take(state, "rest", iterations, None)
-        settled = search(self._on, wanted, self._settings, None, cache(lambda: sampled(self._on, self._settings)))
+        settled = search(self._on, wanted, self._settings, None, partial(sampled, self._on, self._settings))
         if settled is None:
             raise ControlError(
                 f"the point s = {self._on.point_s:.4g} cannot be put on {np.round(1e3 * wanted[:2], 3).tolist()} mm: "

@@ -17,13 +17,15 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
-from onebend.control.reach_newton import PushedBeam, State, trace
+from onebend.control.reach_beam import PushedBeam, State, prepared
+from onebend.control.reach_follow import trace
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
 _STARTS = 4  # samples from which the nearest point is sought
 _MOST = 60  # steps of the search
 _STILL = 1e-9  # of L: a step that brings the point no nearer than this ends the search
+_LEAST_SHARE, _SHORTEST = 1e-4, 1e-3  # of a step of the search, and of those by which the shape follows it
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class ReachableSet:
     def nearest(self, goal: ArrayLike) -> Nearest:
         """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
 
-        Within the bound on the force it is exact; where the bound on curvature stops it, it may be a little off.
+        Within the bound on the force it is exact; where stability or the bound on curvature ends, a nearer one may
+        exist.
         """
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
@@ -88,16 +91,16 @@ class ReachableSet:
                 break
             now = along.T @ state.load[:2]
             aim = _best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
-            while share > 1e-4 and not better:
+            while share > _LEAST_SHARE and not better:
                 load = np.append(along @ (now + share * (aim - now)), 0.0)
-                trail = trace(on, load, start=state)
-                there = on.pose(trail.states[-1].q)[:2]
-                gain = away - float(np.linalg.norm(goal - there))
-                better = trail.arrived and self._allowed(trail.states[-1]) and gain > _STILL * length
+                trail = trace(on, load, start=state, shortest=_SHORTEST)
+                there = float(np.linalg.norm(goal - on.pose(trail.states[-1].q)[:2]))
+                better = trail.arrived and self._allowed(trail.states[-1]) and there < away - _STILL * length
                 share *= 0.5
             if not better:
                 break
-            way, state, point = (*way, *trail.states[1:]), trail.states[-1], there
+            way, state = (*way, *trail.states[1:]), trail.states[-1]
+            point = on.pose(state.q)[:2]
         return Nearest(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
 
     def _only_direction(self) -> Array:
@@ -139,7 +142,8 @@ def reachable(
         raise ControlError(f"the largest curvature must be positive, got {max_curvature} 1/m")
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
-    on = PushedBeam(beam, push_s, point_s, gravity=gravity)
+    x, y = np.asarray(gravity, dtype=float).tolist()
+    on = prepared(beam, push_s, point_s, (x, y), Resolution())
     turns = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
     grow = max_force * np.arange(1, sizes + 1) / sizes
     force = grow[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None]

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from onebend.recording.bag_recording import BAG_KEYS
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FORMAT
 from onebend.recording.schema import Key, keys_of
@@ -25,9 +26,12 @@ def recording_toml(recording: Recording) -> str:
 
 
 def table(header: str, entry: Any) -> str:
-    """One table with every key whose value is known."""
+    """One table with every key whose value is known; those of bags only where a bag is meant."""
     lines = [header]
+    bagged = bool(getattr(entry, "topic", ""))
     for name, (key, _) in keys_of(type(entry)).items():
+        if key.name in BAG_KEYS and not bagged:
+            continue
         value = getattr(entry, name)
         unknown = value is None or value == "" or (isinstance(value, float) and not math.isfinite(value))
         if not unknown:

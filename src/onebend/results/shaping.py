@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from onebend.control.path import Path as Way
+from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
 from onebend.control.trajectory_files import write_bag, write_csv, write_yaml
 from onebend.results.folder import files_in
@@ -76,7 +77,7 @@ def shape_writer(found: Shaped, picture: bytes, summary: Mapping[str, Any]) -> C
     return write
 
 
-def path_summary(model: str, way: Way, *, written_by: str) -> dict[str, Any]:
+def path_summary(model: str, way: Way, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
     """What `onebend path --json` prints and `summary.json` holds; the samples themselves are in `path.csv`."""
     return {
         "format": PATH_FORMAT,
@@ -91,6 +92,7 @@ def path_summary(model: str, way: Way, *, written_by: str) -> dict[str, Any]:
         "worst_miss_m": float(np.max(way.miss)),
         "least_margin": float(np.min(way.margin)),
         "least_margin_at_goal_time_s": float(way.margin_time[np.argmin(way.margin)]),
+        "predicted_sd_m": None if sure is None else {"time_s": sure.time, "rms": sure.rms},
         "warnings": way.warnings,
     }
 

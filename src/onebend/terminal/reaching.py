@@ -11,8 +11,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from onebend.beam.model import Beam
 from onebend.control.reach import Reach
 from onebend.control.uncertainty import PredictedError
+from onebend.errors import ControlError
 from onebend.report.wording import significant
 
 SURE = 0.95
@@ -39,7 +41,24 @@ Direction = Annotated[
     float | None,
     typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
 ]
+Gravity = Annotated[
+    tuple[float, float],
+    typer.Option(
+        "--gravity-m-s2",
+        metavar="GX GY",
+        help="In the beam's frame; needs a model with a mass. Default: none in plane.",
+    ),
+]
 Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
+
+
+def weight_of(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
+    """The gravity that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
+    if not all(math.isfinite(one) for one in gravity):
+        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]} and {gravity[1]}")
+    if any(gravity) and not np.any(np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0):
+        raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
+    return gravity
 
 
 def show_reach(console: Console, found: Reach, error: PredictedError | None, output: Path | None) -> None:

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.control.path import Path as Way
+from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
 from onebend.report.wording import significant
 
@@ -92,7 +93,7 @@ def _sureness(found: Shaped) -> str:
     return f"{2e3 * found.spread.rms:.2g} mm (2 sd over the targets' places, from the band on k(s))"
 
 
-def show_path(console: Console, way: Way, output: Path | None) -> None:
+def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path | None) -> None:
     """Length, stretch, forces, misses, margin."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
@@ -102,6 +103,7 @@ def show_path(console: Console, way: Way, output: Path | None) -> None:
     if way.wrench is not None:
         table.add_row("gripper's force", f"up to {significant(float(np.max(np.hypot(*way.wrench[:, :2].T))))} N")
     table.add_row("from the goals", f"at worst {1e3 * float(np.max(way.miss)):.2g} mm rms in the model")
+    table.add_row("sure to within", _path_sureness(sure))
     table.add_row(
         "from buckling", f"margin at least {float(np.min(way.margin)):.3f} (1 without loads, 0 where it buckles)"
     )
@@ -109,6 +111,13 @@ def show_path(console: Console, way: Way, output: Path | None) -> None:
     for warning in way.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
     _wrote(console, output, "path.csv, ROS 2 messages (YAML and bag), path.png, summary.json")
+
+
+def _path_sureness(sure: PathSpread | None) -> str:
+    if sure is None:
+        return "not known: the model has no band on k(s)"
+    worst = int(np.argmax(sure.rms))
+    return f"{2e3 * sure.rms[worst]:.2g} mm at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
 
 
 def _wrote(console: Console, output: Path | None, what: str) -> None:

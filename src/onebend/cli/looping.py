@@ -1,0 +1,65 @@
+"""The command that rehearses the closed loop."""
+
+from __future__ import annotations
+
+import math
+
+from rich.console import Console
+
+from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.control.feedback import ControllerSettings, controller
+from onebend.control.loop import Eye
+from onebend.control.margins import Timing
+from onebend.control.prospect import prospect
+from onebend.control.tuning import Wanted
+from onebend.report.looping import looping
+from onebend.report.style import png_of
+from onebend.results.folder import publish
+from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
+from onebend.results.model import read_model
+from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, say_written, show_loop
+from onebend.terminal.options import Json, Model, Output, Overwrite
+from onebend.terminal.reaching import Goal, Gravity, Point, PushAt, weight_of
+
+
+def loop(
+    model: Model,
+    *,
+    goal: Goal,
+    push_at: PushAt = 1.0,
+    point: Point = 1.0,
+    k_error: KError = 0.3,
+    delay_ms: Delay = 50.0,
+    fps: Rate = 30.0,
+    max_force: LoopMaxForce = None,
+    gravity: Gravity = (0.0, 0.0),
+    duration: Duration = 8.0,
+    output: Output = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
+    with clean_errors():
+        beam = read_model(model).beam
+        delay = 1e-3 * delay_ms
+        settings = ControllerSettings(
+            timing=Timing(fps=fps, delay=delay),
+            longest_delay=max(0.1, delay),
+            wanted=Wanted(k_error=k_error),
+            most_force=math.inf if max_force is None else max_force,
+        )
+        control = controller(
+            beam, goal, push_s=push_at, point_s=point, gravity=weight_of(beam, gravity), settings=settings
+        )
+        trials = prospect(control, k_error=k_error, eye=Eye(fps=fps, delay=delay), duration=duration)
+        known = control.margins()
+        summary = loop_summary(str(model), control, known, trials, written_by=BY)
+        if output is not None:
+            with workplace(output, LOOP_FORMAT, overwrite) as place:
+                publish(place, loop_writer(trials, png_of(looping(control, trials)), summary))
+    if as_json:
+        print_json(summary if output is None else {**summary, "output": str(output)})
+    else:
+        console = Console()
+        show_loop(console, control, known, trials)
+        say_written(console, output)

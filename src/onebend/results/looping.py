@@ -1,0 +1,84 @@
+"""What `onebend loop` leaves in a folder: the rehearsals in time, the picture, and a summary."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from onebend.control.feedback import Controller
+from onebend.control.margins import Margins
+from onebend.control.prospect import Trial
+from onebend.results.folder import files_in
+from onebend.results.summary import write_summary
+
+LOOP_FORMAT = "onebend-loop-1"
+LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "force_x_N", "force_y_N", "error_m")
+WITHIN = 1e-3  # m
+
+
+def loop_summary(
+    model: str, control: Controller, known: Margins, trials: tuple[Trial, ...], *, written_by: str
+) -> dict[str, Any]:
+    """What `onebend loop --json` prints and `summary.json` holds (there with `files`); SI; null is infinite."""
+    timing = control.settings.timing
+    return {
+        "format": LOOP_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "push_s": control.push_s,
+        "point_s": control.point_s,
+        "goal_m": control.goal.tolist(),
+        "feedforward_N": control.reference.ends.tolist(),
+        "rise_s": control.reference.rise,
+        "fps": timing.fps,
+        "delay_s": timing.delay,
+        "rate_per_s": control.gains.rate,
+        "corner_rad_per_s": control.gains.corner,
+        "margins": {
+            "gain": _finite(known.gain),
+            "phase_rad": _finite(known.phase),
+            "delay_s": _finite(known.delay),
+            "softest": _finite(known.softest),
+        },
+        "rehearsals": [
+            {
+                "k_factor": one.factor,
+                "stands": one.run is not None,
+                "steady_m": _finite(one.steady),
+                "settled_s": _finite(one.settled(WITHIN)),
+            }
+            for one in trials
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def write_loop(path: Path, trials: tuple[Trial, ...]) -> None:
+    """One row a moment of every rehearsal."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(LOOP_COLUMNS)
+        for one in trials:
+            if one.run is None:
+                continue
+            run = one.run
+            for i, time in enumerate(run.time):
+                row = (one.factor, time, *run.xy[i], *run.asked[i], *run.force[i], run.error[i])
+                writer.writerow([f"{value:.7g}" for value in row])
+
+
+def loop_writer(trials: tuple[Trial, ...], picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder."""
+
+    def write(folder: Path) -> None:
+        write_loop(folder / "loop.csv", trials)
+        (folder / "loop.png").write_bytes(picture)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write

@@ -1,0 +1,59 @@
+"""What `onebend loop` takes and says."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from onebend.control.feedback import Controller
+from onebend.control.margins import Margins
+from onebend.control.prospect import Trial
+from onebend.report.wording import significant
+
+WITHIN = 1e-3  # m: where the point counts as settled
+
+KError = Annotated[
+    float, typer.Option("--k-error", metavar="SHARE", help="Rehearse on beams this share softer and stiffer.")
+]
+Delay = Annotated[float, typer.Option("--delay-ms", metavar="MS", help="From a frame's exposure to its answer.")]
+Rate = Annotated[float, typer.Option("--fps", metavar="HZ", help="Frames of the camera a second.")]
+Duration = Annotated[float, typer.Option("--duration-s", metavar="S", help="Of each rehearsal; at least two.")]
+LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", metavar="N", help="No larger force.")]
+
+
+def show_loop(console: Console, control: Controller, known: Margins, trials: tuple[Trial, ...]) -> None:
+    """Force, gains, margins, and how the rehearsals went."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    x, y = control.reference.ends
+    table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
+                  f"{control.reference.rise:.2f} s")  # fmt: skip
+    table.add_row("gains", f"rate {control.gains.rate:.3g} 1/s, filters at {control.gains.corner:.3g} rad/s")
+    later = "no limit found" if math.isinf(known.delay) else f"{1e3 * known.delay:.0f} ms more"
+    turn = "any" if math.isinf(known.phase) else f"{math.degrees(known.phase):.0f} deg"
+    table.add_row("margins", f"gain {known.gain:.2f} times, phase {turn}, delay {later}")
+    table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
+    console.print(table, highlight=False)
+    rehearsed = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for one in trials:
+        steady = "the beam snapped away" if one.run is None else f"{1e3 * one.steady:.2f}"
+        settled = one.settled(WITHIN)
+        rehearsed.add_row(trial_name(one), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
+    console.print()
+    console.print(rehearsed, highlight=False)
+
+
+def trial_name(one: Trial) -> str:
+    """Which beam a rehearsal was made on."""
+    if one.factor == 1.0:
+        return "as the model"
+    return f"{100 * abs(one.factor - 1.0):.0f} % {'lower' if one.factor < 1.0 else 'higher'}"
+
+
+def say_written(console: Console, output: Path | None) -> None:
+    if output is not None:
+        console.print(f"\nWrote {output}: loop.csv, loop.png, summary.json", highlight=False, markup=False)
