@@ -30,10 +30,10 @@ test: $(TESTS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest --numprocesses=auto --cov=onebend --cov-report=term:skip-covered --cov-fail-under=90
+	$(BIN)/pytest --numprocesses=auto --dist=loadfile --cov=onebend --cov-report=term:skip-covered --cov-fail-under=90
 
 test-all: $(TESTS)
-	$(BIN)/pytest --numprocesses=auto -m ""
+	$(BIN)/pytest --numprocesses=auto --dist=loadfile -m ""
 
 bench: $(TESTS)
 	$(BIN)/python -m benchmarks
