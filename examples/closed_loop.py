@@ -49,7 +49,7 @@ def picture(found: dict[str, Rehearsal]) -> Figure:
     axes.set(
         xlabel="time [s]", ylabel="distance from the goal [mm]", ylim=(0.02, 150.0), xlim=(0.0, found["both"].time[-1])
     )
-    axes.legend(loc="upper right", bbox_to_anchor=(1.0, 0.9))
+    axes.legend(loc="lower left")
     return figure
 
 

@@ -29,19 +29,19 @@ def solve() -> dict[tuple[str, str], Reach]:
     """All six tasks."""
     return {
         (name, task): reach(beam, goal, push_s=place, point_s=place)
-        for name, beam in BEAMS.items()
         for task, (place, goal) in TASKS.items()
+        for name, beam in BEAMS.items()
     }
 
 
 @styled
 def draw_tasks(found: dict[tuple[str, str], Reach]) -> Figure:
-    """A row a beam."""
-    figure, axes = blank(7.6, 3, 2)
+    """A column a beam."""
+    figure, axes = blank(4.2, 2, 3)
     for one, (name, task), each in zip(axes, found, found.values(), strict=True):
         draw_reach(one, each, None)
         one.set_title(f"{name}, {task}: {np.hypot(*each.force):.2f} N")
-    axes[0].legend(loc="lower right", fontsize=7.5)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
     return figure
 
 

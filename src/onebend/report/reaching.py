@@ -41,7 +41,7 @@ def reachable_places(within: ReachableSet) -> Figure:
     rest = within.on.shape_xy(within.on.start.q, s)
     axes.plot(*(MM * rest.T), color=MUTED, label="at rest")
     _plane(axes, f"What forces at s = {within.on.push_s:.3g} can do with the point s = {within.on.point_s:.3g}")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    axes.legend(loc="center left", bbox_to_anchor=(0.3, 0.62))
     return figure
 
 
@@ -75,9 +75,9 @@ def _arrow(axes: Axes, found: Reach, at: Array) -> None:
     size = float(np.hypot(*found.force))
     if size == 0.0:
         return
-    tail = at - MM * ARROW * found.beam.length * found.force / size
-    axes.annotate("", tuple(at), tuple(tail), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
-    axes.plot(*tail, alpha=0.0)  # so that the arrow is inside the picture
+    head = at + MM * ARROW * found.beam.length * found.force / size
+    axes.annotate("", tuple(head), tuple(at), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
+    axes.plot(*head, alpha=0.0)  # so that the arrow is inside the picture
     axes.plot([], [], color=ORANGE, label="force")
 
 
