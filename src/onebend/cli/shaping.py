@@ -6,7 +6,10 @@ import math
 
 from rich.console import Console
 
+from onebend.beam.model import Beam
 from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.control.force_way import by_force
+from onebend.control.goals import Goals
 from onebend.control.grip import Grip, Push
 from onebend.control.path import PathSettings, follow_goals
 from onebend.control.path_spread import path_spread
@@ -15,6 +18,7 @@ from onebend.control.shape import shape as solve_shape
 from onebend.control.target_files import read_goals, read_targets
 from onebend.control.timing import Rates
 from onebend.control.trajectory_files import FRAME
+from onebend.errors import ControlError
 from onebend.report.shaping import path_figure, shaping
 from onebend.report.style import png_of
 from onebend.results.folder import publish
@@ -95,7 +99,7 @@ def path(
     max_speed: MaxSpeed = None,
     max_turn_rate: MaxTurnRate = None,
     too_fast: TooFast = "stretch",
-    between: BetweenGoals = "smooth",
+    between: BetweenGoals = None,
     arm: Arm = None,
     gravity: Gravity = (0.0, 0.0),
     frame: FrameName = FRAME,
@@ -113,13 +117,18 @@ def path(
             turning=math.radians(_limit(max_turn_rate)),
         )
         settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
-        wanted = read_goals(goals, point_s=point, between=between)
+        weight = weight_of(stored.beam, gravity)
+        wanted = read_goals(
+            goals, point_s=point, between="smooth" if between is None or between == "force" else between
+        )
+        if between == "force" or (between is None and _alone(wanted, pushes, holding)):
+            wanted = _led(stored.beam, wanted, pushes, holding, weight)
         way = follow_goals(
             stored.beam,
             wanted,
             pushes=pushes,
             grip=holding,
-            gravity=weight_of(stored.beam, gravity),
+            gravity=weight,
             settings=settings,
         )
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
@@ -131,6 +140,21 @@ def path(
         print_json(summary if output is None else {**summary, "output": str(output)})
     else:
         show_path(Console(), way, sure, output)
+
+
+def _alone(goals: Goals, pushes: tuple[Push, ...], grip: Grip | None) -> bool:
+    """Whether one push leads one point."""
+    return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
+
+
+def _led(
+    beam: Beam, goals: Goals, pushes: tuple[Push, ...], grip: Grip | None, weight: tuple[float, float] | None
+) -> Goals:
+    if grip is not None or len(pushes) != 1:
+        raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
+    [one] = pushes
+    limit = one.max_force if math.isfinite(one.max_force) else None
+    return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight or (0.0, 0.0))
 
 
 def _hands(

@@ -27,7 +27,7 @@ from onebend.control.track import Frames, settle
 from onebend.errors import ControlError
 from onebend.records import Array, IntArray
 
-_RESOLVED = 1e-6  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-8 L
+_RESOLVED = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
 _FINEST = 1.0 / 16.0  # widest panel
 _ROUNDS = 8  # of stretching
 _FINER = 4  # moments a sample, at which rates are looked at

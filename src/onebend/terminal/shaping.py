@@ -51,8 +51,12 @@ TooFast = Annotated[
     typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
 ]
 BetweenGoals = Annotated[
-    Literal["smooth", "monotone", "linear"],
-    typer.Option("--between", help="Goals in between: a cubic spline; one that does not swing beyond; straight."),
+    Literal["force", "smooth", "monotone", "linear"] | None,
+    typer.Option(
+        "--between",
+        help="From goal to goal: the force goes evenly (default for one push and one point); or the point does: a "
+        "cubic spline (default otherwise), one that does not swing beyond, straight.",
+    ),
 ]
 FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
 
