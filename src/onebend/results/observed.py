@@ -19,6 +19,8 @@ import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
 from onebend.records import (
+    DIRECTION_SD,
+    PLACE_SD,
     Array,
     CleanForce,
     ClockOffset,
@@ -35,7 +37,10 @@ _KEY = b"onebend"
 _VERSION = 1
 _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of what the filter passes
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
-_SCALARS = ("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd")
+_SCALARS = (
+    *("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd"),
+    *("place_sd", "direction_sd"),
+)
 _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "gain_sd": 0.0,
     "clean_force": None,
@@ -43,6 +48,8 @@ _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "sd_known": True,
     "mass_sd": math.nan,
     "clamp_sd": math.nan,
+    "place_sd": PLACE_SD,
+    "direction_sd": DIRECTION_SD,
     "known": None,
     "mass_line": None,
 }
