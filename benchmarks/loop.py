@@ -35,7 +35,7 @@ SHARES = {
 }
 EYE = Eye(delay=0.06, jitter=0.01, noise=1e-4, dropped=0.1)
 VARIANTS = {"open loop": (True, False), "feedback alone": (False, True), "both": (True, True)}
-DURATION = 9.0  # s
+DURATION = 20.0  # s: a direction that hardly yields is corrected slowly, steady is what is left then
 DELAYS = (0.0, 0.03, 0.06, 0.1, 0.15)  # s, the controller being told 0.05
 WITHIN = 1e-3  # m, where the point counts as settled
 
