@@ -1,21 +1,17 @@
 """Motion: frequencies, energy, accuracy and speed, and a release against a hinge chain simulated by MuJoCo.
 
-    python -m benchmarks.dynamics            # about two minutes; MuJoCo rows need `mujoco`
-    ONEBEND_PEERS=DIR python -m benchmarks.dynamics     # DIR: a site-packages folder that holds mujoco
+    python -m benchmarks.dynamics            # about two minutes
 
 CPU times are `time.process_time`, the best of several runs; run with one BLAS thread.
 """
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
+import mujoco
 import numpy as np
 
 from onebend.beam.actions import Actions, Force
@@ -97,16 +93,12 @@ def speed_rows() -> Iterator[Row]:
 
 def chain_rows() -> Iterator[Row]:
     """The tip after the release against a chain of rigid links with hinge springs, refined until it converges."""
-    mujoco = peer("mujoco")
-    if mujoco is None:
-        print("MuJoCo is not installed: the release is not compared (see the top of this file)", file=sys.stderr)
-        return
     ours = {n: _release(_modal(n, order=24), Method(3), 4000, every=4).xy(1.0)[:, 0] for n in (6, 12, 16)}
     length = BEAM.length
     yield "release, tip: 12 against 16 modes", 100.0 * _apart(ours[12], ours[16]) / length, "% L", ""
     chain: dict[int, Array] = {}
     for links, step in LINKS:
-        chain[links], seconds = _chain_tip(mujoco, links, step)
+        chain[links], seconds = _chain_tip(links, step)
         off = 100.0 * _apart(chain[links], ours[16]) / length
         yield f"release, tip: 16 modes against MuJoCo, {links} links", off, "% L", "<= 0.5" if links == 80 else ""
         yield f"MuJoCo, {links} links, RK4 step {step:.0e} s: CPU for 1 s", seconds, "s", ""
@@ -155,17 +147,7 @@ def _apart(a: Array, b: Array) -> float:
     return float(np.max(np.linalg.norm(a - b, axis=-1)))
 
 
-def peer(name: str) -> Any:
-    """Another simulator, or None; looked for beyond this environment where ONEBEND_PEERS says so."""
-    if os.environ.get("ONEBEND_PEERS"):
-        sys.path.append(os.environ["ONEBEND_PEERS"])
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        return None
-
-
-def _chain_tip(mujoco: Any, links: int, step: float, frames: int = 1000) -> tuple[Array, float]:
+def _chain_tip(links: int, step: float, frames: int = 1000) -> tuple[Array, float]:
     """(frames + 1, 2) m path of the tip in 1 s after the release, and the CPU time of stepping."""
     inner = round(1.0 / (frames * step))
     model = mujoco.MjModel.from_xml_string(_chain(links, 1.0 / (frames * inner)))

@@ -1,7 +1,5 @@
 """One equilibrium against a general simulator brought to rest: MuJoCo's chain of hinges, damped until it stands.
 
-    ONEBEND_PEERS=DIR python -m benchmarks.rest     # DIR: a site-packages folder that holds mujoco
-
 The chain is given every advantage that is fair: an implicit integrator, damping near critical for its slowest motion,
 the best of several time steps, and a coarse notion of rest (its tip within 1e-4 L of where it ends). The error beside
 each row is what remains against the exact tip, so that the rows can be compared.
@@ -9,14 +7,12 @@ each row is what remains against the exact tip, so that the rows can be compared
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
-from typing import Any
 
+import mujoco
 import numpy as np
 
-from benchmarks.dynamics import peer
 from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
@@ -42,7 +38,7 @@ def ours() -> tuple[float, float]:
     return best, float(np.linalg.norm(solved.xy(np.array([1.0]))[-1, 0] - exact))
 
 
-def chain_at_rest(mujoco: Any, links: int, step: float) -> tuple[float, float]:
+def chain_at_rest(links: int, step: float) -> tuple[float, float]:
     """CPU seconds until the tip stays within 1e-4 L of its end, and its error against the exact tip [L]."""
     model = mujoco.MjModel.from_xml_string(_chain(links, step))
     data = mujoco.MjData(model)
@@ -86,12 +82,8 @@ def rows() -> Iterator[Row]:
     cpu, error = ours()
     yield f"ours, one of a batch of {FRAMES}, cold", 1e6 * cpu, "us", ""
     yield "ours: error of the tip", error, "L", ""
-    mujoco = peer("mujoco")
-    if mujoco is None:
-        print("MuJoCo is not installed: nothing to compare with (see the top of this file)", file=sys.stderr)
-        return
     for links in (10, 20, 40):
-        tried = [chain_at_rest(mujoco, links, step) for step in (0.02, 0.01, 0.005)]
+        tried = [chain_at_rest(links, step) for step in (0.02, 0.01, 0.005)]
         seconds, off = min(tried)
         yield f"MuJoCo, {links} links, brought to rest", 1e6 * seconds, "us", ""
         yield f"MuJoCo, {links} links: error of the tip", off, "L", ""

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from onebend.errors import LearningError
 from onebend.learning.frames import usable_frames
 from onebend.learning.posterior import FitSettings, fit
-from onebend.learning.regression import Family, assemble, basis, literal_rows
+from onebend.learning.regression import Family, assemble, basis, column_sizes, least_squares, literal_rows
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.states import solve_states
 from onebend.learning.validation import validate
@@ -72,13 +72,11 @@ class StiffnessRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         X, y = validate_data(self, X, y, y_numeric=True, dtype=np.float64)
         root = np.sqrt(_check_sample_weight(sample_weight, X, ensure_non_negative=True))
         x, target = X * root[:, None], y * root
-        norms = np.linalg.norm(x, axis=0)
-        scale = np.where(norms > 0.0, norms, 1.0)
-        solution, _, _, singular = np.linalg.lstsq(x / scale, target, rcond=None)
+        self.coef_, singular = least_squares(x, target)
         if self.positive:
-            solution = nnls(x / scale, target)[0]
-        self.coef_ = np.asarray(solution / scale)
-        full = len(singular) == len(scale) and singular[-1] > 0.0
+            scale = column_sizes(x)
+            self.coef_ = np.asarray(nnls(x / scale, target)[0] / scale)
+        full = len(singular) == x.shape[1] and singular[-1] > 0.0
         self.condition_ = float(singular[0] / singular[-1]) if full else np.inf
         return self
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.falling import to_the_left
-from onebend.beam.grid import transposed
+from onebend.beam.grid import solve_each, transposed
 from onebend.beam.problem import Problem
 from onebend.beam.statics import gradient, node_angles, positive_definite, potential, tangent
 from onebend.records import Array, BoolArray
@@ -74,7 +74,7 @@ def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Ar
     system[:, :nodes, nodes:] = -transposed(c)
     system[:, nodes:, :nodes] = c
     unbalanced = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
-    return _solve(system, np.concatenate([-unbalanced, goal - end_pose(problem, q)], axis=1))
+    return solve_each(system, np.concatenate([-unbalanced, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
@@ -97,7 +97,7 @@ def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArr
         if np.max(np.abs(away)) < 1e-13 * float(np.max(problem.length)):
             break
         scaled = c / weights
-        step = np.einsum("tcq,tc->tq", scaled, _solve(c @ transposed(scaled), away))
+        step = np.einsum("tcq,tc->tq", scaled, solve_each(c @ transposed(scaled), away[..., None])[..., 0])
         turn = np.max(np.abs(node_angles(problem, step) - problem.alpha0), axis=-1, keepdims=True)
         q = q + step * np.minimum(1.0, 0.5 / np.maximum(turn, 1e-300))
     return q, np.asarray(np.max(np.abs(goal - end_pose(problem, q)), axis=-1) < 1e-10 * np.max(problem.length))
@@ -147,15 +147,3 @@ def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
     left = to_the_left(problem, q, modes[None])[0]
     down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
     return (modes @ down)[None], wrench, not np.any(falling)
-
-
-def _solve(matrices: Array, right: Array) -> Array:
-    """(T, n) solutions; NaN where a matrix is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
-    except np.linalg.LinAlgError:
-        out = np.full_like(right, np.nan)
-        for i, matrix in enumerate(matrices):
-            if np.linalg.cond(matrix) < 1.0 / np.finfo(float).eps:
-                out[i] = np.linalg.solve(matrix, right[i])
-        return out

@@ -111,6 +111,18 @@ def transposed(matrix: Array) -> Array:
     return np.swapaxes(matrix, -1, -2)
 
 
+def solve_each(matrices: Array, right: Array) -> Array:
+    """(T, n, P) solutions of T systems; NaN where a matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right))
+    except np.linalg.LinAlgError:
+        out = np.full_like(right, np.nan)
+        for i, matrix in enumerate(matrices):
+            if np.linalg.cond(matrix) < 1.0 / np.finfo(float).eps:
+                out[i] = np.linalg.solve(matrix, right[i])
+        return out
+
+
 @lru_cache(maxsize=32)
 def _gauss(order: int) -> tuple[Array, Array]:
     x, w = np.polynomial.legendre.leggauss(order)

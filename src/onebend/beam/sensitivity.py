@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from onebend.beam.grid import apply, transposed
+from onebend.beam.grid import apply, solve_each, transposed
 from onebend.beam.problem import Problem
 from onebend.beam.statics import Equilibrium, internal_force, pulls, tangent
 from onebend.records import Array
@@ -67,7 +67,7 @@ class Response:
     @cached_property
     def q(self) -> Array:
         """(T, Q, P) rad per unit, of the curvature at the nodes."""
-        return _solve(tangent(self.solved.problem, self.solved.q), self._right)
+        return solve_each(tangent(self.solved.problem, self.solved.q), self._right)
 
     @property
     def alpha(self) -> Array:
@@ -135,7 +135,7 @@ class Response:
             out = flat @ self.q
         else:
             matrices = tangent(self.solved.problem, self.solved.q)
-            out = transposed(_solve(transposed(matrices), transposed(flat))) @ self._right
+            out = transposed(solve_each(transposed(matrices), transposed(flat))) @ self._right
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
@@ -186,18 +186,6 @@ def _columns(change: Change | Changes) -> list[tuple[slice, Change]]:
 def _across(alpha: Array, force: Array) -> Array:
     """(T, Q, P) across the tangent, to its left, of (T, Q, 2, P)."""
     return force[..., 1, :] * np.cos(alpha)[..., None] - force[..., 0, :] * np.sin(alpha)[..., None]
-
-
-def _solve(matrices: Array, right: Array) -> Array:
-    """(T, Q, P) solutions; NaN where a matrix is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right))
-    except np.linalg.LinAlgError:
-        out = np.full_like(right, np.nan)
-        for i, matrix in enumerate(matrices):
-            if np.linalg.cond(matrix) < 1.0 / np.finfo(float).eps:
-                out[i] = np.linalg.solve(matrix, right[i])
-        return out
 
 
 def of_force(problem: Problem, at_s: Array) -> Change:

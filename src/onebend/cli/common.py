@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -69,3 +70,13 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
 
 def print_json(data: object) -> None:
     typer.echo(to_json(data))
+
+
+def print_summary(summary: dict[str, Any], output: Path | None) -> None:
+    """A summary as JSON, with the folder where there is one."""
+    print_json(summary if output is None else {**summary, "output": str(output)})
+
+
+def or_nan(value: float | None) -> float:
+    """An option that was not given as a number that is not known."""
+    return math.nan if value is None else value

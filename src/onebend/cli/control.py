@@ -7,7 +7,7 @@ import math
 import numpy as np
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.cli.common import BY, clean_errors, print_summary, workplace
 from onebend.control.reach import ReachSettings
 from onebend.control.reach import reach as solve_reach
 from onebend.control.reachable import reachable
@@ -84,6 +84,6 @@ def reach(
                 picture = png_of(reaching(found, error, within))
                 publish(place, reach_writer(found, picture, summary))
     if as_json:
-        print_json(summary if output is None else {**summary, "output": str(output)})
+        print_summary(summary, output)
     else:
         show_reach(Console(), found, error, output)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from onebend.cli.common import BY, clean_errors, print_json, progress_of
+from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of
 from onebend.lab.chance import random_bench
 from onebend.lab.design_file import find_design
 from onebend.lab.film import film as make_film
@@ -64,15 +64,15 @@ def film(
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
     wish = Wish(
         push=push,
-        at_s=_or_nan(push_at),
-        force=_or_nan(force),
+        at_s=or_nan(push_at),
+        force=or_nan(force),
         bend=math.radians(bend),
-        direction=math.radians(_or_nan(direction)),
-        seconds=_or_nan(seconds),
+        direction=math.radians(or_nan(direction)),
+        seconds=or_nan(seconds),
         camera=camera,
-        fps=_or_nan(fps),
-        tilt=math.radians(_or_nan(tilt)),
-        distance=_or_nan(distance),
+        fps=or_nan(fps),
+        tilt=math.radians(or_nan(tilt)),
+        distance=or_nan(distance),
         sensor=sensor,
         gravity=gravity,
         base_angle=math.radians(base_angle),
@@ -100,7 +100,3 @@ def _filming(design: str, wish: Wish, seed: int, output: Path | None) -> tuple[F
     found = find_design(design)
     folder = output or Path(f"{found.name}-{wish.push}")
     return filming_of(found, wish, folder.resolve().name), folder
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -6,7 +6,7 @@ import math
 
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.cli.common import BY, clean_errors, print_summary, workplace
 from onebend.control.feedback import ControllerSettings, controller
 from onebend.control.loop import Eye
 from onebend.control.margins import Timing
@@ -58,7 +58,7 @@ def loop(
             with workplace(output, LOOP_FORMAT, overwrite) as place:
                 publish(place, loop_writer(trials, png_of(looping(control, trials)), summary))
     if as_json:
-        print_json(summary if output is None else {**summary, "output": str(output)})
+        print_summary(summary, output)
     else:
         console = Console()
         show_loop(console, control, known, trials)

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, progress_of, workplace
+from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of, workplace
 from onebend.errors import RecordingError
 from onebend.lab.strategies import Wish
 from onebend.progress import Progress
@@ -73,21 +73,21 @@ def rehearse(
         first = Wish(
             push=push,
             bend=math.radians(bend),
-            seconds=_or_nan(seconds),
+            seconds=or_nan(seconds),
             camera=camera,
-            fps=_or_nan(fps),
-            tilt=math.radians(_or_nan(tilt)),
-            distance=_or_nan(distance),
+            fps=or_nan(fps),
+            tilt=math.radians(or_nan(tilt)),
+            distance=or_nan(distance),
             sensor=sensor,
         )
         setup = setup_of(
             known_beam(design),
             wishes_of(first, push_at or [], force or [], direction or []),
             tags=places_of(tags),
-            gain_sd=_or_nan(gain_sd),
+            gain_sd=or_nan(gain_sd),
             placement_sd=1e-3 * placement,
             turn_sd=math.radians(turn),
-            clock_sd=_or_nan(clock_sd),
+            clock_sd=or_nan(clock_sd),
         )
 
         def work(keep: Path | None, progress: Progress) -> Rehearsal:
@@ -149,7 +149,3 @@ def places_of(text: str | None) -> tuple[float, ...]:
     if not all(math.isfinite(s) for s in places):
         raise RecordingError(f"--tags {text!r}: every place must be a number in (0, 1]")
     return places
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -7,7 +7,7 @@ import math
 from rich.console import Console
 
 from onebend.beam.model import Beam
-from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.cli.common import BY, clean_errors, print_summary, workplace
 from onebend.control.force_way import by_force
 from onebend.control.goals import Goals
 from onebend.control.grip import Grip, Push
@@ -80,7 +80,7 @@ def shape(
             with workplace(output, SHAPE_FORMAT, overwrite) as place:
                 publish(place, shape_writer(found, png_of(shaping(stored.beam, found)), summary))
     if as_json:
-        print_json(summary if output is None else {**summary, "output": str(output)})
+        print_summary(summary, output)
     else:
         show_shape(Console(), found, output)
 
@@ -137,7 +137,7 @@ def path(
             with workplace(output, PATH_FORMAT, overwrite) as place:
                 publish(place, path_writer(way, png_of(path_figure(way)), summary, frame=frame))
     if as_json:
-        print_json(summary if output is None else {**summary, "output": str(output)})
+        print_summary(summary, output)
     else:
         show_path(Console(), way, sure, output)
 
@@ -147,14 +147,12 @@ def _alone(goals: Goals, pushes: tuple[Push, ...], grip: Grip | None) -> bool:
     return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
 
 
-def _led(
-    beam: Beam, goals: Goals, pushes: tuple[Push, ...], grip: Grip | None, weight: tuple[float, float] | None
-) -> Goals:
+def _led(beam: Beam, goals: Goals, pushes: tuple[Push, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
     if grip is not None or len(pushes) != 1:
         raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
     [one] = pushes
     limit = one.max_force if math.isfinite(one.max_force) else None
-    return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight or (0.0, 0.0))
+    return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
 
 
 def _hands(

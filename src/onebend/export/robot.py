@@ -40,7 +40,9 @@ def sdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None
         Xml.SubElement(visual, "pose").text = f"{plain(length / 2)} 0 0 0 1.5707963267948966 0"
         _cylinder(Xml.SubElement(visual, "geometry"), chain, i, radius)
         begins += float(length)
-    _fixed(Xml.SubElement(model, "joint", name="clamp", type="fixed"))
+    clamp = Xml.SubElement(model, "joint", name="clamp", type="fixed")
+    Xml.SubElement(clamp, "parent").text = "world"
+    Xml.SubElement(clamp, "child").text = "link_0"
     for i, stiffness in enumerate(chain.stiffness):
         joint = Xml.SubElement(model, "joint", name=f"hinge_{i}", type="revolute")
         Xml.SubElement(joint, "parent").text = f"link_{i}"
@@ -52,11 +54,6 @@ def sdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None
         Xml.SubElement(dynamics, "spring_reference").text = plain(chain.rest[i])
         Xml.SubElement(dynamics, "spring_stiffness").text = plain(stiffness)
     return _document(root)
-
-
-def _fixed(joint: Xml.Element) -> None:
-    Xml.SubElement(joint, "parent").text = "world"
-    Xml.SubElement(joint, "child").text = "link_0"
 
 
 def urdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None) -> str:

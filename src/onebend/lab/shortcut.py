@@ -13,7 +13,7 @@ from onebend.errors import RecordingError
 from onebend.lab.virtual import Virtual
 from onebend.recording.force import clean_force, force_at
 from onebend.recording.frame import to_beam_frame
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, ClockOffset, Observations
+from onebend.records import Array, ClockOffset, Observations
 
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
@@ -80,6 +80,6 @@ def observe_quickly(
         if clock_sd > 0.0
         else None,
         clean_force=clean,
-        place_sd=PLACE_SD if rec.push is None else rec.push.at_sd,
-        direction_sd=DIRECTION_SD if rec.force is None else rec.force.rotation_sd,
+        place_sd=rec.place_sd,
+        direction_sd=rec.direction_sd,
     )

@@ -120,11 +120,23 @@ def weighted(
 
 def _orthogonal(x: Array, y: Array) -> tuple[Array, float]:
     """Least squares by singular values with scaled columns; the condition number is that of the scaled matrix."""
-    scale = np.linalg.norm(x, axis=0)
-    if not np.all(scale > 0.0):
+    if not np.all(np.linalg.norm(x, axis=0) > 0.0):
         raise LearningError("a stiffness function meets no curvature at all: the beam did not bend there in any frame")
+    solution, singular = least_squares(x, y)
+    return solution, float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
+
+
+def column_sizes(x: Array) -> Array:
+    """(m,) what each column is divided by before it is solved for; 1 for one of zeros."""
+    sizes = np.linalg.norm(x, axis=0)
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def least_squares(x: Array, y: Array) -> tuple[Array, Array]:
+    """Solution (m,) with columns brought to one size, and the singular values of the matrix so scaled."""
+    scale = column_sizes(x)
     solution, _, _, singular = np.linalg.lstsq(x / scale, y, rcond=None)
-    return np.asarray(solution / scale), float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
+    return np.asarray(solution / scale), np.asarray(singular)
 
 
 def _weight_beyond(observations: Observations) -> Array:

@@ -273,3 +273,13 @@ class Recording:
         """s: what the film's (or the tracker's) clock lacks to the log's as written, and its largest error."""
         source = self.video or self.markers
         return (source.start, source.start_uncertainty) if source is not None else (math.nan, math.inf)
+
+    @property
+    def place_sd(self) -> float:
+        """m, tolerance of the push's place along the beam."""
+        return PLACE_SD if self.push is None else self.push.at_sd
+
+    @property
+    def direction_sd(self) -> float:
+        """rad, tolerance of the force log's axes against the beam's."""
+        return DIRECTION_SD if self.force is None else self.force.rotation_sd

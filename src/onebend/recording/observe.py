@@ -27,7 +27,7 @@ from onebend.recording.photos import photo_observations
 from onebend.recording.pose_tables import pose_observations
 from onebend.recording.tags import detect_tags
 from onebend.recording.turns import check_turns
-from onebend.records import DIRECTION_SD, PLACE_SD, Detections, ForceLog, Markers, Observations
+from onebend.records import Detections, ForceLog, Markers, Observations
 
 FEWEST_FRAMES = 10
 
@@ -140,8 +140,8 @@ def assemble(
         clean_force=clean,
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
         view=seen.view,
-        place_sd=PLACE_SD if rec.push is None else rec.push.at_sd,
-        direction_sd=DIRECTION_SD if rec.force is None else rec.force.rotation_sd,
+        place_sd=rec.place_sd,
+        direction_sd=rec.direction_sd,
         video=rec.video.file if rec.video else None,
         video_topic=rec.video.topic if rec.video else "",
         mass_line=line,
