@@ -5,59 +5,72 @@ Exit codes: 0 done; 2 the input or the request cannot be used, with one message 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from onebend.cli.bags import topics
-from onebend.cli.calibrating import calibrate
 from onebend.cli.common import BY
-from onebend.cli.control import reach
-from onebend.cli.exporting import export_command, rerun_command
-from onebend.cli.filming import film
-from onebend.cli.learning import learn, plan, validate
-from onebend.cli.looking import check, new, show
-from onebend.cli.looping import loop
-from onebend.cli.making import design, mould, tags
-from onebend.cli.motion import damp
-from onebend.cli.rehearsing import rehearse
-from onebend.cli.reproducing import reproduce
-from onebend.cli.shaping import path, shape
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "learn": learn,
-    "validate": validate,
-    "plan": plan,
-    "damp": damp,
-    "reach": reach,
-    "shape": shape,
-    "path": path,
-    "loop": loop,
-    "new": new,
-    "topics": topics,
-    "check": check,
-    "calibrate": calibrate,
-    "show": show,
-    "export": export_command,
-    "rerun": rerun_command,
-    "design": design,
-    "mould": mould,
-    "tags": tags,
-    "film": film,
-    "reproduce": reproduce,
-    "rehearse": rehearse,
+COMMANDS = {  # name -> file in this folder, and function
+    "learn": ("learning", "learn"),
+    "validate": ("learning", "validate"),
+    "plan": ("learning", "plan"),
+    "damp": ("motion", "damp"),
+    "reach": ("control", "reach"),
+    "shape": ("shaping", "shape"),
+    "path": ("shaping", "path"),
+    "loop": ("looping", "loop"),
+    "new": ("looking", "new"),
+    "topics": ("bags", "topics"),
+    "check": ("looking", "check"),
+    "calibrate": ("calibrating", "calibrate"),
+    "show": ("looking", "show"),
+    "export": ("exporting", "export_command"),
+    "rerun": ("exporting", "rerun_command"),
+    "design": ("making", "design"),
+    "mould": ("making", "mould"),
+    "tags": ("making", "tags"),
+    "film": ("filming", "film"),
+    "reproduce": ("reproducing", "reproduce"),
+    "rehearse": ("rehearsing", "rehearse"),
 }
 
+
+class Shelf(Mapping[str, Any]):
+    """The commands by name, each read when it is asked for: meshes, bags and figures are not loaded to check a file."""
+
+    def __getitem__(self, name: str) -> Any:
+        module, function = COMMANDS[name]
+        single = typer.Typer(add_completion=False)
+        single.command(name)(getattr(import_module(f"onebend.cli.{module}"), function))
+        return typer.main.get_command(single)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
+
+
+class OnDemand(TyperGroup):
+    """A group whose commands stand on a `Shelf`."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = Shelf()  # type: ignore[assignment]
+
+
 app = typer.Typer(
+    cls=OnDemand,
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _name, _command in COMMANDS.items():
-    app.command(_name)(_command)
 
 
 def _say_version(asked: bool) -> None:

@@ -75,9 +75,6 @@ PRINTED = MappingProxyType(
         "cubic": PrintedBeam(selection_table="III", trials=None, chosen=(3, 2), validation_table="VI", validation=None),
     }
 )
-TRAINING = (0.002, 0.003)  # m, "the RMS of the errors ranged between 2 mm and 3 mm for the training data", Section VI-A
-SAME_FORCE = (0.0001, 0.0005)  # m, "when constantly applying the exact same force to both", Section VI-A
-MANIPULATION = 0.001  # m, "all manipulation tasks were performed with an error of 1 millimeter or less", Section V-C
 MOST_MODES = 5  # z, Section V-A
 
 
