@@ -201,3 +201,24 @@ def test_the_command_refuses_in_one_message(tmp_path: Path, asked: list[str], sa
     assert done.exit_code == 2
     assert says in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_the_commands_replace_no_file_unasked(tmp_path: Path) -> None:
+    mine = {name: tmp_path / name for name in ("t.pdf", "d.csv", "d.png", "m.json", "b-2.svg")}
+    for path in mine.values():
+        path.write_text("mine", encoding="utf-8")
+    bundled = Path(__file__).parents[2] / "examples" / "linear-beam" / "train"
+    for asked in (
+        ["tags", "--ids", "0", "-o", str(mine["t.pdf"])],
+        ["tags", str(bundled), "-o", str(tmp_path / "b.svg")],
+        ["design", "linear", "--csv", str(mine["d.csv"])],
+        ["design", "linear", "--picture", str(mine["d.png"]), "--csv", str(tmp_path / "new.csv")],
+        ["design", "linear", "--model", str(mine["m.json"])],
+        ["mould", "linear", "-o", str(tmp_path / "parts"), "--picture", str(mine["d.png"])],
+    ):
+        done = CliRunner().invoke(app, asked)
+        assert (done.exit_code, "exists already" in done.stderr) == (2, True), asked
+    assert {path.read_text(encoding="utf-8") for path in mine.values()} == {"mine"}
+    assert sorted(tmp_path.iterdir()) == sorted(mine.values())
+    assert CliRunner().invoke(app, ["tags", "--ids", "0", "-o", str(mine["t.pdf"]), "--force"]).exit_code == 0
+    assert mine["t.pdf"].read_bytes().startswith(b"%PDF")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import typer
@@ -20,7 +21,7 @@ from onebend.lab.expected import expect
 from onebend.lab.materials import Stiffness, from_shore_00, from_shore_a, silicone
 from onebend.lab.mould import Mould, MouldSettings, PrintedPart
 from onebend.lab.mould import mould as make_mould
-from onebend.lab.paper import write_pages
+from onebend.lab.paper import files_of
 from onebend.lab.sheet import Sheet, strip_page, tag_pages
 from onebend.lab.solids import write_mesh
 from onebend.recording.entries import FAMILIES
@@ -28,7 +29,8 @@ from onebend.recording.folder import read_recording
 from onebend.report.parts import design_figure, parts_figure
 from onebend.report.style import png_of
 from onebend.results.folder import SUMMARY, files_in, publish
-from onebend.results.model import save_model
+from onebend.results.model import StoredModel, model_text
+from onebend.results.single import free_place, write_file
 from onebend.results.summary import to_json
 from onebend.terminal.making import show_design, show_parts, stiffness_rows
 from onebend.terminal.options import Json, Overwrite
@@ -47,6 +49,7 @@ from onebend.terminal.options_making import (
     Paper,
     PartsOutput,
     Picture,
+    ReplaceFiles,
     Rim,
     Shape,
     SheetFile,
@@ -80,6 +83,7 @@ def design(
     csv_file: Csv = None,
     picture: Picture = None,
     model: ModelFile = None,
+    overwrite: ReplaceFiles = False,
     as_json: Json = False,
 ) -> None:
     """Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration."""
@@ -91,15 +95,7 @@ def design(
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
         found = _of_material(find_design(name), silicone, shore_a, shore_zero, modulus)
         expected = expect(found)
-        if csv_file is not None:
-            with csv_file.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m"))
-                writer.writerows([f"{value:.9g}" for value in row] for row in stiffness_rows(found))
-        if picture is not None:
-            picture.write_bytes(png_of(design_figure(found)))
-        if model is not None:
-            save_model(model, found.beam(), written_by=BY, uncertain=found.uncertain())
+        _write_all(_design_files(found, csv_file, picture, model), overwrite=overwrite)
     if as_json:
         print_json({"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()})
     else:
@@ -123,6 +119,8 @@ def mould(
 ) -> None:
     """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
     with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
+        if picture is not None:
+            free_place(picture, overwrite=overwrite)
         settings = MouldSettings(
             kind=kind,
             wall=1e-3 * wall,
@@ -136,7 +134,7 @@ def mould(
         parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
         publish(place, _parts_writer(made, parts, shape))
         if picture is not None:
-            picture.write_bytes(png_of(parts_figure(parts)))
+            write_file(picture, png_of(parts_figure(parts)), overwrite=overwrite)
     if as_json:
         print_json(_parts_summary(made, parts))
     else:
@@ -154,6 +152,7 @@ def tags(
     page: Paper = "a4",
     no_cut_marks: NoCuts = False,
     no_labels: NoLabels = False,
+    overwrite: ReplaceFiles = False,
     as_json: Json = False,
 ) -> None:
     """Draw a sheet of tags at exact size, with rulers to check the printer by."""
@@ -172,7 +171,8 @@ def tags(
         pages = tag_pages(sheet)
         if known is not None:
             pages = (*pages, strip_page(known, page=page, rim=rim))
-        written = write_pages(output, pages, f"{named}, {1e3 * side:g} mm")
+        written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
+        _write_all(written, overwrite=overwrite)
     if as_json:
         data = {"format": TAGS_FORMAT, "written_by": BY, "family": named, "size_m": side, "ids": list(numbers)}
         print_json({**data, "pages": len(pages), "files": [str(path) for path in written]})
@@ -210,6 +210,32 @@ def _of_material(
     if shore_zero is not None:
         return found.of(from_shore_00(shore_zero))
     return found if modulus is None else found.of(Stiffness(1e3 * modulus, 0.0, "given"))
+
+
+def _design_files(
+    found: Design, csv_file: Path | None, picture: Path | None, model: Path | None
+) -> dict[Path, str | bytes]:
+    """What was asked for of a design, by where it goes."""
+    files: dict[Path, str | bytes] = {}
+    if csv_file is not None:
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m"))
+        writer.writerows([f"{value:.9g}" for value in row] for row in stiffness_rows(found))
+        files[csv_file] = text.getvalue()
+    if picture is not None:
+        files[picture] = png_of(design_figure(found))
+    if model is not None:
+        files[model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
+    return files
+
+
+def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
+    """Each file whole; none where one of them must not be replaced."""
+    for path in files:
+        free_place(path, overwrite=overwrite)
+    for path, data in files.items():
+        write_file(path, data, overwrite=overwrite)
 
 
 def _parts_summary(made: Mould, parts: tuple[PrintedPart, ...]) -> dict[str, object]:

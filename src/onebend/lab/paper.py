@@ -64,16 +64,21 @@ def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Pa
         MechanicsError: a file name that ends in neither.
         OSError: the file cannot be written.
     """
+    files = files_of(path, pages, title)
+    for one, data in files.items():
+        one.write_bytes(data)
+    return tuple(files)
+
+
+def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, bytes]:
+    """What `write_pages` writes: the files' contents by their paths. Raises `MechanicsError` as it does."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise MechanicsError(f"{path}: sheets are written as {' or '.join(SUFFIXES)}. Name the file so.")
     if path.suffix.lower() == ".pdf":
-        path.write_bytes(pdf(pages, title))
-        return (path,)
-    paths = tuple(path if i == 0 else path.with_name(f"{path.stem}-{i + 1}{path.suffix}") for i in range(len(pages)))
-    for one, page in zip(paths, pages, strict=True):
-        one.write_text(svg(page, title), encoding="utf-8")
-    return paths
+        return {path: pdf(pages, title)}
+    paths = (path if i == 0 else path.with_name(f"{path.stem}-{i + 1}{path.suffix}") for i in range(len(pages)))
+    return {one: svg(page, title).encode("utf-8") for one, page in zip(paths, pages, strict=True)}
 
 
 def pdf(pages: Sequence[Page], title: str) -> bytes:

@@ -59,3 +59,4 @@ Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of 
 NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
 NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers out.")]
 SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or an .svg a page.")]
+ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
