@@ -19,6 +19,7 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
+MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
 
 PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
@@ -195,6 +196,7 @@ class Observations:
     known: KnownLoads | None = None
     mass_sd: float = math.nan  # one sd of the mass over itself; NaN: as usual for one that was weighed
     mass_line: MassLine | None = None  # None: the mass is evenly spread
+    mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
     remarks: tuple[Remark, ...] = ()
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam

@@ -15,7 +15,6 @@ from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import (
     Change,
     of_clamp_angle,
-    of_mass,
     of_rest_curvature,
     of_stiffness,
     respond,
@@ -25,6 +24,7 @@ from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, push_places, whitening
+from onebend.learning.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray, Observations
@@ -52,7 +52,7 @@ class Film:
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
-    weight_modes: Change | None  # derivatives with the parts of the mass that are not; None where nothing weighs
+    own: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
 
@@ -88,8 +88,9 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     weighs = bool(np.any(gravity != 0.0))
     if weighs and not np.isfinite(o.mass):
         raise LearningError(f"{o.name}: gravity acts in the plane, so beam.mass_kg must be given")
-    mass = o.mass if weighs else 0.0
-    carrier = Beam(o.length, Uniform(1.0), mass_per_length=mass_profile(o) if weighs else Uniform(0.0))
+    line = mass_profile(o)
+    written = line if weighs and o.mass_along not in POWERS else Uniform(0.0)
+    carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
     problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, RESOLUTION)
     nodes = problem.grid.nodes
     return Film(
@@ -107,7 +108,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
         farther=_farther(problem, push_s),
         weight=problem.dead_force,
-        weight_modes=of_mass(problem, mass / o.length * MASS_MODES.curvature(nodes), gravity) if weighs else None,
+        own=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
     )
@@ -118,12 +119,13 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
     r = seen.number
     errors = at.get(x, "force", r).reshape(-1, 2)
     force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T
+    k = np.exp(seen.on_nodes @ at.get(x, "stiffness"))
     weight_beyond = seen.weight
-    if seen.weight_modes is not None and seen.weight_modes.force is not None:
-        weight_beyond = weight_beyond + seen.weight_modes.force @ at.get(x, "mass")
+    if seen.own is not None:
+        weight_beyond = weight_beyond + seen.own.force(seen.problem, k, at.get(x, "mass"))
     problem = replace(
         seen.problem,
-        k=np.exp(seen.on_nodes @ at.get(x, "stiffness")),
+        k=k,
         q0=seen.rest_on_nodes @ at.get(x, "curvature"),
         alpha0=np.asarray(at.get(x, "clamp", r)[0]),
         dead_force=_pushed(seen, at, x)[..., None] * force[:, None, :] + weight_beyond,
@@ -143,15 +145,18 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     r, solved = seen.number, now.solved
     s, over = tag_places(seen, at, x)
     k = solved.problem.k
+    by_k = of_stiffness(solved, k[..., None] * seen.on_nodes)
+    if seen.own is not None:
+        by_k = replace(by_k, force=seen.own.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
     change = (
-        of_stiffness(solved, k[..., None] * seen.on_nodes)
+        by_k
         + of_rest_curvature(solved.problem, seen.rest_on_nodes)
         + of_clamp_angle(solved.problem)
         + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
         + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
     )
-    if seen.weight_modes is not None:
-        change = change + seen.weight_modes
+    if seen.own is not None:
+        change = change + seen.own.by_mass(seen.problem, k)
     response = respond(solved, change).poses(s)
     angle, across = solved.angle(s), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
@@ -166,7 +171,7 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     _put(out, at.columns("stiffness"), mechanics[..., :p])
     _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
     _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
-    if seen.weight_modes is not None:
+    if seen.own is not None:
         _put(out, at.columns("mass"), mechanics[..., p + 7 :])
     _put(out, at.columns("place", r), mechanics[..., p + 6 : p + 7])
     across_force = np.stack([-now.force[:, 1], now.force[:, 0]], axis=-1)

@@ -10,6 +10,7 @@ from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
 
+_STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
 
@@ -117,7 +118,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         free = sd > 0.0 and len(labels) > 0
         sds = np.full(len(labels), sd)
         if name == "mass":
-            sds[1:] = priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
+            sds[1:] = _mass_spread(recordings, priors)
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
@@ -139,6 +140,12 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
         return float(np.hypot(priors.clamp, MOUNTING_SD))
     placement = one.placement_sd if priors.placement is None else priors.placement
     return float(np.hypot(priors.clamp, 2.0 * placement / np.linalg.norm(reach)))
+
+
+def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
+    if any(r.mass_along != "unknown" for r in recordings):
+        return _STATED
+    return priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
 
 
 def _clock_sd(one: Observations, priors: Priors) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.stiffness import Powers, Profile, Table, Uniform
+from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
 from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
@@ -24,6 +24,7 @@ from onebend.learning.forward import Film, film
 from onebend.learning.frames import mass_profile, usable_frames
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
+from onebend.learning.own_weight import following
 from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, search
@@ -119,18 +120,21 @@ class Posterior:
         change, left = self.mean[block.where], self.covariance[block.where, block.where]
         written = np.nan if np.isfinite(weighed.mass_sd) else weighed.mass
         lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
-        s = np.linspace(0.0, 1.0, 2001)
-        pull = 2.0 * weighed.length * float(np.trapezoid(s * mass_profile(weighed)(s), s))
+        value, s = weighed.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
+        pull = 2.0 * weighed.length * float(np.trapezoid(s * self._mass_per_length()(s), s))
+        if weighed.mass_along != "unknown":
+            lever = np.array([pull / value, 0.0, 0.0, 0.0])
         gain = self.gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
         sd = np.sqrt(np.diag(left)[0] + gain**2)
-        even_sd = float(np.sqrt(lever @ left @ lever + gain**2))
+        even_sd = float(np.sqrt(lever @ left @ lever + (lever[0] * gain) ** 2))
         return LearnedMass(
-            value=weighed.mass * (1.0 + float(change[0])),
+            value=value,
             sd=float(weighed.mass * sd),
-            even=pull + weighed.mass * float(lever @ change),
+            even=pull,
             even_sd=weighed.mass * even_sd,
             written=written,
             identified=even_sd < self._told(written, block),
+            along=weighed.mass_along,
         )
 
     def _told(self, written: float, block: Block) -> float:
@@ -149,7 +153,12 @@ class Posterior:
         weighed, change = self._weighed(), self.at.get(self.mean, "mass")
         if weighed is None:
             return Uniform(0.0)
+        along = following(weighed, self.stiffness, weighed.mass * (1.0 + float(change[0])))
+        if along is not None:
+            return along
         even = weighed.mass / weighed.length
+        if weighed.mass_along == "table":
+            return Scaled(1.0 + float(change[0]), mass_profile(weighed))
         if weighed.mass_line is None:
             return _from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
         s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.mass_line.s]))

@@ -145,6 +145,7 @@ def assemble(
         video=rec.video.file if rec.video else None,
         video_topic=rec.video.topic if rec.video else "",
         mass_line=line,
+        mass_along=rec.beam.mass_along,
         remarks=(
             *rec.remarks,
             *markers.remarks,

@@ -84,6 +84,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         sd_known=points.sd_known,
         known=loads.others,
         mass_line=line,
+        mass_along=rec.beam.mass_along,
         clamp_sd=points.clamp_sd,
     )
 
