@@ -198,6 +198,7 @@ class Observations:
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
+    held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     remarks: tuple[Remark, ...] = ()
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

@@ -15,6 +15,8 @@ from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import (
     Change,
     of_clamp_angle,
+    of_force,
+    of_moment,
     of_rest_curvature,
     of_stiffness,
     respond,
@@ -24,6 +26,8 @@ from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, push_places, whitening
+from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
+from onebend.learning.held_poses import HeldEnds, held_ends, is_held, moved, put_ends, solve, with_ends_held
 from onebend.learning.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
@@ -52,6 +56,7 @@ class Film:
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
+    ends: HeldEnds | None  # of frames whose end an unknown wrench holds
     own: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
@@ -91,7 +96,9 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     line = mass_profile(o)
     written = line if weighs and o.mass_along not in POWERS else Uniform(0.0)
     carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
-    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, RESOLUTION)
+    fine = HELD_RESOLUTION if is_held(o) else RESOLUTION
+    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, fine)
+    ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     return Film(
         observations=o,
@@ -108,6 +115,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
         farther=_farther(problem, push_s),
         weight=problem.dead_force,
+        ends=ends,
         own=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
@@ -130,7 +138,10 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
         alpha0=np.asarray(at.get(x, "clamp", r)[0]),
         dead_force=_pushed(seen, at, x)[..., None] * force[:, None, :] + weight_beyond,
     )
-    solved = follow(problem) if start is None else refine(problem, start)
+    if seen.ends is not None:
+        solved = solve(problem, seen.ends, moved(seen.ends, at, x, r), start)
+    else:
+        solved = follow(problem) if start is None else refine(problem, start)
     s, over = tag_places(seen, at, x)
     angle = solved.angle(s)
     across = at.get(x, "across")
@@ -157,14 +168,16 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     )
     if seen.own is not None:
         change = change + seen.own.by_mass(seen.problem, k)
-    response = respond(solved, change).poses(s)
+    if seen.ends is None:
+        response = respond(solved, change).poses(s)
+    else:
+        change = change + of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
+        response, by_end = with_ends_held(respond(solved, change).poses(np.append(s, 1.0)), seen.ends)
     angle, across = solved.angle(s), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
     turned = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
-    turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
-    moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
-    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
+    mechanics = _ridden(response, turned, scale)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
     out = np.zeros((*now.pose.shape, len(at.known_to(r))))
     p = seen.on_nodes.shape[-1]
     by_force = mechanics[..., p + 4 : p + 6]
@@ -174,6 +187,8 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     if seen.own is not None:
         _put(out, at.columns("mass"), mechanics[..., p + 7 :])
     _put(out, at.columns("place", r), mechanics[..., p + 6 : p + 7])
+    if seen.ends is not None:
+        put_ends(out, seen.ends, at, r, _ridden(by_end, turned[seen.ends.frames], scale))
     across_force = np.stack([-now.force[:, 1], now.force[:, 0]], axis=-1)
     _put(out, at.columns("direction", r), np.einsum("tmad,td->tma", by_force, across_force)[..., None])
     by_log = by_force @ _axes(at, x, r)
@@ -196,6 +211,13 @@ def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
     length = seen.observations.length
     s = seen.observations.marker_s + at.get(x, "along") / length
     return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
+
+
+def _ridden(response: Array, turned: Array, scale: float) -> Array:
+    """(F, m, 3, P) of tags in the picture, from that of the beam's places under them; `turned` (F, m, 2) m: their way
+    by a turn."""
+    moved = response[:, :, :2] + turned[..., None] * response[:, :, 2:]
+    return np.concatenate([scale * moved, response[:, :, 2:]], axis=2)
 
 
 def _put_tags(out: Array, at: Layout, turned: tuple[Array, Array], stride: Array, scale: float, bend: Array) -> None:

@@ -10,6 +10,7 @@ from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
 
+END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
 _STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
@@ -111,6 +112,8 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
             ("place", r, "m", _pushed(one, one.place_sd, priors.place), (f"{one.name}: push place",)),
             ("direction", r, "rad", _pushed(one, one.direction_sd, priors.direction), (f"{one.name}: force axes",)),
+            ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
+            ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
             ("force", r, "N", 1.0, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
     blocks, start = [], 0
@@ -140,6 +143,12 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
         return float(np.hypot(priors.clamp, MOUNTING_SD))
     placement = one.placement_sd if priors.placement is None else priors.placement
     return float(np.hypot(priors.clamp, 2.0 * placement / np.linalg.norm(reach)))
+
+
+def _ends(one: Observations, *what: str) -> tuple[str, ...]:
+    """Labels of the ends that an unknown wrench holds, pose by pose."""
+    held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
+    return tuple(f"{one.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
 
 
 def _mass_spread(recordings: list[Observations], priors: Priors) -> float:

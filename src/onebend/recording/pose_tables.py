@@ -52,7 +52,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     check_reach(rec, loads, points)
     mass, line = beam_mass(rec)
     count, m = points.angle.shape
-    nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None)
+    nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
     return Observations(
@@ -83,6 +83,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         static=True,
         sd_known=points.sd_known,
         known=loads.others,
+        held=loads.held if np.any(loads.held) else None,
         mass_line=line,
         mass_along=rec.beam.mass_along,
         clamp_sd=points.clamp_sd,

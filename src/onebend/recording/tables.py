@@ -15,6 +15,7 @@ from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
 
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
+UNKNOWN = "unknown"  # a cell for something that acts, nobody knows how strongly
 
 
 @dataclass(frozen=True)
@@ -38,11 +39,18 @@ class Columns:
 
 
 def read_columns(
-    path: Path, needed: Sequence[str], known: Sequence[str] = (), *, labels: Sequence[str] = (), kind: str = "table"
+    path: Path,
+    needed: Sequence[str],
+    known: Sequence[str] = (),
+    *,
+    labels: Sequence[str] = (),
+    kind: str = "table",
+    unknown: Sequence[str] = (),
 ) -> Columns:
     """The columns `needed`, those of `known` that are there, and the text columns `labels` (needed, too).
 
-    Other columns are ignored. `kind` names the table in messages.
+    Other columns are ignored. `kind` names the table in messages. In the columns `unknown` that word may stand for a
+    number, and becomes infinity.
 
     Raises
     ------
@@ -61,7 +69,7 @@ def read_columns(
         raise RecordingError(f"{path}: the {kind} has no rows. Was it cut short?")
     rows = np.arange(first, first + count)
     wanted = [name for name in (*needed, *known) if name in cells]
-    numbers = {name: _numbers(path, name, cells[name], rows) for name in wanted}
+    numbers = {name: _numbers(path, name, cells[name], rows, name in unknown) for name in wanted}
     return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
 
 
@@ -90,10 +98,13 @@ def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
     return {name: table[name].to_pylist() for name in table.column_names}, 1
 
 
-def _numbers(path: Path, name: str, cells: list[object], rows: IntArray) -> Array:
+def _numbers(path: Path, name: str, cells: list[object], rows: IntArray, unknown: bool) -> Array:
     out = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
+            continue
+        if unknown and isinstance(cell, str) and cell.strip().lower() == UNKNOWN:
+            out[i] = np.inf
             continue
         try:
             out[i] = float(cell)  # type: ignore[arg-type]

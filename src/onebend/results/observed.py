@@ -69,6 +69,8 @@ def save_observations(path: Path, observations: Observations) -> None:
         "gravity_x_m_s2": o.gravity[:, 0],
         "gravity_y_m_s2": o.gravity[:, 1],
     }
+    if o.held is not None:
+        columns["held"] = o.held
     for i, tag in enumerate(o.tag_id):
         columns[f"tag_{tag}_x_m"] = o.xy[:, i, 0]
         columns[f"tag_{tag}_y_m"] = o.xy[:, i, 1]
@@ -147,6 +149,7 @@ def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
         clock=None if rest["clock"] is None else ClockOffset(**rest["clock"]),
         clean_force=_clean_force(rest["clean_force"]),
         view=_view(rest["view"]),
+        held=np.asarray(table["held"].to_numpy(), dtype=bool) if "held" in table.column_names else None,
         known=None if rest["known"] is None else _known(rest["known"], table.num_rows),
         mass_line=None if rest["mass_line"] is None else MassLine(*map(np.asarray, rest["mass_line"].values())),
         video=None if rest["video"] is None else Path(rest["video"]),
