@@ -20,6 +20,7 @@ IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
 MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
+StiffnessAlong = Literal["unknown", "even"]
 
 PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
@@ -198,6 +199,7 @@ class Observations:
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
+    stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
     held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     remarks: tuple[Remark, ...] = ()
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam

@@ -153,7 +153,7 @@ def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[
             continue
         where = block.where
         if block.name == "stiffness":
-            precision[where, where] = at.spline.precision(scales.tau, scales.rho)
+            precision[where, where] = at.spline.precision(scales.tau, scales.rho) + at.evenness
             mean[where] = level
             log_det += float(np.linalg.slogdet(precision[where, where])[1])
         elif block.name == "force":  # x and y in turn, alike

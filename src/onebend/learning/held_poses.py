@@ -18,6 +18,7 @@ from onebend.beam.ends import end_pose
 from onebend.beam.grid import solve_each
 from onebend.beam.held_near import hold_near, under
 from onebend.beam.problem import Problem, Resolution
+from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.mass import forced, weighs
@@ -25,6 +26,10 @@ from onebend.learning.parameters import Layout
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
+ROUGH = Resolution(order=12, widest=0.25)  # of a first look
+_SETTLE = 3  # steps of the ends towards the points
+_STRIDE = 0.3  # of the length, rad: the longest of them
+_WEAK = 1e-6  # of the derivatives squared: what keeps an end in place that no point tells of
 _PLACES = (0.1, 0.5, 0.9)  # where k is compared if only its shape is known
 
 
@@ -118,15 +123,44 @@ def with_ends_held(poses: Array, ends: HeldEnds) -> tuple[Array, Array]:
 
 
 def shapes_of(o: Observations, frames: BoolArray, problem: Problem) -> Equilibrium:
-    """Equilibria of some frames (T,) under a `problem` that is theirs, held ends as the points show them."""
+    """Equilibria of some frames (T,) under a `problem` that is theirs, held ends where the points are met best."""
     ends = held_ends(o, frames, problem)
-    return follow(problem) if ends is None else solve(problem, ends, np.zeros((len(ends.frames), 3)), None)
+    if ends is None:
+        return follow(problem)
+    away = np.zeros((len(ends.frames), 3))
+    solved = solve(problem, ends, away, None)
+    for _ in range(_SETTLE):
+        step = _closer(o.xy[frames][ends.frames], o.marker_s, solved, ends)
+        there = solve(problem, ends, away + step, solved.q)
+        if not np.all(there.converged):
+            break
+        away, solved = away + step, there
+    return solved
 
 
-def scale_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
-    """What can be said of k(s) where nothing sets its scale."""
-    if not sets_no_scale(recordings):
-        return ()
+def _closer(xy: Array, s: Array, solved: Equilibrium, ends: HeldEnds) -> Array:
+    """(H, 3) m, m, rad: a Gauss-Newton step of the ends towards the points (H, m, 2), at most `_STRIDE`."""
+    wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
+    _, by_end = with_ends_held(respond(solved, wrench).poses(np.append(s, 1.0)), ends)
+    left = xy - solved.xy(s)[ends.frames]
+    rows = np.where(np.isfinite(left)[..., None], by_end[:, :, :2], 0.0).reshape(len(left), -1, 3)
+    rows[..., 2] /= (length := float(np.max(solved.problem.length)))  # all three in metres
+    flat = np.nan_to_num(left).reshape(len(left), -1, 1)
+    across = np.swapaxes(rows, 1, 2)
+    step = np.linalg.solve(across @ rows + _WEAK * np.eye(3), across @ flat)[..., 0] / [1.0, 1.0, length]
+    size = np.max(np.abs(step) * [1.0 / length, 1.0 / length, 1.0], axis=1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, _STRIDE / np.maximum(size, 1e-300)))
+
+
+def stated_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
+    """That k was taken as one number; and what can be said of it where nothing sets its scale."""
+    even = any(o.stiffness_along == "even" for o in recordings)
+    text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
+    said = (Remark("note", text),) if even else ()
+    return said + (_no_scale(stiffness) if sets_no_scale(recordings) else ())
+
+
+def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
     s = np.array(_PLACES)
     rows = stiffness.basis(s)
     rows = rows[[0, 2]] - rows[1]

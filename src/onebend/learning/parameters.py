@@ -11,6 +11,7 @@ from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
+_EVEN = 0.01  # of k: what is left of its variation where it is one number
 _STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
@@ -57,6 +58,13 @@ class Layout:
     blocks: tuple[Block, ...]
     size: int
     index: dict[tuple[str, int], Block] = field(default_factory=dict)
+    even: bool = False  # k is one number, as somebody knows
+
+    @property
+    def evenness(self) -> Array:
+        """(p, p) precision of the differences between the coefficients of log k; zero unless `even`."""
+        count = self.spline.count
+        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN**2 if self.even else 0.0))
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
         """Values of a block; zeros (of the right length) where it is frozen."""
@@ -124,7 +132,8 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
             sds[1:] = _mass_spread(recordings, priors)
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
-    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
+    even = any(r.stiffness_along == "even" for r in recordings)
+    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, even)
 
 
 def clamp_sd(one: Observations, priors: Priors) -> float:

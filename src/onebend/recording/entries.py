@@ -13,7 +13,7 @@ from typing import Literal
 
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
 from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
-from onebend.records import DIRECTION_SD, PLACE_SD, MassAlong, Remark, Rest
+from onebend.records import DIRECTION_SD, PLACE_SD, MassAlong, Remark, Rest, StiffnessAlong
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
 DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
@@ -32,6 +32,13 @@ class BeamEntry:
         "a table with columns s and kg_per_m: the mass per metre, where it is not even",
         example='"mass.csv"',
         default=None,
+    )
+    stiffness_along: StiffnessAlong = key(
+        "stiffness_along",
+        one_of("unknown", "even"),
+        'what is known of how k varies: "even" where it is one number (one section and material), or "unknown"',
+        example='"even"',
+        default="unknown",
     )
     mass_along: MassAlong = key(
         "mass_along",

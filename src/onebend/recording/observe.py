@@ -146,6 +146,7 @@ def assemble(
         video_topic=rec.video.topic if rec.video else "",
         mass_line=line,
         mass_along=rec.beam.mass_along,
+        stiffness_along=rec.beam.stiffness_along,
         remarks=(
             *rec.remarks,
             *markers.remarks,

@@ -86,6 +86,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         held=loads.held if np.any(loads.held) else None,
         mass_line=line,
         mass_along=rec.beam.mass_along,
+        stiffness_along=rec.beam.stiffness_along,
         clamp_sd=points.clamp_sd,
     )
 

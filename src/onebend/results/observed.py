@@ -39,7 +39,7 @@ _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
 _SCALARS = (
     *("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd"),
-    *("place_sd", "direction_sd", "mass_along"),
+    *("place_sd", "direction_sd", "mass_along", "stiffness_along"),
 )
 _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "gain_sd": 0.0,
@@ -53,6 +53,7 @@ _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "known": None,
     "mass_line": None,
     "mass_along": "unknown",
+    "stiffness_along": "unknown",
 }
 
 
