@@ -1,6 +1,6 @@
 """Beams that others measured: bench poses from public tables, learned through the public path
 
-A fly rod, a silicone block and a palm leaf; the tables are not part of this project and are read where they lie.
+A fly rod, a silicone block, a palm leaf and hanging wires; the tables are not part of this project and are read where they lie.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from benchmarks.wires import wires
 from onebend.beam.continuation import follow
 from onebend.beam.model import Beam
 from onebend.beam.problem import pose
@@ -270,10 +271,7 @@ def main() -> None:
         rod(Path(place))
         block(Path(place))
         leaf(Path(place))
-    print(
-        "\nNot measured: wires that hang between two clamps. A pose has no unknown force and moment at a held far end,"
-    )
-    print("so observations cannot say what holds it.")
+    wires(DATA / "hanging_wires_2d.csv")
 
 
 if __name__ == "__main__":
