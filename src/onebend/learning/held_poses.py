@@ -15,7 +15,6 @@ import numpy as np
 
 from onebend.beam.continuation import follow, refine
 from onebend.beam.ends import end_pose
-from onebend.beam.grid import solve_each
 from onebend.beam.held_near import hold_near, under
 from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
@@ -167,7 +166,8 @@ def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
     sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
     ratio, wide = np.exp(rows @ stiffness.mean), np.exp(1.96 * sd)
     said = ", ".join(
-        f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})" for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)
+        f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
+        for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)
     )
     text = (
         "the size of k(s) is not identifiable: neither weight nor a force of known size acts, only holders with unknown "
