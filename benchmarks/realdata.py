@@ -54,15 +54,13 @@ def block(folder: Path) -> None:
         "\n**Silicone block** (diffPD_sim2real): 100 x 30 x 30 mm, own weight and 0, 0.51, 1.0 N at the tip, two tracks"
     )
     print("each; one point, so one number can be had of it: that k is one is stated. The beam formula with 264 kPa and")
-    print(
-        f"shear meets it (published); without shear, which adds {100 * shear:.0f} % to the drop of so thick a beam and is outside"
-    )
-    print(f"the model, the same drops want {BLOCK_MODULUS / (1 + shear) / 1e3:.0f} kPa.\n")
+    print(f"shear meets it (published). Shear adds {100 * shear:.0f} % to the drop of so thick a beam and is")
+    print(f"outside our model; without it the same drops want {BLOCK_MODULUS / (1 + shear) / 1e3:.0f} kPa.\n")
     print("| k(s) | E [kPa] | off 264 kPa [%] | 95 % band | fit's RMS [mm] |")
     print("| --- | --- | --- | --- | --- |")
     print(
-        f"| one number, as stated | {modulus / 1e3:.0f} | {100 * (modulus / BLOCK_MODULUS - 1):+.1f} | {low / 1e3:.0f} to "
-        f"{high / 1e3:.0f} | {1000 * fitted_rms(stated)[0][0]:.2f} |"
+        f"| one number, as stated | {modulus / 1e3:.0f} | {100 * (modulus / BLOCK_MODULUS - 1):+.1f} | "
+        f"{low / 1e3:.0f} to {high / 1e3:.0f} | {1000 * fitted_rms(stated)[0][0]:.2f} |"
     )
     known = f"{100 * np.mean(free.identified):.0f} % of it identifiable"
     extremes = f"{scale * free.low.min() / 1e3:.0f} to {scale * free.high.max() / 1e3:.0f}"

@@ -117,18 +117,12 @@ def rod(folder: Path) -> None:
     ends, read = inertia(np.array([0.1, 0.9])), cells()
     scatter = [y - np.mean([one for _, one in of]) for of in read.values() for _, y in of]
     print("**Tapered bamboo rod** (R. Miller 2017, RHexMan/RHex): hexagonal, I varies 221:1 along it and")
-    print(
-        f"{ends[0] / ends[1]:.0f}:1 over u in [0.1, 0.9], where EI is compared; five weights at the tip, five stations,"
-    )
-    print(
-        "a ruler's deflection only, four repeats. The author fits one E of 50.5 GPa, and 47 to 58 GPa with a free EI(s)."
-    )
-    print("One E times the I is taken for the truth.\n")
-    print(
-        "| learned from | E [GPa] | EI off, RMS [%] | at most [%] | u within 15 % [%] | inside band [%] | band +- [%] |",
-        end="",
-    )
-    print(" fit's RMS [mm] |\n| --- | --- | --- | --- | --- | --- | --- | --- |")
+    print(f"{ends[0] / ends[1]:.0f}:1 over u in [0.1, 0.9], where EI is compared; five weights at the tip, five")
+    print("stations, a ruler's deflection only, four repeats. The author fits one E of 50.5 GPa, and with a free EI(s)")
+    print("E = 47 to 58 GPa. One E times the I is taken for the truth.\n")
+    heads = ("learned from", "E [GPa]", "EI off, RMS [%]", "at most [%]", "u within 15 % [%]", "inside band [%]")
+    print(f"| {' | '.join(heads)} | band +- [%] | fit's RMS [mm] |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     print(row("the repeats' mean, its shape at rest unknown", learned([mean_of_repeats(folder, "unknown")])))
     print(row("the same, stated as straight at rest", learned([mean_of_repeats(folder, "straight")])))
     for repeat in "1234":
@@ -138,11 +132,7 @@ def rod(folder: Path) -> None:
     print(row("made up: one E, this taper, no errors", learned([made_up(folder)])))
     rms, most = 1000 * np.sqrt(np.mean(np.square(scatter))), 1000 * np.max(np.abs(scatter))
     print(f"\nThe readings scatter about the mean of the four repeats by {rms:.1f} mm RMS ({most:.1f} mm")
-    print(
-        "at most), most at the tip: between the repeats the clamp's angle and the rod's own set changed. So four in one"
-    )
-    print("fit, which have one rest shape, do not come near; each alone does. The last row is what five stations can")
-    print(
-        "show of this taper: its table has kinks of up to 12 % in I that no fit of these readings follows, the largest"
-    )
-    print("where EI is off most. What is beyond that row is the rod's own E or a reading.")
+    print("at most), most at the tip: between the repeats the clamp's angle and the rod's own set changed. So four")
+    print("in one fit, which have one rest shape, do not come near; each alone does. The last row is what five")
+    print("stations can show of this taper: its table has kinks of up to 12 % in I that no fit of these readings")
+    print("follows, the largest where EI is off most. What is beyond that row is the rod's own E or a reading.")

@@ -66,15 +66,10 @@ def learned(table: Path, wire: str, digitisations: Iterable[str]) -> Posterior:
 
 def wires(table: Path) -> None:
     """One row a wire: from the five digitisations together, and the spread of the five apart."""
-    print(
-        "\n**Hanging wires** (qj25/adapteddlo_muj): 1.5 m between two clamps, photographed, each photo digitised five times"
-    )
-    print(
-        "by hand; weight known, clamps level to within 15 deg (one sd), the far end's force and moment unknown. One EI a"
-    )
-    print(
-        "wire is stated. What a hand draws wrong is alike over 0.2 m of wire, so every tenth node of the table is a point.\n"
-    )
+    print("\n**Hanging wires** (qj25/adapteddlo_muj): 1.5 m between two clamps, photographed, each photo digitised")
+    print("five times by hand; weight known, clamps level to within 15 deg (one sd), the far end's force and moment")
+    print("unknown. One EI a wire is stated. What a hand draws wrong is alike over 0.2 m of wire: every tenth node")
+    print("is a point.\n")
     print("| wire | published EI [N m^2] | learned | off [%] | 95 % band | five apart | fit's RMS [mm] |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for wire, known in PUBLISHED.items():

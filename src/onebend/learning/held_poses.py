@@ -1,7 +1,7 @@
 """Poses whose end s = 1 somebody or something holds with a force and a moment that nobody measured.
 
 Where the end was in such a pose counts among the parameters of the fit (three a pose, next to no prior); the wrench
-follows from it. So an end seen badly, or only its direction not seen, costs what it must, and a wrench is never guessed.
+follows from it. So an end seen badly, or only its direction not seen, costs what it must, and no wrench is guessed.
 The wrench sets no scale: from shapes alone, with neither weight nor a force of known size, k(s) is known but for a
 factor.
 """
@@ -170,9 +170,9 @@ def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
         for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)
     )
     text = (
-        "the size of k(s) is not identifiable: neither weight nor a force of known size acts, only holders with unknown "
-        f"ones. Only ratios are known; k over k(0.5), with its 95 % band: {said}. Weigh the beam and let its weight act, "
-        "or hang on or measure one force"
+        "the size of k(s) is not identifiable: neither weight nor a force of known size acts, only holders with "
+        f"unknown ones. Only ratios are known; k over k(0.5), with its 95 % band: {said}. Weigh the beam and let its "
+        "weight act, or hang on or measure one force"
     )
     return (Remark("warning", text),)
 

@@ -22,7 +22,7 @@ def beam_mass(rec: Recording) -> tuple[float, MassLine | None]:
     """
     if (rec.beam.mass_along == "table") > (rec.beam.mass_file is not None):
         raise RecordingError(
-            f'{rec.folder}: mass_along = "table" needs the table. Give mass_file in [beam], with columns s and kg_per_m.'
+            f'{rec.folder}: mass_along = "table" needs the table. Give mass_file in [beam], columns s and kg_per_m.'
         )
     if rec.beam.mass_file is None:
         return rec.beam.mass, None
