@@ -14,6 +14,7 @@ from onebend.beam.modes import Modes
 from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import (
     Change,
+    Changes,
     of_clamp_angle,
     of_force,
     of_moment,
@@ -155,19 +156,7 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     """Derivatives of the tags' poses: (F, m, 3, C) with the parameters `at.known_to`, (F, m, 3, 2) with the force."""
     r, solved = seen.number, now.solved
     s, over = tag_places(seen, at, x)
-    k = solved.problem.k
-    by_k = of_stiffness(solved, k[..., None] * seen.on_nodes)
-    if seen.own is not None:
-        by_k = replace(by_k, force=seen.own.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
-    change = (
-        by_k
-        + of_rest_curvature(solved.problem, seen.rest_on_nodes)
-        + of_clamp_angle(solved.problem)
-        + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
-        + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
-    )
-    if seen.own is not None:
-        change = change + seen.own.by_mass(seen.problem, k)
+    change = _changes(seen, at, x, now)
     if seen.ends is None:
         response = respond(solved, change).poses(s)
     else:
@@ -204,6 +193,23 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     if columns is not None:
         out[:, :, :2, columns.start] = (now.pose[..., :2] - at.get(x, "origin", r)) / scale
     return out, by_force
+
+
+def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
+    """How the coefficients of log k, rest curvature, clamp angle, force, its place, and the mass where something weighs
+    enter the balance."""
+    solved, k = now.solved, now.solved.problem.k
+    by_k = of_stiffness(solved, k[..., None] * seen.on_nodes)
+    if seen.own is not None:
+        by_k = replace(by_k, force=seen.own.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
+    change = (
+        by_k
+        + of_rest_curvature(solved.problem, seen.rest_on_nodes)
+        + of_clamp_angle(solved.problem)
+        + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
+        + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
+    )
+    return change if seen.own is None else change + seen.own.by_mass(seen.problem, k)
 
 
 def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
