@@ -15,7 +15,7 @@ from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import pose
 from onebend.beam.stiffness import Scaled, Uniform
-from onebend.errors import RecordingError
+from onebend.errors import ObservationError, RecordingError
 from onebend.learning.forward import film, jacobian, predict
 from onebend.learning.held_poses import RESOLUTION, stated_remarks
 from onebend.learning.parameters import Priors, layout
@@ -166,3 +166,22 @@ def test_k_stated_as_one_number_is_one(tmp_path: Path) -> None:
 def test_a_held_end_half_written_is_refused(tmp_path: Path, row: str, reason: str) -> None:
     with pytest.raises(RecordingError, match=reason):
         observe(pose_folder(tmp_path / "rod", loads=HELD + row, shown=held_points(ROD, Loads())[:1]))
+
+
+def test_a_held_pose_that_shows_too_little_is_refused(tmp_path: Path) -> None:
+    shown = held_points(HEAVY, weight(G * DOWN))
+    shown[1, 1:4, 0] = np.nan
+    with pytest.raises(ObservationError, match="pose 1 has 2 points with both coordinates"):
+        observe(held_folder(tmp_path / "rod", shown))
+
+
+def test_an_end_read_beyond_the_beams_reach_is_put_within(tmp_path: Path) -> None:
+    """As a ruler may read a wire that hangs nearly straight."""
+    end = np.array([[0.15, -0.47, -1.2]])
+    points = hold(HEAVY, end, weight(G * DOWN)).solved.xy(ROD_S)
+    points[0, -1] *= 0.5005 / np.linalg.norm(points[0, -1])
+    folder = pose_folder(tmp_path / "rod", loads=HELD + f"0{UNKNOWN}", shown=points, beam="mass_kg = 1.2\n")
+    posterior = learned(observe(folder))
+    assert posterior.optimum.converged
+    solved = posterior.optimum.predictions[0].solved
+    assert np.linalg.norm(solved.xy(np.ones(1))[0, 0]) < 0.5

@@ -1,6 +1,7 @@
 """A beam held at both ends, near the shape in which it was seen: no search among equilibria, the picture tells which.
 
-Newton's method from that shape; where it strays, the beam is let down the energy from there, its end in place.
+Newton's method from that shape; where it strays, the shape is taken as free of stress and led over to the true rest and
+loads, its end in place.
 """
 
 from __future__ import annotations
@@ -9,11 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.beam.ends import end_jacobian, let_down, newton, stands
+from onebend.beam.ends import end_jacobian, let_down, newton, restore, stands
 from onebend.beam.grid import apply, solve_each, transposed
+from onebend.beam.held import release
 from onebend.beam.problem import Problem
 from onebend.beam.statics import Equilibrium, gradient
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 
 _TRUST = 0.7  # rad, the largest turn from the known shape that is still the same equilibrium
 _STEPS = 25
@@ -28,14 +30,25 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
     wrench = balancing(problem, start)
     q, w, near = newton(problem, start, wrench, end, trust=_TRUST, most=_STEPS)
     near[near] &= stands(problem.take(near), q[near], w[near])
-    for i in np.flatnonzero(~near).tolist():
-        q[i], w[i] = start[i], wrench[i]
-        down = let_down(problem.take(np.array([i])), start[i : i + 1], end[i : i + 1]) if fall else None
-        if down is not None:
-            q[i], w[i], near[i] = down[0][0], down[1][0], True
+    lost = np.flatnonzero(~near)
+    q[lost], w[lost] = start[lost], wrench[lost]
+    if fall and lost.size:
+        q[lost], w[lost], near[lost] = _let_go(problem.take(lost), start[lost], end[lost])
     none = np.full(len(q), np.nan)
     factor = np.where(near, 1.0, np.nan)
     return Equilibrium(under(problem, w), q, near, near.copy(), factor, none, np.zeros(len(q), dtype=bool), 0), w
+
+
+def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, BoolArray]:
+    """From shapes (T, Q) as if free of stress to the true rest and loads, then where need be down the energy."""
+    begin, there = restore(problem, start, end)
+    q, w, share = release(problem, begin, end)
+    well = there & (share == 1.0)
+    for i in np.flatnonzero(there & ~well).tolist():
+        down = let_down(problem.take(np.array([i])), q[i : i + 1], end[i : i + 1])
+        if down is not None:
+            q[i], w[i], well[i] = down[0][0], down[1][0], True
+    return q, w, np.asarray(well)
 
 
 def under(problem: Problem, wrench: Array) -> Problem:

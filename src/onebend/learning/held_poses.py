@@ -25,7 +25,7 @@ from onebend.learning.parameters import Layout
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
-ROUGH = Resolution(order=12, widest=0.25)  # of a first look
+_REACH = 0.999  # of the length: an end that was read as farther away is put where the way to it ends
 _SETTLE = 3  # steps of the ends towards the points
 _STRIDE = 0.3  # of the length, rad: the longest of them
 _WEAK = 1e-6  # of the derivatives squared: what keeps an end in place that no point tells of
@@ -68,7 +68,8 @@ def held_ends(o: Observations, frames: BoolArray, problem: Problem) -> HeldEnds 
     if o.marker_s[tip] >= 1.0 - 1e-9:
         seen = np.concatenate([o.xy[rows, tip], o.angle[rows, tip, None]], axis=1)
         seen[:, 2] -= 2.0 * np.pi * np.round((seen[:, 2] - end[:, 2]) / (2.0 * np.pi))
-        end = np.where(np.isfinite(seen), seen, end)
+        near = np.linalg.norm(np.nan_to_num(seen[:, :2]), axis=1, keepdims=True) < _REACH * o.length
+        end = np.where(np.isfinite(seen) & near, seen, end)
     number = np.cumsum(o.held)[rows] - 1
     return HeldEnds(held.astype(np.int64), number, start, end)
 

@@ -210,7 +210,9 @@ def fit(
         x[mass] = (x[mass] + np.array([1.0, 0.0, 0.0, 0.0])) / more - np.array([1.0, 0.0, 0.0, 0.0])
         near = replace(near, x=x)
         films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
-    optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
+    same = all(np.array_equal(one.frames, other.frames) for one, other in zip(first, films, strict=True))
+    shapes = [p.solved.q for p in near.predictions] if same else None
+    optimum = search(films, at, near.x, level, near.scales, expected, end, progress, shapes)
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)

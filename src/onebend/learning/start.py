@@ -12,7 +12,8 @@ from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import distances, loads_of, mass_profile, usable_frames
-from onebend.learning.held_poses import ROUGH, is_held, sets_no_scale, shapes_of
+from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
+from onebend.learning.held_poses import is_held, sets_no_scale, shapes_of
 from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass, weighs
 from onebend.learning.outcome import Learned
 from onebend.learning.validation import RESOLUTION
@@ -87,7 +88,7 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = shapes_of(o, some, pose(beam, loads_of(o, some), ROUGH if is_held(o) else RESOLUTION))
+        solved = shapes_of(o, some, pose(beam, loads_of(o, some), HELD_RESOLUTION if is_held(o) else RESOLUTION))
         if not np.all(solved.converged):
             return float("inf")
         squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2

@@ -40,7 +40,7 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
         A load without a place, a weight or a room axis without the clamp's angle, angles that differ within a pose.
     """
     columns = ("s", "clamp_deg", *AMOUNTS)
-    table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH)
+    table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
     held_rows = _held(table)
     amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
     loaded = np.any([np.nan_to_num(values) != 0.0 for values in amounts.values()], axis=0)
