@@ -2,10 +2,12 @@
 
 At a point x every film gives whitened residuals r, derivatives J with the parameters and A with each frame's force. A
 frame's covariance is its tags' own plus what the fast part of its force error does: `s^2 (I + (f/s)^2 A A^T)`. The
-data's say is a quadratic: information `H` and `b = J^T S^-1 (r + J x)`. All derivatives are taken at the force with that
-fast part f taken off, as estimated, and `r` is what is left there plus `A f`: taken at the logged force they would go
-with its noise, and noise in what a beam bends by makes it look stiffer (attenuation; errors in variables). Priors are Gaussian, so for fixed scales the
+data's say is a quadratic: information `H` and `b = J^T S^-1 (r + J x)`. Priors are Gaussian, so for fixed scales the
 maximum and the evidence (marginal likelihood) of the linearised model follow in closed form (`scales.py`).
+
+All derivatives are taken at the force with each frame's own, fast error f taken off, and `r` is what is left there plus
+`A f`. Taken at the force as logged they would go with its noise, and noise in what bends a beam makes it look stiffer
+(errors in variables, attenuation).
 """
 
 from __future__ import annotations
