@@ -58,7 +58,7 @@ class Film:
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
-    own: OwnWeight | None  # what the mass has besides; None where nothing weighs
+    mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
 
@@ -69,7 +69,8 @@ class Prediction:
 
     solved: Equilibrium
     pose: Array  # (F, m, 3)
-    force: Array  # (F, 2) N, the corrected force
+    force: Array  # (F, 2) N, the corrected force, `own` with it
+    own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
 
 
 def film(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> Film:
@@ -117,21 +118,23 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         farther=_farther(problem, push_s),
         weight=problem.dead_force,
         ends=ends,
-        own=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
+        mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
     )
 
 
-def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction:
-    """Equilibria and tags for parameters x; warm-started from shapes `start` (F, Q) where given."""
+def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+    """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
+    warm-started from shapes `start` (F, Q) where given."""
     r = seen.number
+    own = np.zeros_like(seen.force) if own is None else own
     errors = at.get(x, "force", r).reshape(-1, 2)
-    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T
+    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T + own
     k = np.exp(seen.on_nodes @ at.get(x, "stiffness"))
     weight_beyond = seen.weight
-    if seen.own is not None:
-        weight_beyond = weight_beyond + seen.own.force(seen.problem, k, at.get(x, "mass"))
+    if seen.mass is not None:
+        weight_beyond = weight_beyond + seen.mass.force(seen.problem, k, at.get(x, "mass"))
     problem = replace(
         seen.problem,
         k=k,
@@ -149,7 +152,7 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
     cos, sin = np.cos(angle), np.sin(angle)
     ride = np.stack([cos * over - sin * across, sin * over + cos * across], axis=-1)
     xy = (1.0 + at.get(x, "scale", r)) * (solved.xy(s) + ride) + at.get(x, "origin", r)
-    return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force)
+    return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force, own)
 
 
 def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, Array]:
@@ -173,7 +176,7 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     _put(out, at.columns("stiffness"), mechanics[..., :p])
     _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
     _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
-    if seen.own is not None:
+    if seen.mass is not None:
         _put(out, at.columns("mass"), mechanics[..., p + 7 :])
     _put(out, at.columns("place", r), mechanics[..., p + 6 : p + 7])
     if seen.ends is not None:
@@ -200,8 +203,8 @@ def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
     enter the balance."""
     solved, k = now.solved, now.solved.problem.k
     by_k = of_stiffness(solved, k[..., None] * seen.on_nodes)
-    if seen.own is not None:
-        by_k = replace(by_k, force=seen.own.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
+    if seen.mass is not None:
+        by_k = replace(by_k, force=seen.mass.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
     change = (
         by_k
         + of_rest_curvature(solved.problem, seen.rest_on_nodes)
@@ -209,7 +212,7 @@ def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
         + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
         + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
     )
-    return change if seen.own is None else change + seen.own.by_mass(seen.problem, k)
+    return change if seen.mass is None else change + seen.mass.by_mass(seen.problem, k)
 
 
 def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
