@@ -135,4 +135,4 @@ def rod(folder: Path) -> None:
     print("at most), most at the tip: between the repeats the clamp's angle and the rod's own set changed. So four")
     print("in one fit, which have one rest shape, do not come near; each alone does. The last row is what five")
     print("stations can show of this taper: its table has kinks of up to 12 % in I that no fit of these readings")
-    print("follows, the largest where EI is off most. What is beyond that row is the rod's own E or a reading.")
+    print("follows, the largest near u = 0.6. What is beyond that row is the rod's own E or a reading.")
