@@ -29,6 +29,8 @@ def main() -> None:
     truth = np.load(RECORDINGS / "quadratic_train" / "truth" / "truth.npz")
     s, line, length = truth["s"], truth["rhoA"], seen["grav"].length
     total, pull = length * np.trapezoid(line, s), 2 * length * np.trapezoid(s * line, s)
+    print("The bench's description says that the beam is 30 mm deep everywhere and that its width varies:")
+    print('`mass_along = "width"` states that.\n')
     print("| learned from | stated | total [g] (true) | off [%] | pull [g] (true) | off [%] | k(s) off, RMS [%] |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     inside = (s >= 0.05) & (s <= 0.9)

@@ -103,7 +103,8 @@ def leaf(folder: Path) -> None:
     print("| E [GPa] | " + " | ".join(f"{e:.2f}" for e in band.k * scale / 1e9) + " |")
     low_high = zip(band.low * scale / 1e9, band.high * scale / 1e9, strict=True)
     print("| 95 % band | " + " | ".join(f"{low:.2f} to {high:.2f}" for low, high in low_high) + " |")
-    print(f"\nThe fit's RMS is {rms:.1f} cm: the points' places, stated as known to 10 cm (one sd), take up the misfit.")
+    print(f"\nThe fit's RMS is {rms:.1f} cm: the points' places, stated as known to 10 cm (one sd), take up the")
+    print("misfit.")
 
 
 def main() -> None:
