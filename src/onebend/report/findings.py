@@ -58,6 +58,8 @@ POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
 def poor_fit(one: Comparison) -> list[Remark]:
     """A warning where the simulated beam misses a marker by a large part of what the marker moves."""
     motion = np.linalg.norm(np.fmax.reduce(one.measured) - np.fmin.reduce(one.measured), axis=-1)
+    if one.static:  # poses may be few, or alike: counted from the straight beam
+        motion = np.maximum(motion, np.nanmax(np.abs(one.measured[..., 1])))
     worst = int(np.argmax(np.nan_to_num(np.divide(one.rms, motion, out=np.zeros_like(motion), where=motion > 0.0))))
     if not one.rms[worst] > POOR * motion[worst]:
         return []
