@@ -46,7 +46,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         raise LearningError(f"{observations.name}: no frame has a load, a force and a tag; nothing to compare")
     if np.any(observations.gravity != 0.0) and not np.any(beam.mass_per_length(_PLACES) > 0.0):
         raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
-    solved = _solved(beam, observations, frames)
+    solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
     predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
     stable = np.concatenate([one.stable for one in solved])
@@ -69,7 +69,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     )
 
 
-def _solved(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
+def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
     """Under the measured loads; an end held by an unknown one stands where it was seen."""
     loads = loads_of(observations, frames)
     if is_held(observations):
