@@ -23,14 +23,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import RECORDINGS, Truth, read_truth
 from onebend.errors import OnebendError
-from onebend.lab.chance import random_bench
-from onebend.lab.designs import DESIGNS
+from onebend.lab.chance import Chance, random_bench
 from onebend.lab.film import film
 from onebend.lab.filming import Filming
-from onebend.lab.strategies import PushName, Wish, filming_of
 from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn_recording
 from onebend.progress import Progress, Silent
@@ -44,10 +43,12 @@ from onebend.records import Detections
 S = np.linspace(0.05, 0.9, 35)
 KEPT = Path(__file__).parents[1] / "out" / "film"
 STREAM = 77  # of the random numbers of benches
-TWINS: tuple[tuple[str, PushName, bool, str], ...] = (  # calibrated as the recording is
-    ("linear", "slow", True, "linear_train"),
-    ("quadratic", "s08", True, "quadratic_s08"),
-    ("cubic", "fast", False, "cubic_fast"),
+# Shorter and coarser films than a laboratory's best, so that 50 of them are affordable: contact of 4 to 7 s, some
+# cameras of 640 x 480, some at 10 frames/s.
+DRAWN = Chance(
+    seconds=(4.0, 7.0),
+    sides=((640, 480), (1280, 720), (1280, 720), (1920, 1080)),
+    fps=(10.0, 15.0, 24.0, 30.0),
 )
 
 
@@ -57,10 +58,11 @@ class Run:
 
     seed: int
     sensor: str
+    camera: str = ""  # its picture, px
     failure: str = ""
     frames: int = 0
     film_seconds: float = 0.0  # of one core
-    learn_seconds: float = 0.0
+    learn_seconds: float = 0.0  # of one core
     place: float = 0.0  # m RMS, tags against the truth
     angle: float = 0.0  # rad RMS
     claimed: float = 0.0
@@ -88,7 +90,7 @@ class Keeping:
 
 def run(seed: int) -> Run:
     """Film the bench of a seed, learn, compare."""
-    filming = random_bench(np.random.default_rng([STREAM, seed]), name=f"drawn-{seed}")
+    filming = random_bench(np.random.default_rng([STREAM, seed]), DRAWN, name=f"drawn-{seed}")
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return learned(filming, Path(place) / "film", seed)
@@ -96,26 +98,26 @@ def run(seed: int) -> Run:
 
 def learned(filming: Filming, folder: Path, seed: int) -> Run:
     """Film a bench into `folder`, learn, compare."""
-    began = time.process_time()
+    camera, began = filming.camera, time.process_time()
+    begun = Run(seed, filming.sensor_name, f"{camera.width} x {camera.height}")
     try:
         film(filming, folder, seed=seed)
     except OnebendError as wrong:
-        return Run(seed, filming.sensor_name, failure=f"film: {wrong}")
-    filmed, started = time.process_time() - began, time.perf_counter()
+        return replace(begun, failure=f"film: {wrong}")
+    filmed, started = time.process_time() - began, time.process_time()
     detect, truth = Keeping(), read_truth(folder)
     try:
         found = learn_recording(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
     except OnebendError as wrong:
-        return Run(seed, filming.sensor_name, failure=f"learn: {wrong}", film_seconds=filmed)
+        return replace(begun, failure=f"learn: {wrong}", film_seconds=filmed)
     assert found.posterior is not None
     assert detect.found is not None
     place, angle, claimed = errors(measure_markers(detect.found, read_recording(folder)), truth)
-    made = Run(
-        seed,
-        filming.sensor_name,
+    made = replace(
+        begun,
         frames=len(truth.time),
         film_seconds=filmed,
-        learn_seconds=time.perf_counter() - started,
+        learn_seconds=time.process_time() - started,
         place=place,
         angle=angle,
         claimed=claimed,
@@ -198,6 +200,24 @@ def study_table(runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
+def runs_table(runs: Iterable[Run]) -> str:
+    """A row a run: the share of the identified places, and of all, that its band holds."""
+    lines = [
+        "| run | sensor | camera | frames | inside, identified | inside, all | identified | error of log k "
+        "| claimed sd | place [mm] | film, learn [s of one core] |",
+        "| " + "--- | " * 11,
+    ]
+    for one in runs:
+        name = f"| {one.seed} | {one.sensor} | {one.camera} "
+        if one.failure:
+            lines.append(name + "| " * 8 + "|")
+            continue
+        shares = " | ".join(f"{100.0 * v:.0f} %" for v in (one.inside, one.inside_all, one.identified))
+        sizes = f"{one.error:.3f} | {one.width:.3f} | {1e3 * one.place:.4f}"
+        lines.append(f"{name}| {one.frames} | {shares} | {sizes} | {one.film_seconds:.0f}, {one.learn_seconds:.0f} |")
+    return "\n".join(lines)
+
+
 def odd_runs(runs: Iterable[Run]) -> str:
     """Every run that was not learned, or whose band holds less than nine tenths of the identified places, and why."""
     lines = ["| run | sensor | seen | inside | error of log k | claimed sd | what it said |", "| " + "--- | " * 7]
@@ -211,35 +231,6 @@ def odd_runs(runs: Iterable[Run]) -> str:
     return "\n".join(lines)
 
 
-def twins_table(recordings: Path) -> str:
-    """Tags of films of the named designs beside those of the development recordings that they resemble."""
-    lines = [
-        "| film | frames | place [mm] | angle [deg] | claimed chi^2 | film [frames/s of one core] | recording "
-        "| place [mm] | angle [deg] |",
-        "| " + "--- | " * 9,
-    ]
-    for design, push, calibrated, other in TWINS:
-        filming = filming_of(DESIGNS[design], Wish(push=push, calibrated=calibrated), f"{design}-{push}")
-        with tempfile.TemporaryDirectory() as place:
-            folder, began = Path(place) / "film", time.process_time()
-            film(filming, folder, seed=1)
-            seconds = time.process_time() - began
-            mine, frames = tag_errors(folder), len(read_truth(folder).time)
-        theirs = tag_errors(recordings / other) if (recordings / other / "truth").is_dir() else (float("nan"),) * 3
-        lines.append(
-            f"| {design} {push} | {frames} | {1e3 * mine[0]:.4f} | {np.degrees(mine[1]):.4f} | {mine[2]:.2f} "
-            f"| {frames / seconds:.1f} | {other} | {1e3 * theirs[0]:.4f} | {np.degrees(theirs[1]):.4f} |"
-        )
-    return "\n".join(lines)
-
-
-def tag_errors(folder: Path) -> tuple[float, float, float]:
-    """RMS error of place [m] and angle [rad] of a recording's tags, and the median of their squares as claimed."""
-    rec = read_recording(folder)
-    assert rec.video is not None
-    return errors(measure_markers(detect_tags(rec.video, rec.tags, threads=1), rec), read_truth(folder))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=50)
@@ -250,6 +241,7 @@ def main() -> None:
     asked = parser.parse_args()
     runs = study(asked.runs, asked.jobs, asked.kept)
     print(study_table(runs))
+    print(f"\nEvery run:\n\n{runs_table(runs)}")
     print(f"\nRuns to look at:\n\n{odd_runs(runs)}")
     if not asked.no_twins:
         print(f"\nTags of films and of the development recordings:\n\n{twins_table(asked.recordings)}")

@@ -121,9 +121,7 @@ def cast_of(filming: Filming, rng: np.random.Generator) -> Cast:
 def to_be_seen(cast: Cast, beam: Array, tags: Array) -> Array:
     """(N, 2) m: the paper of every tag at every time, and the beam."""
     corners = [
-        placed(tag.paper[0], pose)
-        for i, tag in enumerate(cast.tags)
-        for pose in tags[:: max(1, len(tags) // 200), i]
+        placed(tag.paper[0], pose) for i, tag in enumerate(cast.tags) for pose in tags[:: max(1, len(tags) // 200), i]
     ]
     return np.concatenate([*corners, beam[::5, :, :2].reshape(-1, 2)])
 

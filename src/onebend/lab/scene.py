@@ -52,7 +52,10 @@ class Scene:
             raise RecordingError(
                 f"there is no backdrop {self.backdrop!r}. Take one of {', '.join(get_args(Backdrop))}."
             )
-        if min(self.exposure, self.blur, self.noise, self.tool_width, self.print_dpi) < 0.0 or not 0.0 <= self.falloff < 1.0:
+        if (
+            min(self.exposure, self.blur, self.noise, self.tool_width, self.print_dpi) < 0.0
+            or not 0.0 <= self.falloff < 1.0
+        ):
             raise RecordingError("exposure, blur, noise and dots per inch cannot be negative; falloff is in [0, 1)")
         if not 0 <= self.crf <= 51:
             raise RecordingError(f"H.264 knows qualities from 0 to 51, got {self.crf}")

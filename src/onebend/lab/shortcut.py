@@ -13,7 +13,7 @@ from onebend.errors import RecordingError
 from onebend.lab.virtual import Virtual
 from onebend.recording.force import clean_force, force_at
 from onebend.recording.frame import to_beam_frame
-from onebend.records import Array, ClockOffset, Observations
+from onebend.records import Array, CleanForce, ClockOffset, Observations
 
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
@@ -37,28 +37,18 @@ def observe_quickly(
         An error whose shape is not that of the force at the frames.
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
-    if error is not None and error.shape != virtual.force.shape:
-        raise RecordingError(f"the force at the frames is {virtual.force.shape}, its error is {error.shape}")
-    true_time = markers.time + bench.clock.offset
+    time = markers.time + bench.clock.offset + clock_error
     begin, end = bench.push.contact
     still = np.asarray((markers.time < begin) | (markers.time > end))
     none = np.zeros((len(markers.time), 2))
     seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, none)
-    clean, force, noise = None, virtual.force, np.full(2, np.nan)
-    if error is not None:
-        force = force + error
-        noise = np.sqrt(np.mean(error**2, axis=0))
-    else:
-        rests = [(-inf, begin + bench.clock.offset - MARGIN)]
-        if bench.push.after > 2.0 * MARGIN:
-            rests.append((end + bench.clock.offset + MARGIN, inf))
-        clean = clean_force(virtual.log, rests, cutoff=cutoff)
-        force, noise = force_at(clean, true_time + clock_error), clean.noise_sd
+    clean, force, noise = _force_seen(virtual, error, time, cutoff)
+    clock = ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True)
     known = np.all(np.isfinite(force), axis=1)
     return Observations(
         name=rec.name,
         length=rec.beam.length,
-        time=(true_time + clock_error)[known],
+        time=time[known],
         frame=np.flatnonzero(known).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
@@ -76,10 +66,24 @@ def observe_quickly(
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
-        clock=ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True)
-        if clock_sd > 0.0
-        else None,
+        clock=clock if clock_sd > 0.0 else None,
         clean_force=clean,
         place_sd=rec.place_sd,
         direction_sd=rec.direction_sd,
     )
+
+
+def _force_seen(
+    virtual: Virtual, error: Array | None, at: Array, cutoff: float
+) -> tuple[CleanForce | None, Array, Array]:
+    """The cleaned log if it is used, the force (T, 2) N that frames at `at` (T,) [s] of its clock are given, its sd."""
+    if error is not None:
+        if error.shape != virtual.force.shape:
+            raise RecordingError(f"the force at the frames is {virtual.force.shape}, its error is {error.shape}")
+        return None, virtual.force + error, np.sqrt(np.mean(error**2, axis=0))
+    begin, end = (moment + virtual.bench.clock.offset for moment in virtual.bench.push.contact)
+    rests = [(-inf, begin - MARGIN)]
+    if virtual.bench.push.after > 2.0 * MARGIN:
+        rests.append((end + MARGIN, inf))
+    clean = clean_force(virtual.log, rests, cutoff=cutoff)
+    return clean, force_at(clean, at), clean.noise_sd
