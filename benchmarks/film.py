@@ -40,6 +40,7 @@ from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections
 
+SMOOTH = 12.0  # of the slope of log k over s: steeper are steps and joints, which a smooth prior rounds off
 S = np.linspace(0.05, 0.9, 35)
 KEPT = Path(__file__).parents[1] / "out" / "film"
 STREAM = 77  # of the random numbers of benches
@@ -59,6 +60,7 @@ class Run:
     seed: int
     sensor: str
     camera: str = ""  # its picture, px
+    steepest: float = 0.0  # of log k over s, its size
     failure: str = ""
     frames: int = 0
     film_seconds: float = 0.0  # of one core
@@ -106,6 +108,7 @@ def learned(filming: Filming, folder: Path, seed: int) -> Run:
         return replace(begun, failure=f"film: {wrong}")
     filmed, started = time.process_time() - began, time.process_time()
     detect, truth = Keeping(), read_truth(folder)
+    begun = replace(begun, steepest=float(np.max(np.abs(np.gradient(np.log(truth.k), truth.s)))))
     try:
         found = learn_recording(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
     except OnebendError as wrong:
@@ -178,6 +181,8 @@ def study_table(runs: Sequence[Run]) -> str:
         "| " + "--- | " * 11,
     ]
     groups = {"all": list(runs)}
+    groups |= {"k(s) smooth": [one for one in runs if one.steepest < SMOOTH and not one.failure]}
+    groups |= {"k(s) with steps or a joint": [one for one in runs if one.steepest >= SMOOTH]}
     groups |= {sensor: [one for one in runs if one.sensor == sensor] for sensor in sorted({r.sensor for r in runs})}
     groups["without a warning"] = [one for one in runs if not one.warnings and not one.failure]
     for name, group in groups.items():
@@ -203,18 +208,20 @@ def study_table(runs: Sequence[Run]) -> str:
 def runs_table(runs: Iterable[Run]) -> str:
     """A row a run: the share of the identified places, and of all, that its band holds."""
     lines = [
-        "| run | sensor | camera | frames | inside, identified | inside, all | identified | error of log k "
+        "| run | sensor | camera | frames | steepest log k | inside, identified | inside, all | identified | error of log k "
         "| claimed sd | place [mm] | film, learn [s of one core] |",
-        "| " + "--- | " * 11,
+        "| " + "--- | " * 12,
     ]
     for one in runs:
         name = f"| {one.seed} | {one.sensor} | {one.camera} "
         if one.failure:
-            lines.append(name + "| " * 8 + "|")
+            lines.append(name + "| " * 9 + "|")
             continue
         shares = " | ".join(f"{100.0 * v:.0f} %" for v in (one.inside, one.inside_all, one.identified))
         sizes = f"{one.error:.3f} | {one.width:.3f} | {1e3 * one.place:.4f}"
-        lines.append(f"{name}| {one.frames} | {shares} | {sizes} | {one.film_seconds:.0f}, {one.learn_seconds:.0f} |")
+        lines.append(
+            f"{name}| {one.frames} | {one.steepest:.0f} | {shares} | {sizes} | {one.film_seconds:.0f}, {one.learn_seconds:.0f} |"
+        )
     return "\n".join(lines)
 
 

@@ -97,7 +97,8 @@ def twins_table(recordings: Path) -> str:
         "| film [frames/s of one core] |",
         "| " + "--- | " * 8,
     ]
-    ours, theirs = [], []
+    ours: list[TagErrors] = []
+    theirs: list[TagErrors] = []
     for design, push, calibrated in TWINS:
         mine, seconds, frames = [], 0.0, 0
         for seed in range(CAMERAS):
