@@ -208,8 +208,8 @@ def study_table(runs: Sequence[Run]) -> str:
 def runs_table(runs: Iterable[Run]) -> str:
     """A row a run: the share of the identified places, and of all, that its band holds."""
     lines = [
-        "| run | sensor | camera | frames | steepest log k | inside, identified | inside, all | identified | error of log k "
-        "| claimed sd | place [mm] | film, learn [s of one core] |",
+        "| run | sensor | camera | frames | steepest log k | inside, identified | inside, all | identified "
+        "| error of log k | claimed sd | place [mm] | film, learn [s of one core] |",
         "| " + "--- | " * 12,
     ]
     for one in runs:
@@ -219,9 +219,8 @@ def runs_table(runs: Iterable[Run]) -> str:
             continue
         shares = " | ".join(f"{100.0 * v:.0f} %" for v in (one.inside, one.inside_all, one.identified))
         sizes = f"{one.error:.3f} | {one.width:.3f} | {1e3 * one.place:.4f}"
-        lines.append(
-            f"{name}| {one.frames} | {one.steepest:.0f} | {shares} | {sizes} | {one.film_seconds:.0f}, {one.learn_seconds:.0f} |"
-        )
+        times = f"{one.film_seconds:.0f}, {one.learn_seconds:.0f}"
+        lines.append(f"{name}| {one.frames} | {one.steepest:.0f} | {shares} | {sizes} | {times} |")
     return "\n".join(lines)
 
 
