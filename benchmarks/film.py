@@ -41,6 +41,7 @@ from onebend.recording.tags import detect_tags
 from onebend.records import Detections
 
 SMOOTH = 12.0  # of the slope of log k over s: steeper are steps and joints, which a smooth prior rounds off
+VAGUE = 0.1  # of the peak: a force no better known than this
 S = np.linspace(0.05, 0.9, 35)
 KEPT = Path(__file__).parents[1] / "out" / "film"
 STREAM = 77  # of the random numbers of benches
@@ -61,6 +62,8 @@ class Run:
     sensor: str
     camera: str = ""  # its picture, px
     steepest: float = 0.0  # of log k over s, its size
+    peak: float = 0.0  # N, of the push
+    slack: float = 0.0  # sd of the force's error that comes and goes with the load, over the peak
     failure: str = ""
     frames: int = 0
     film_seconds: float = 0.0  # of one core
@@ -101,7 +104,10 @@ def run(seed: int) -> Run:
 def learned(filming: Filming, folder: Path, seed: int) -> Run:
     """Film a bench into `folder`, learn, compare."""
     camera, began = filming.camera, time.process_time()
-    begun = Run(seed, filming.sensor_name, f"{camera.width} x {camera.height}")
+    bench = filming.bench
+    slack = np.sqrt(2.0) * bench.sensor.reversal / bench.push.peak
+    size = f"{camera.width} x {camera.height}"
+    begun = Run(seed, filming.sensor_name, size, peak=bench.push.peak, slack=float(slack))
     try:
         film(filming, folder, seed=seed)
     except OnebendError as wrong:
@@ -155,8 +161,13 @@ def study(runs: int, jobs: int, kept: Path) -> list[Run]:
         kept.parent.mkdir(parents=True, exist_ok=True)
         os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that start now
         with ProcessPoolExecutor(jobs) as pool, kept.open("a", encoding="utf-8") as file:
-            for future in as_completed([pool.submit(run, seed) for seed in wanted]):
-                one = future.result()
+            futures = {pool.submit(run, seed): seed for seed in wanted}
+            for future in as_completed(futures):
+                try:
+                    one = future.result()
+                except Exception as wrong:  # a fault of the program: told as such, and tried again by the next call
+                    done[futures[future]] = Run(futures[future], "", failure=f"crashed: {wrong!r}")
+                    continue
                 done[one.seed] = one
                 file.write(json.dumps(asdict(one)) + "\n")
                 file.flush()
@@ -184,12 +195,14 @@ def study_table(runs: Sequence[Run]) -> str:
     groups |= {"k(s) smooth": [one for one in runs if one.steepest < SMOOTH and not one.failure]}
     groups |= {"k(s) with steps or a joint": [one for one in runs if one.steepest >= SMOOTH]}
     groups |= {sensor: [one for one in runs if one.sensor == sensor] for sensor in sorted({r.sensor for r in runs})}
+    groups |= {"force known to a tenth of its peak": [one for one in runs if one.slack < VAGUE]}
+    groups |= {"force known no better": [one for one in runs if one.slack >= VAGUE]}
     groups["without a warning"] = [one for one in runs if not one.warnings and not one.failure]
     for name, group in groups.items():
         good = [one for one in group if not one.failure]
-        if not good:
-            continue
         share = np.array([one.inside for one in good if np.isfinite(one.inside)])
+        if not len(share):
+            continue
         identified = 100 * np.mean([one.identified for one in good])
         spread = share.std(ddof=1) / np.sqrt(len(share)) if len(share) > 1 else float("nan")
         middle = {
@@ -208,19 +221,19 @@ def study_table(runs: Sequence[Run]) -> str:
 def runs_table(runs: Iterable[Run]) -> str:
     """A row a run: the share of the identified places, and of all, that its band holds."""
     lines = [
-        "| run | sensor | camera | frames | steepest log k | inside, identified | inside, all | identified "
+        "| run | sensor | camera | frames | push [N] | steepest log k | inside, identified | inside, all | identified "
         "| error of log k | claimed sd | place [mm] | film, learn [s of one core] |",
-        "| " + "--- | " * 12,
+        "| " + "--- | " * 13,
     ]
     for one in runs:
         name = f"| {one.seed} | {one.sensor} | {one.camera} "
         if one.failure:
-            lines.append(name + "| " * 9 + "|")
+            lines.append(name + "| " * 10 + "|")
             continue
         shares = " | ".join(f"{100.0 * v:.0f} %" for v in (one.inside, one.inside_all, one.identified))
         sizes = f"{one.error:.3f} | {one.width:.3f} | {1e3 * one.place:.4f}"
         times = f"{one.film_seconds:.0f}, {one.learn_seconds:.0f}"
-        lines.append(f"{name}| {one.frames} | {one.steepest:.0f} | {shares} | {sizes} | {times} |")
+        lines.append(f"{name}| {one.frames} | {one.peak:.2g} | {one.steepest:.0f} | {shares} | {sizes} | {times} |")
     return "\n".join(lines)
 
 
