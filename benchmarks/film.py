@@ -3,7 +3,8 @@
 Each run draws a beam, its tags and mounting, a camera, a scene, a sensor and a clock, films a slow push, learns from
 the folder as a user would, and compares. `inside` counts the places s = 0.05 to 0.9 that the fit calls identified and
 whose 95 % band holds the true k, with the standard error over whole runs; `without a warning` are runs in which nothing
-was said against the result. Runs are kept in out/film: the next call goes on from there (take another file when the fit has changed).
+was said against the result. Runs are kept in out/film: the next call goes on from there (take another file when the
+fit has changed).
 """
 
 from __future__ import annotations

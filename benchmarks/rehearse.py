@@ -1,8 +1,8 @@
 """What a rehearsal predicts against what simulated recordings give, and whether its first advice lowers the error.
 
 Recordings are observed quickly: clock and contact are taken from the truth where the clock's sd is given. Runs are kept
-in out/rehearse: the next call goes on from there (empty it when the fit has changed). The last column but one is the band's: obtained over predicted sd of
-log k, root mean squares over the beam.
+in out/rehearse: the next call goes on from there (empty it when the fit has changed). The last column but one is the
+band's: obtained over predicted sd of log k, root mean squares over the beam.
 """
 
 from __future__ import annotations
