@@ -10,10 +10,10 @@ from math import inf
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.virtual import Virtual
+from onebend.lab.virtual import Bench, Virtual
 from onebend.recording.force import clean_force, force_at
 from onebend.recording.frame import to_beam_frame
-from onebend.records import Array, CleanForce, ClockOffset, Observations
+from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations
 
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
@@ -38,12 +38,9 @@ def observe_quickly(
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
-    begin, end = bench.push.contact
-    still = np.asarray((markers.time < begin) | (markers.time > end))
-    none = np.zeros((len(markers.time), 2))
-    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, none)
+    still = _untouched(bench, markers.time)
+    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
-    clock = ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True)
     known = np.all(np.isfinite(force), axis=1)
     return Observations(
         name=rec.name,
@@ -62,15 +59,26 @@ def observe_quickly(
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
-        gravity=none[known],
+        gravity=np.zeros_like(force)[known],
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
-        clock=clock if clock_sd > 0.0 else None,
+        clock=_clock(bench, clock_error, clock_sd),
         clean_force=clean,
         place_sd=rec.place_sd,
         direction_sd=rec.direction_sd,
     )
+
+
+def _untouched(bench: Bench, time: Array) -> BoolArray:
+    """(T,) film times [s] at which nothing pushes."""
+    begin, end = bench.push.contact
+    return np.asarray((time < begin) | (time > end))
+
+
+def _clock(bench: Bench, error: float, sd: float) -> ClockOffset | None:
+    """What is found of the clocks where they are not known."""
+    return ClockOffset(bench.clock.offset + error, sd, bench.clock.said, True) if sd > 0.0 else None
 
 
 def _force_seen(
