@@ -7,7 +7,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -129,6 +129,8 @@ class CleanForce:
     cutoff: float  # Hz, of the zero-phase low-pass; infinity if none
     outliers: int  # rows replaced
     noise: ForceNoise | None = None  # of the log before the filter, where the clock search found it
+    zero_time: Array = field(default_factory=lambda: np.zeros(0))  # (r,) s, of each rest's zero
+    zero: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (r, 2) N, taken off: straight in time between them
     remarks: tuple[Remark, ...] = ()
 
 

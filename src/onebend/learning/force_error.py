@@ -15,13 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import toeplitz
 
-from onebend.recording.signals import low_pass_power
-from onebend.records import Array, ForceNoise, IntArray, Observations
+from onebend.learning.load_stages import own_time
+from onebend.recording.signals import low_pass, low_pass_power
+from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read
 _MOST_KNOTS = 100
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
+_FINE = 4  # steps between knots, where the load's error is filtered
+_LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
@@ -65,6 +68,9 @@ class ForceError:
     noise: ForceNoise  # as expected before the fit
     filtered: Filtered
     level: float  # N, sd of what the tare may have missed: all of it where the log shows no rest
+    load: float  # N, expected sd of what comes with the load
+    stages: Array  # (K, K) of one sd of that, behind the filter
+    mean: Array  # (K, 2) N, expected: what a zero that runs straight between rests took off
 
     @property
     def size(self) -> float:
@@ -78,12 +84,13 @@ class ForceError:
         """N^2 / Hz, one-sided density of the log's white noise."""
         return 2.0 * self.noise.white**2 * self.noise.spacing
 
-    def covariance(self, coloured: float, memory: float, walk: float) -> Array:
+    def covariance(self, coloured: float, memory: float, walk: float, load: float) -> Array:
         """(K, K) N^2 of one axis: sd of the coloured part, its correlation time and the walk as factors of what was
         expected."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         since = self.knots - self.knots[0]
         out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
+        out += (load * self.load) ** 2 * (1.0 + self.stages)
         out[np.diag_indices(len(out))] += _GRAIN * short[0]
         return np.asarray(out)
 
@@ -107,7 +114,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
         empty = np.zeros(0)
         rest = np.zeros((0, 0)), np.zeros((0, 2))
-        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, filtered(empty, np.inf), 0.0)
+        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, filtered(empty, np.inf), 0.0, 0.0, np.zeros((0, 0)), np.zeros((0, 2)))
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
@@ -137,7 +144,30 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
+        load=_LOAD * largest,
+        stages=_stages(observations, knots, cutoff),
+        mean=_ramp(clean, knots),
     )
+
+
+def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:
+    """(K, K) covariance of the coefficients of an error of one sd that comes with the load, behind the low-pass."""
+    step = float(knots[1] - knots[0])
+    fine = np.arange(knots[0] - 4.0 * step, knots[-1] + 4.0 * step, step / _FINE)
+    own = own_time(observations, fine)
+    passed = low_pass(fine, np.exp(-np.abs(own[:, None] - own)), cutoff, longest_gap=np.inf)
+    passed = low_pass(fine, passed.T, cutoff, longest_gap=np.inf)
+    inside = (fine >= knots[1]) & (fine <= knots[-2])
+    to_knots = np.linalg.pinv(spline_weights(knots, fine[inside]))
+    return np.asarray(to_knots @ passed[np.ix_(inside, inside)] @ to_knots.T)
+
+
+def _ramp(clean: CleanForce | None, knots: Array) -> Array:
+    """(K, 2) N at the knots: the first rest's zero less the one that was taken off."""
+    if clean is None or len(clean.zero_time) < 2:
+        return np.zeros((len(knots), 2))
+    taken = np.stack([np.interp(knots, clean.zero_time, column) for column in clean.zero.T], axis=1)
+    return np.asarray(clean.zero[0] - taken)
 
 
 def spline_weights(knots: Array, time: Array) -> Array:

@@ -189,7 +189,7 @@ def fit(
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
+    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
