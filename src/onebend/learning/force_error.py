@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import toeplitz
 
-from onebend.learning.load_stages import own_time
+from onebend.recording.load_stages import displacement, load_changes
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
@@ -25,6 +25,7 @@ _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
 _FINE = 4  # steps between knots, where the load's error is filtered
 _LOAD = 0.03  # of the largest force: expected sd of what comes with the load
+_ANEW, _RELEASED = 2.0, 0.5  # by how much its own time runs on where the load begins or reverses, and where it ends
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
@@ -114,7 +115,17 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
         empty = np.zeros(0)
         rest = np.zeros((0, 0)), np.zeros((0, 2))
-        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, filtered(empty, np.inf), 0.0, 0.0, np.zeros((0, 0)), np.zeros((0, 2)))
+        return ForceError(
+            empty,
+            np.zeros((len(time), 0)),
+            *rest,
+            nothing,
+            filtered(empty, np.inf),
+            0.0,
+            0.0,
+            np.zeros((0, 0)),
+            np.zeros((0, 2)),
+        )
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
@@ -154,12 +165,21 @@ def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:
     """(K, K) covariance of the coefficients of an error of one sd that comes with the load, behind the low-pass."""
     step = float(knots[1] - knots[0])
     fine = np.arange(knots[0] - 4.0 * step, knots[-1] + 4.0 * step, step / _FINE)
-    own = own_time(observations, fine)
+    own = _own_time(observations, fine)
     passed = low_pass(fine, np.exp(-np.abs(own[:, None] - own)), cutoff, longest_gap=np.inf)
     passed = low_pass(fine, passed.T, cutoff, longest_gap=np.inf)
     inside = (fine >= knots[1]) & (fine <= knots[-2])
     to_knots = np.linalg.pinv(spline_weights(knots, fine[inside]))
     return np.asarray(to_knots @ passed[np.ix_(inside, inside)] @ to_knots.T)
+
+
+def _own_time(observations: Observations, time: Array) -> Array:
+    """(N,) of the error that comes with the load at `time` (N,) [s]: its covariance is `exp(-|change of this|)`."""
+    o = observations
+    out = np.zeros(len(time))
+    for change in load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded):
+        out += (_RELEASED if change.release else _ANEW) * change.part(time)
+    return out
 
 
 def _ramp(clean: CleanForce | None, knots: Array) -> Array:
