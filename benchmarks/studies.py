@@ -93,8 +93,8 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     1.5 s off; tags and base off their places by 0.5 mm and 1.5 deg, as declared. everything: all of these, and noise of
     the tags that lasts, is stated too small and holds outliers, a force error of 2 % that changes when the load
     reverses, and a natural curvature. stages: beside the correlated errors one of 10 % that is drawn anew when the load
-    begins and reverses. franka: the same of 30 %, a lag of 35 ms, a gain of 13 %, as declared, 80 samples a second, and a
-    written start of the film as under clock. Where tags are not displaced their places are stated to 0.02 mm.
+    begins and reverses. franka: the same of 30 %, a lag of 35 ms, a gain of 13 %, as declared, 80 samples a second,
+    and a written start of the film as under clock. Where tags are not displaced their places are stated to 0.02 mm.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 7])
     everything = errors == "everything"

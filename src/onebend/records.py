@@ -199,5 +199,6 @@ class Observations:
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
     remarks: tuple[Remark, ...] = ()
+    load_error_sd: float = math.nan  # N, of a force error that comes with the load, as declared; NaN: found by the fit
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

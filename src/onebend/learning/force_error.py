@@ -4,8 +4,12 @@ The log's noise is known in kind and about in size from the clock search: a colo
 random walk (`records.ForceNoise`), beside white noise. After the zero-phase low-pass these keep what their spectra hold
 below the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
 coefficients is that process, its sizes and correlation time times factors that the data choose, and a level that a
-tare may have missed. What is faster than the knots counts as noise of each frame. In the rests the true force is zero,
-so there the log shows its error itself.
+tare may have missed. A robot's own estimate is also wrong in a way that comes with the load: by nearly as much while
+that grows or falls, and anew where it begins or reverses (`recording/load_stages.py`). That part is a process of one sd
+whose covariance is `exp(-|change of its own time|)`; that time runs on where the load changes and stands still else.
+Where the zero ran straight between two rests, what it took off is put back into what is expected: such an error often
+stays when the load has gone, and then the zero is wrong in between. What is faster than the knots counts as noise of
+each frame. In the rests the true force is zero, so there the log shows its error itself.
 """
 
 from __future__ import annotations
@@ -86,8 +90,8 @@ class ForceError:
         return 2.0 * self.noise.white**2 * self.noise.spacing
 
     def covariance(self, coloured: float, memory: float, walk: float, load: float) -> Array:
-        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time and the walk as factors of what was
-        expected."""
+        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time, the walk and what comes with the load
+        as factors of what was expected."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         since = self.knots - self.knots[0]
         out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
@@ -115,17 +119,8 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
         empty = np.zeros(0)
         rest = np.zeros((0, 0)), np.zeros((0, 2))
-        return ForceError(
-            empty,
-            np.zeros((len(time), 0)),
-            *rest,
-            nothing,
-            filtered(empty, np.inf),
-            0.0,
-            0.0,
-            np.zeros((0, 0)),
-            np.zeros((0, 2)),
-        )
+        no, alike = filtered(empty, np.inf), np.zeros((0, 0))
+        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, no, 0.0, 0.0, alike, np.zeros((0, 2)))
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
@@ -155,7 +150,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=_LOAD * largest,
+        load=o_load if (o_load := observations.load_error_sd) > 0.0 else _LOAD * largest,
         stages=_stages(observations, knots, cutoff),
         mean=_ramp(clean, knots),
     )

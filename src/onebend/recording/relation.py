@@ -98,7 +98,7 @@ def _load_steps(time: Array, xy: Array) -> Array:
     size = displacement(time, xy, np.median(xy[:10], axis=0))
     changes = load_changes(time, size, size > TOUCHED * size.max())
     ramps = [np.clip(PARTS * change.part(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
-    return np.stack([np.zeros(len(time)), *ramps], axis=1)[:, 1:] / np.sqrt(PARTS)
+    return np.asarray(np.stack([np.zeros(len(time)), *ramps], axis=1)[:, 1:] / np.sqrt(PARTS))
 
 
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:

@@ -8,6 +8,8 @@ misses are of its peak (within a factor of two for pushes of 4 to 13 s; docs/reh
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from onebend.lab.pushes import Push
@@ -72,7 +74,7 @@ def force_doubt(sensor: ForceSensor, push: Push) -> ForceDoubt:
     seconds = _seconds(push)
     cutoff = _CUTOFF / seconds
     white = sensor.white_sd * np.sqrt(min(2.0 * cutoff / sensor.rate, 1.0))
-    walk = np.sqrt(sensor.drift**2 + 2.0 * sensor.reversal**2 / seconds + (_WALK * push.peak) ** 2)
+    walk = np.hypot(sensor.drift, _WALK * push.peak)
     coloured, tau = sensor.coloured_sd, sensor.coloured_time
     if coloured == 0.0:  # a process of next to no size
         coloured, tau = 1e-4 * push.peak, 0.3
@@ -83,6 +85,7 @@ def force_doubt(sensor: ForceSensor, push: Push) -> ForceDoubt:
         cutoff=cutoff,
         walk=float(walk),
         frame=float(white),
+        load=sqrt(2.0) * sensor.reversal,  # it was off by as much at rest, too
     )
 
 
