@@ -88,6 +88,15 @@ class Posterior:
         """k(s) with its band."""
         return self.stiffness.band(s, level)
 
+    @property
+    def load_error(self) -> tuple[float, float]:
+        """N, one sd of the force error that comes with the load, as the data chose it, and its share of the largest
+        force; those of the recording where the share is largest, (0, 0) without a force."""
+        sizes = [self.optimum.scales.load * f.error.load for f in self.films if len(f.error.knots)]
+        forces = [float(np.max(np.linalg.norm(f.force, axis=1))) for f in self.films if len(f.error.knots)]
+        pairs = [(size, size / force) for size, force in zip(sizes, forces, strict=True)]
+        return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
+
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's and the force error's, before and after the data."""
         out = []

@@ -1,7 +1,7 @@
 """A setup as the Fisher information wants it: what the fit would take the instruments to be before the first push.
 
 The force's noise is the sensor's own, in the parts that the fit knows. An error that is drawn anew at each reversal of
-the load is about a random walk that grows to its size in half a push. The clock search's doubt, where clocks are found
+the load is a constant while the load grows. The clock search's doubt, where clocks are found
 from the data, follows a rule of thumb: a share of the push's time, as the force's error and what a linear relation
 misses are of its peak (within a factor of two for pushes of 4 to 13 s; docs/rehearse.md).
 """
