@@ -79,9 +79,9 @@ def load_error_words(load_error: tuple[float, float]) -> list[str]:
     if share < SMALL_SHARE:
         return []
     return [
-        f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by another "
-        "amount while it grows than while it falls, which no rest shows: the fit has taken that off, and what is left of "
-        "it is in the band. Push harder, or more than once, for a narrower one."
+        f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
+        "another amount while it grows than while it falls, which no rest shows: the fit has taken that off, and what "
+        "is left of it is in the band. Push harder, or more than once, for a narrower one."
     ]
 
 
