@@ -29,7 +29,7 @@ _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
 _FINE = 4  # steps between knots, where the load's error is filtered
 _LOAD = 0.03  # of the largest force: expected sd of what comes with the load
-_ANEW, _RELEASED = 2.0, 0.5  # by how much its own time runs on where the load begins or reverses, and where it ends
+_ANEW, _RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
