@@ -7,7 +7,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -131,6 +131,8 @@ class CleanForce:
     cutoff: float  # Hz, of the zero-phase low-pass; infinity if none
     outliers: int  # rows replaced
     noise: ForceNoise | None = None  # of the log before the filter, where the clock search found it
+    zero_time: Array = field(default_factory=lambda: np.zeros(0))  # (r,) s, of each rest's zero
+    zero: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (r, 2) N, taken off: straight in time between them
     remarks: tuple[Remark, ...] = ()
 
 
@@ -202,5 +204,6 @@ class Observations:
     stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
     held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     remarks: tuple[Remark, ...] = ()
+    load_error_sd: float = math.nan  # N, of a force error that comes with the load, as declared; NaN: found by the fit
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

@@ -32,11 +32,13 @@ from onebend.learning.held_poses import HeldEnds, held_ends, is_held, moved, put
 from onebend.learning.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
+from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations
 
 RESOLUTION = Resolution(order=12, widest=0.5)
 REST_MODES = Modes(3)
 MASS_MODES = Modes(4)
+_SLOW = 0.5  # of the cut-off, which is twice the bandwidth of the tags' motion
 
 
 @dataclass(frozen=True)
@@ -275,13 +277,17 @@ def _farther(problem: Problem, push_s: Array) -> Array:
 
 
 def _rate(o: Observations) -> Array:
-    """(T, 2) N/s: slope of the logged force at the frames."""
+    """(T, 2) N/s: slope of the force at the frames, from its slow part: the slope of the log's noise would tell the
+    clock that it is right as it is.
+    """
     if o.clean_force is None:
         return np.gradient(o.force, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(o.force)
     clean = o.clean_force
     known = np.all(np.isfinite(clean.force), axis=1)
-    slope = np.gradient(clean.force[known], clean.time[known], axis=0)
-    return np.stack([np.interp(o.time, clean.time[known], slope[:, c]) for c in range(2)], axis=1)
+    time = clean.time[known]
+    slow = low_pass(time, clean.force[known], _SLOW * clean.cutoff, longest_gap=np.inf)
+    slope = np.gradient(slow, time, axis=0)
+    return np.stack([np.interp(o.time, time, slope[:, c]) for c in range(2)], axis=1)
 
 
 def _rested(loads: Loads) -> Loads:

@@ -96,6 +96,15 @@ class Posterior:
         """k(s) with its band."""
         return self.stiffness.band(s, level)
 
+    @property
+    def load_error(self) -> tuple[float, float]:
+        """N, one sd of the force error that comes with the load, as the data chose it, and its share of the largest
+        force; those of the recording where the share is largest, (0, 0) without a force."""
+        sizes = [self.optimum.scales.load * f.error.load for f in self.films if len(f.error.knots)]
+        forces = [float(np.max(np.linalg.norm(f.force, axis=1))) for f in self.films if len(f.error.knots)]
+        pairs = [(size, size / force) for size, force in zip(sizes, forces, strict=True)]
+        return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
+
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's and the force error's, before and after the data."""
         out = []
@@ -205,7 +214,7 @@ def fit(
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
+    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)

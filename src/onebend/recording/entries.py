@@ -217,7 +217,11 @@ class ForceEntry:
         "white_sd_N", number(least=0), "the sensor's noise of one sample (one sd), N", example="0.03", default=math.nan
     )
     bias_sd: float = key(
-        "bias_sd_N", number(least=0), "the sensor's constant error (one sd), N", example="0.2", default=math.nan
+        "bias_sd_N",
+        number(least=0),
+        "the sensor's error under load that no rest shows (one sd), N",
+        example="0.2",
+        default=math.nan,
     )
 
 

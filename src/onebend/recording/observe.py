@@ -192,6 +192,7 @@ def _observations(
         clock=acting.clock,
         clean_force=acting.clean,
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
+        load_error_sd=np.nan if rec.force is None else rec.force.bias_sd,
         view=seen.view,
         place_sd=rec.place_sd,
         direction_sd=rec.direction_sd,

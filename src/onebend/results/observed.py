@@ -39,7 +39,7 @@ _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
 _SCALARS = (
     *("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd"),
-    *("place_sd", "direction_sd", "mass_along", "stiffness_along"),
+    *("place_sd", "direction_sd", "load_error_sd", "mass_along", "stiffness_along"),
 )
 _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "gain_sd": 0.0,
@@ -50,6 +50,7 @@ _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "clamp_sd": math.nan,
     "place_sd": PLACE_SD,
     "direction_sd": DIRECTION_SD,
+    "load_error_sd": math.nan,
     "known": None,
     "mass_line": None,
     "mass_along": "unknown",
@@ -180,6 +181,8 @@ def _force_of(clean: CleanForce) -> dict[str, Any]:
         "noise_sd": clean.noise_sd.tolist(),
         "tare": clean.tare.tolist(),
         "drift": clean.drift.tolist(),
+        "zero_time": clean.zero_time.tolist(),
+        "zero": clean.zero.tolist(),
         "cutoff": clean.cutoff,
         "outliers": clean.outliers,
         "noise": None if clean.noise is None else asdict(clean.noise),
@@ -194,6 +197,8 @@ def _clean_force(data: dict[str, Any] | None) -> CleanForce | None:
     return CleanForce(
         **arrays,
         push_s=None if data["push_s"] is None else np.asarray(data["push_s"], dtype=float),
+        zero_time=np.asarray(data.get("zero_time", []), dtype=float),
+        zero=np.asarray(data.get("zero", []), dtype=float).reshape(-1, 2),
         cutoff=float(data["cutoff"]),
         outliers=int(data["outliers"]),
         noise=None if data["noise"] is None else ForceNoise(**data["noise"]),
