@@ -9,6 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from onebend.records import Array, BoolArray, IntArray
 
 MAD_TO_SD = 1.4826  # of a normal distribution
+LONG_GAP = 0.25  # s: what moves in a longer one is not guessed
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
 
@@ -32,7 +33,8 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
 
     The noise of the samples is taken as white: it rises as sin^2(pi f dt) in the velocity's spectrum. Its size is the
     median above 0.4 of the highest frequency, where motion is rare. Only frequencies count around which the power is
-    at least five times the noise, and the noise is taken off. (T, c) columns share a unit and are summed.
+    at least five times the noise, and the noise is taken off. (T, c) columns share a unit and are summed. Across long
+    gaps the velocity runs straight: a straight path would end in corners, which look like fast motion.
     """
     dt = step(time)
     grid = np.arange(time[0], time[-1] + 0.5 * dt, dt)
@@ -40,7 +42,7 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
         return float("nan")
     full = bridged(time, values)
     even = np.stack([np.interp(grid, time, column) for column in full.T], axis=1)
-    velocity = np.diff(even, axis=0) / dt
+    velocity = steady(np.diff(even, axis=0) / dt, grid, time, values)
     power = np.sum(np.abs(np.fft.rfft(velocity * np.hanning(len(velocity))[:, None], axis=0)) ** 2, axis=1)
     frequency = np.fft.rfftfreq(len(velocity), dt)
     noise = np.sin(np.pi * frequency * dt) ** 2
@@ -53,6 +55,22 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     if not total[-1] > 0:
         return float("nan")
     return float(frequency[int(np.searchsorted(total, fraction * total[-1]))])
+
+
+def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
+    """(N - 1, c) `velocity` between the instants `grid`, straight in time where `values` (T, c) at `time` lack for
+    longer than `LONG_GAP`; a column that is seen nowhere for two instants stays as it is."""
+    out = velocity.copy()
+    for column, seen in zip(out.T, np.isfinite(values).T, strict=True):
+        known = time[seen]
+        if len(known) < 2:
+            continue
+        after = np.searchsorted(known, grid[1:] - 0.5 * (grid[1] - grid[0]))
+        gap = np.concatenate([[np.inf], np.diff(known), [np.inf]])[after]
+        good = gap <= LONG_GAP
+        if good.any() and not good.all():
+            column[~good] = np.interp(np.flatnonzero(~good), np.flatnonzero(good), column[good])
+    return out
 
 
 def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
