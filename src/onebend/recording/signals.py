@@ -14,6 +14,7 @@ LONG_GAP = 0.25  # s: what moves in a longer one is not guessed
 APART = 10.0  # periods of the cut-off: what lies farther apart is filtered on its own
 SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples, beside a gap that say how it is entered and left
 BRIDGE = 15  # points of a bridge over a gap
+FINE = 3.0  # steps of the last digit: noise that is larger shows
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
 
@@ -96,6 +97,14 @@ def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> B
         if whole > 0:
             found |= away > threshold * scale
     return found
+
+
+def within_noise(column: Array) -> bool:
+    """Whether the samples (N,) scatter by more than the steps in which they are written."""
+    steps = np.diff(np.unique(column))
+    if len(column) < 10 or not len(steps):
+        return False
+    return bool(np.median(np.abs(np.diff(column, n=2))) > FINE * float(np.min(steps)))
 
 
 def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:

@@ -172,6 +172,8 @@ def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> lis
     for tag, seen in zip(tag_id, share, strict=True):
         if seen < 1 - OFTEN_HIDDEN:
             text = f"Tag {tag} was not seen in {round((1 - seen) * frames)} of {frames} frames."
+            if not seen:
+                text = f"Tag {tag} is in none of the {frames} frames: correct its id in recording.toml, or take it out."
             remarks.append(Remark("note" if seen else "warning", text))
     return remarks
 
