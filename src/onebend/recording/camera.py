@@ -108,7 +108,7 @@ def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
 
 def lasting_base(corners: Array) -> Array:
     """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
-    seen = np.isfinite(corners).all(axis=(2, 3))
+    seen = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
     tag = int(np.argmax(seen.any(axis=0)))
     shown = np.flatnonzero(seen[:, tag])
     frames = np.arange(len(corners))

@@ -38,8 +38,8 @@ def false_zeros(force: Array) -> BoolArray:
     """(N,) rows in which all of `force` (N, c) is exactly zero though it is not just before or after: a robot that was
     not streaming, or near a singularity.
 
-    A run that is entered and left gently may be true: it is not among them, unless it lies inside the log, is no
-    longer than the runs that are entered and left by a jump, and there are several of these.
+    A run that is entered and left gently may be true: it is not among them, unless it is no longer than the runs that
+    are entered and left by a jump, and there are several of these.
     """
     zero = np.asarray(np.all(force == 0.0, axis=1))
     if not zero.any() or zero.all():
@@ -57,7 +57,7 @@ def false_zeros(force: Array) -> BoolArray:
             sure.append((begin, end))
     if len(sure) >= OFTEN:
         longest = max(end - begin for begin, end in sure)
-        sure += [(begin, end) for begin, end in spans if end - begin <= longest and 0 < begin and end < len(force)]
+        sure += [(begin, end) for begin, end in spans if end - begin <= longest]
     for begin, end in sure:
         found[begin:end] = True
     return found
@@ -65,14 +65,19 @@ def false_zeros(force: Array) -> BoolArray:
 
 def held(time: Array, force: Array) -> BoolArray:
     """(N,) rows that repeat the forces (N, c) of the row before to the last digit, for so long that they cannot have
-    been measured: a sensor or a logger that hung. None where the log shows no noise, or repeats every force for long.
+    been measured: a sensor or a logger that hung. None where the log shows no noise, or repeats every force for long;
+    and neither zeros, which may be true, nor the log's own extremes, where a sensor is at its end.
     """
-    same = np.concatenate([[False], np.all(np.diff(force, axis=0) == 0.0, axis=1)])
     found = np.zeros(len(force), dtype=bool)
+    if not len(force):
+        return found
+    same = np.concatenate([[False], np.all(np.diff(force, axis=0) == 0.0, axis=1)])
     fresh = force[~same]
     if len(fresh) < 10 or not any(within_noise(column) for column in fresh.T):
         return found
     usual = float(np.median(np.diff(np.flatnonzero(~same))))
+    extreme = np.all((force == force.max(axis=0)) | (force == force.min(axis=0)), axis=1)
+    same &= ~extreme & np.any(force != 0.0, axis=1)
     for begin, end in runs(same):
         if end - begin > SLOW * usual and time[end - 1] - time[begin] > HELD:
             found[begin:end] = True

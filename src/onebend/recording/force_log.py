@@ -94,7 +94,9 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
     if not np.any(data[:, 1:3]):
         raise RecordingError(f"{where}: every force is zero: the sensor was not streaming. Record the push again.")
     if not np.ptp(data[:, 1:3], axis=0).any():
-        raise RecordingError(f"{where}: neither force ever changes: the sensor was not streaming. Record the push again.")
+        raise RecordingError(
+            f"{where}: neither force ever changes: the sensor was not streaming. Record the push again."
+        )
     remarks = (
         *remarks,
         *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
@@ -185,4 +187,3 @@ def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
     if not count:
         return ()
     return (Remark("warning" if count > MANY * rows else "note", f"{count} of {rows} {what}."),)
-

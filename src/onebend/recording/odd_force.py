@@ -41,7 +41,9 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
         for end, at, inward in (("largest", -1, -2), ("smallest", 0, 1)):
             if len(values) < 3 or counts[at] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward]):
                 continue
-            if within_noise(column[column != values[at]]):
+            there = column == values[at]
+            alone = there & ~np.concatenate([[False], there[:-1]]) & ~np.concatenate([there[1:], [False]])
+            if 2 * alone.sum() < counts[at] and within_noise(column[~there]):  # spikes are alone
                 share = 100 * counts[at] / len(column)
                 text = (
                     f"The {axis} force of the log stands at exactly its {end} value, {values[at]:g} N, in {share:.0f} "
@@ -64,7 +66,9 @@ def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
         text = f"The largest force on the beam is only {largest:.2g} N"
     else:
         return ()
-    return (Remark("warning", f"{text}: is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."),)
+    return (
+        Remark("warning", f"{text}: is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."),
+    )
 
 
 def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
