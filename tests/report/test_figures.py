@@ -55,7 +55,7 @@ def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_
     sits = FIT.at.get(FIT.mean, "along"), FIT.at.get(FIT.mean, "across")
     away = np.linalg.norm(FITTED.line[:, [40, 80, 120]] - one.predicted, axis=-1)
     assert np.max(away) < 1.01 * np.max(np.hypot(*sits)) + 2e-5  # the tags ride on the line
-    slow = FIT.optimum.predictions[0].force[: len(one.frame)] - FIT.films[0].force[: len(one.frame)]
+    slow = FIT.slow[0].force[: len(one.frame)] - FIT.films[0].force[: len(one.frame)]
     np.testing.assert_allclose(one.force - FITTED.logged, slow)
 
 

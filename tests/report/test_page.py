@@ -49,7 +49,17 @@ def drawn() -> dict[str, bytes]:
 
 
 def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
-    expected = {"stiffness", "nuisances", "shapes", "markers", "residuals", "fitted", "selection", "force", "validation"}
+    expected = {
+        "stiffness",
+        "nuisances",
+        "shapes",
+        "markers",
+        "residuals",
+        "fitted",
+        "selection",
+        "force",
+        "validation",
+    }
     expected |= {f"validation-{i}-{what}" for i in (1, 2) for what in ("shapes", "residuals")}
     assert set(drawn) == expected  # and no fit: there is no video
     links = Links(page(made_up.findings(2), drawn, version="1.2.3"))

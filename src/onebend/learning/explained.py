@@ -15,7 +15,7 @@ PLACES = np.linspace(0.0, 1.0, 121)  # of the centre line
 
 def explained(posterior: Posterior) -> tuple[Explained, ...]:
     """Every recording of a fit, in the frames that it used."""
-    parts = zip(posterior.films, posterior.optimum.predictions, fitted_rms(posterior), strict=True)
+    parts = zip(posterior.films, posterior.slow, fitted_rms(posterior), strict=True)
     return tuple(_one(posterior, film, prediction, rms) for film, prediction, rms in parts)
 
 
