@@ -163,7 +163,8 @@ def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], f
             if seen:
                 ids = ", ".join(map(str, sorted(seen)))
                 return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
-    return f"Check that the tags are {tags.family}, printed with a white rim, in focus and at least 20 pixels wide."
+    need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
+    return f"Check that the tags are {tags.family}, {need}."
 
 
 def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
