@@ -255,17 +255,17 @@ def test_what_is_wrong_with_a_log_is_said(tmp_path: Path, lines: list[str], word
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("fx", "fy", "centre", "words"),
     [
-        ({"fx": 1320.0}, "differ by more than 5 %"),
-        ({"fx": 100.0, "fy": 100.0}, "is it in pixels"),
-        ({"cx": 0.0, "cy": 0.0}, "check cx and cy"),
-        ({}, ""),
+        (1320.0, 1200.0, (639.5, 359.5), "differ by more than 5 %"),
+        (100.0, 100.0, (639.5, 359.5), "is it in pixels"),
+        (1200.0, 1200.0, (0.0, 0.0), "check cx and cy"),
+        (1200.0, 1200.0, (639.5, 359.5), ""),
     ],
 )
-def test_an_unlikely_camera_is_doubted(change: dict[str, float], words: str) -> None:
-    camera = CameraEntry(width=1280, height=720, fx=1200.0, fy=1200.0, cx=639.5, cy=359.5, dist=(0.0,) * 5)
-    remarks = entry_remarks(BeamEntry(length=0.15), replace(camera, **change))
+def test_an_unlikely_camera_is_doubted(fx: float, fy: float, centre: tuple[float, float], words: str) -> None:
+    camera = CameraEntry(width=1280, height=720, fx=fx, fy=fy, cx=centre[0], cy=centre[1], dist=(0.0,) * 5)
+    remarks = entry_remarks(BeamEntry(length=0.15), camera)
     assert [words in one.text for one in remarks] == ([True] if words else [])
 
 
