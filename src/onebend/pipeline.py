@@ -143,6 +143,16 @@ def _regression(
         if needed:
             raise
         return None, (Remark("warning", f"the paper's regression found no beam: {error}"),)
+    except np.linalg.LinAlgError as error:
+        why = f"{seen.name}: the regression's equations cannot be solved ({error})"
+        if not np.isfinite(seen.force_sd).all():
+            why = (
+                f"{seen.name}: the force log shows no rest, so neither its zero nor its noise is known. Film and log "
+                "some still seconds before and after the push"
+            )
+        if needed:
+            raise LearningError(why) from error
+        return None, (Remark("warning", f"the paper's regression found no beam: {why}"),)
     return learned, learned.remarks
 
 

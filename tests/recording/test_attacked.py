@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
@@ -9,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.errors import ObservationError
+from onebend.errors import ObservationError, RecordingError
 from onebend.lab.pushes import Push
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, Virtual, observe_virtual, virtual_recording
 from onebend.recording.clock import fit_clock
-from onebend.recording.force_log import read_force_log
+from onebend.recording.entries import BeamEntry, CameraEntry
+from onebend.recording.force_log import read_force_log, whole_log
+from onebend.recording.odd_entries import entry_remarks
+from onebend.recording.odd_force import size_remarks
 from onebend.recording.turns import check_turns
 from onebend.records import ForceLog
 from tests.made_up import BEAM
@@ -141,3 +145,131 @@ def test_a_start_far_off_and_milliseconds_beside_a_start_in_seconds_are_hinted_a
     film = replace(pushed.markers, time=4.0 * pushed.markers.time)
     with pytest.raises(ObservationError, match="look like milliseconds"):
         observe_virtual(replace(pushed, markers=film, log=replace(dense, time=dense.time + 1e6)))
+
+
+def noisy(count: int = 4000, *, seed: int = 0) -> np.ndarray:
+    """Time, two forces of a push at 1 kHz, with noise."""
+    time = 0.001 * np.arange(count)
+    push = np.sin(np.pi * np.clip((time - 1.0) / 2.0, 0.0, 1.0)) ** 2
+    force = np.outer(push, [0.5, -0.3]) + 0.02 * np.random.default_rng(seed).standard_normal((count, 2)) + 0.05
+    return np.column_stack([time, force.round(5)])
+
+
+def told(rows: np.ndarray) -> list[str]:
+    return [one.text for one in whole_log("log", rows).remarks if one.level == "warning"]
+
+
+def test_a_log_that_is_well_raises_no_doubt() -> None:
+    for digits in (1, 2, 5):
+        rows = noisy()
+        rows[:, 1:] = rows[:, 1:].round(digits) + 0.013
+        assert told(rows) == []
+    slow = noisy()
+    slow[:, 1:] = np.repeat(slow[::10, 1:], 10, axis=0)  # a sensor of 100 Hz in a log of 1 kHz
+    assert told(slow) == []
+    spikes = noisy()
+    spikes[::90, 1] = -50.0
+    assert told(spikes) == []
+
+
+@pytest.mark.parametrize(("axis", "end"), [(1, "largest"), (2, "smallest")])
+def test_a_sensor_at_its_end_is_named(axis: int, end: str) -> None:
+    rows = noisy()
+    limit = 0.6 * np.ptp(rows[:, axis])
+    rows[:, axis] = np.minimum(rows[:, axis], limit) if end == "largest" else np.maximum(rows[:, axis], 0.05 - limit)
+    which = ("first", "second")[axis - 1]
+    assert [f"The {which} force of the log stands at exactly its {end} value" in text for text in told(rows)] == [True]
+
+
+def test_a_log_that_hung_is_cut_there() -> None:
+    rows = noisy()
+    rows[2500:, 1:] = rows[2499, 1:]
+    log = whole_log("log", rows)
+    assert log.time[-1] == pytest.approx(2.499)
+    assert any("1500 of 4000 rows of the force log only repeat the row before" in one.text for one in log.remarks)
+
+
+def test_zeros_in_a_quiet_stretch_go_with_those_in_the_push() -> None:
+    rows = noisy()
+    for begin in range(40, 4000, 100):
+        rows[begin : begin + 20, 1:] = 0.0
+    log = whole_log("log", rows)
+    assert len(log.time) == 4000 - 40 * 20
+    assert not np.any(np.all(log.force == 0.0, axis=1))
+
+
+def test_true_zeros_stay() -> None:
+    rows = noisy()
+    rows[:1000, 1:] = 0.0  # a simulated sensor, exactly zero at rest
+    for begin in range(1500, 2500, 200):
+        rows[begin : begin + 20, 1:] = 0.0
+    log = whole_log("log", rows)
+    assert np.sum(log.time < 0.9995) == 1000
+    assert len(log.time) == 4000 - 5 * 20
+
+
+@pytest.mark.parametrize(
+    ("size", "mass", "words"),
+    [
+        (553.0, nan, "is 553 N: is the log in newtons"),
+        (56.4, 0.08, "is 56.4 N, 72 times its weight"),
+        (5e-4, nan, "is only 0.0005 N"),
+        (0.55, 0.08, ""),
+        (20.0, nan, ""),
+    ],
+)
+def test_a_force_in_another_unit_is_doubted(size: float, mass: float, words: str) -> None:
+    remarks = size_remarks(np.array([[0.0, 0.0], [0.6 * size, -0.8 * size]]), mass)
+    assert [words in one.text and one.level == "warning" for one in remarks] == ([True] if words else [])
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        (("time_s", "fx_mN", "fy_mN"), "fx_mN is in mN by its name: convert it to newtons"),
+        (("time_s", "Fx [g]", "Fy [g]"), "is in g by its name"),
+        (("t_ms", "fx_N", "fy_N"), 'write time_unit = "ms"'),
+    ],
+)
+def test_a_column_of_another_unit_by_its_name_is_refused(
+    tmp_path: Path, columns: tuple[str, str, str], words: str
+) -> None:
+    path = log_file(tmp_path, [",".join(columns), *GOOD[1:]])
+    with pytest.raises(RecordingError, match=re.escape(words)):
+        read_force_log(path, columns)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (GOOD[1:], "The first line holds numbers: write the header time_s,fx_N,fy_N above it"),
+        (["# log of today", *GOOD], "remove the lines above it"),
+        ([line.replace(",", ";").replace(".", ",") for line in GOOD], "decimals written with a point"),
+        ([GOOD[0], *(f"{i},1,nan" for i in range(40))], "the column fy_N holds no number"),
+        ([GOOD[0], *(f"{i},1,2" for i in range(40))], "neither force ever changes"),
+    ],
+)
+def test_what_is_wrong_with_a_log_is_said(tmp_path: Path, lines: list[str], words: str) -> None:
+    with pytest.raises(RecordingError, match=re.escape(words)):
+        read_force_log(log_file(tmp_path, lines), COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("fx", "fy", "centre", "words"),
+    [
+        (1320.0, 1200.0, (639.5, 359.5), "differ by more than 5 %"),
+        (100.0, 100.0, (639.5, 359.5), "is it in pixels"),
+        (1200.0, 1200.0, (0.0, 0.0), "check cx and cy"),
+        (1200.0, 1200.0, (639.5, 359.5), ""),
+    ],
+)
+def test_an_unlikely_camera_is_doubted(fx: float, fy: float, centre: tuple[float, float], words: str) -> None:
+    camera = CameraEntry(width=1280, height=720, fx=fx, fy=fy, cx=centre[0], cy=centre[1], dist=(0.0,) * 5)
+    remarks = entry_remarks(BeamEntry(length=0.15), camera)
+    assert [words in one.text for one in remarks] == ([True] if words else [])
+
+
+def test_a_mass_in_grams_is_doubted() -> None:
+    assert entry_remarks(BeamEntry(length=0.15, mass=0.08), None) == ()
+    (told_of_mass,) = entry_remarks(BeamEntry(length=0.15, mass=80.0), None)
+    assert "is it in kilograms?" in told_of_mass.text

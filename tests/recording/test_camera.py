@@ -167,6 +167,17 @@ def test_missing_tags_stay_missing() -> None:
     assert (markers.base_angle == 0).all()
 
 
+def test_a_hidden_base_tag_leaves_the_covariance_known() -> None:
+    seen, true = view(), poses(60)
+    whole = measure_markers(detections(corners_of(true, seen), sd=0.03), recording(calibrated=seen))
+    found = detections(corners_of(true, seen), sd=0.03)
+    found.corners[[0, 7, 8, 59], 0] = np.nan
+    hidden = measure_markers(found, recording(calibrated=seen))
+    assert np.isfinite(hidden.xy).all()
+    assert np.isfinite(hidden.covariance).all()
+    assert np.allclose(hidden.covariance, whole.covariance, rtol=0.3, atol=1e-12)
+
+
 def test_turned_tags_give_the_same_markers() -> None:
     turns = np.array([np.pi / 2, -np.pi / 2, np.pi, 0.3])
     turned = TRUE + np.stack([0 * turns, 0 * turns, turns], axis=-1)

@@ -62,10 +62,31 @@ def test_low_pass_keeps_slow_and_its_time_and_takes_fast(jitter: float) -> None:
     assert np.abs(at_cutoff).max() == pytest.approx(0.5, abs=0.02)
 
 
-def test_low_pass_does_not_reach_across_a_gap() -> None:
-    time = np.concatenate([np.arange(0.0, 2.0, 0.01), np.arange(3.0, 5.0, 0.01)])
-    values = np.where(time < 2.5, 0.0, 1.0)[:, None]
+def test_low_pass_does_not_reach_across_a_long_gap() -> None:
+    time = np.concatenate([np.arange(0.0, 2.0, 0.01), np.arange(13.0, 15.0, 0.01)])
+    values = np.where(time < 7.0, 0.0, 1.0)[:, None]
     assert np.allclose(low_pass(time, values, 1.0, longest_gap=0.5), values, atol=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.5, 1.0, 3.0])
+def test_low_pass_keeps_what_runs_on_beyond_a_gap(gap: float) -> None:
+    time = np.arange(0.0, 12.0, 0.001)
+    time = time[(time < 5.0) | (time > 5.0 + gap)]
+    slow = np.stack([0.1 * time, np.sin(2 * np.pi * 0.05 * time)], axis=1)
+    wrong = np.abs(low_pass(time, slow + 0.03 * noise(slow.shape), 0.6, longest_gap=0.2) - slow)
+    inner = (time > 1.5) & (time < 10.5)
+    assert wrong[inner].max() < 0.012  # filtered apart, the ends of the two sides are off by 0.03
+    assert wrong[inner & (np.abs(time - 5.0 - gap / 2) > gap / 2 + 1.0)].max() < 0.006
+
+
+def test_a_marker_hidden_for_long_is_not_fast() -> None:
+    time = np.arange(0.0, 10.0, 1 / 30)
+    clean = np.exp(-0.5 * ((time - 5.0) / 1.0) ** 2)[:, None] * np.ones(3)
+    seen = clean + 1e-3 * noise(clean.shape)
+    whole = bandwidth(time, seen)
+    seen[(time > 4.0) & (time < 7.0), 1] = np.nan
+    seen[time > 6.2, 2] = np.nan
+    assert bandwidth(time, seen) == pytest.approx(whole, rel=0.35)  # straight bridges make it eight times as much
 
 
 def test_without_a_cutoff_nothing_changes() -> None:

@@ -145,7 +145,7 @@ def test_stranger_and_unseen_tag_are_remarked(tmp_path: Path) -> None:
     found = detect_tags(still(tmp_path, [0, 1, 2, 9]), TAGS)
     texts = {remark.level: remark.text for remark in found.remarks}
     assert "does not name: 9" in texts["note"]
-    assert "Tag 3 was not seen in 3 of 3" in texts["warning"]
+    assert "Tag 3 is in none of the 3 frames" in texts["warning"]
 
 
 def test_other_family_is_found_when_asked(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def calibrate(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate the camera from a film of a board, and write the [camera] table of recording.toml."""
+    """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
     with clean_errors():
         wanted = _board(board, square, marker, dictionary)
         free_place(output, overwrite=overwrite)

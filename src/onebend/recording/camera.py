@@ -92,19 +92,30 @@ def spread(corners: Array) -> Array:
 
 def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
     """Covariance (T, m, 3, 3) of the beam tags' poses relative to the first base tag that comes from not knowing the
-    plane and, uncalibrated, the camera exactly."""
+    plane and, uncalibrated, the camera exactly. A base that is hidden counts as where it was seen next in time."""
+    corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
 
     def relative(view: View) -> Array:
         xy, angle = lay_square(to_plane(view, corners))
         none = np.zeros((*angle.shape, 3, 3))
-        own = relative_to(
-            Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, base:], angle[:, base:], none[:, base:])
-        )
+        own = relative_to(Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, 1:], angle[:, 1:], none[:, 1:]))
         return np.concatenate([own.xy, own.angle[..., None]], axis=-1)
 
     middle = relative(plane.view)
     shifts = [relative(view) - middle for view in plane.variations()]
     return np.asarray(sum(shift[..., :, None] * shift[..., None, :] for shift in shifts))
+
+
+def lasting_base(corners: Array) -> Array:
+    """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
+    seen = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
+    tag = int(np.argmax(seen.any(axis=0)))
+    shown = np.flatnonzero(seen[:, tag])
+    frames = np.arange(len(corners))
+    after = np.clip(np.searchsorted(shown, frames), 0, len(shown) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(shown[before] - frames) < np.abs(shown[after] - frames), shown[before], shown[after])
+    return np.asarray(corners[nearest, tag : tag + 1])
 
 
 def check_lengths(xy: Array, recording: Recording) -> None:
@@ -121,7 +132,7 @@ def check_lengths(xy: Array, recording: Recording) -> None:
     for (s, name, here), (t, other, there) in pairwise(places):
         apart = np.linalg.norm(there - here, axis=1)
         arc, slack = (t - s) * length, 3 * np.sqrt(2) * tags.placement_sd
-        if not np.isfinite(apart).any() or arc <= slack:
+        if not np.isfinite(apart).any() or arc == 0.0:
             continue
         farthest = float(np.nanpercentile(apart, FARTHEST))
         ratios.append(farthest / arc)

@@ -105,8 +105,8 @@ class CameraEntry:
 
     width: int = key("width", whole(least=1), "the picture's width in the calibration, px", example="1280")
     height: int = key("height", whole(least=1), "the picture's height in the calibration, px", example="720")
-    fx: float = key("fx", number(above=0), "the focal length along x, px", example="1200.0")
-    fy: float = key("fy", number(above=0), "the focal length along y, px", example="1200.0")
+    fx: float = key("fx", number(least=10), "the focal length along x, px", example="1200.0")
+    fy: float = key("fy", number(least=10), "the focal length along y, px", example="1200.0")
     cx: float = key("cx", number(), "the principal point's x, px (pixel centres at whole numbers)", example="639.5")
     cy: float = key("cy", number(), "the principal point's y, px (pixel centres at whole numbers)", example="359.5")
     dist: tuple[float, ...] = key(

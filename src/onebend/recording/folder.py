@@ -23,6 +23,7 @@ from onebend.recording.entries import (
     TagsEntry,
     VideoEntry,
 )
+from onebend.recording.odd_entries import entry_remarks
 from onebend.recording.schema import Mistakes, read_table, report_unknown
 from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
 from onebend.records import Remark
@@ -78,7 +79,7 @@ def read_recording(folder: Path | str) -> Recording:
         name=data.get("name", folder.resolve().name),
         beam=beam,
         tags=tags,
-        remarks=remarks_on(tags, data),
+        remarks=(*remarks_on(tags, data), *entry_remarks(beam, found["camera"])),
         **found,
     )
     return with_bags(rec, data)

@@ -12,7 +12,8 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.recording import franka
-from onebend.recording.dropped import false_zeros, missing_remarks
+from onebend.recording.dropped import false_zeros, held, missing_remarks
+from onebend.recording.odd_force import at_its_end, still_columns, unit_in_name
 from onebend.records import Array, ForceLog, Remark
 
 FEWEST_ROWS = 10
@@ -22,6 +23,7 @@ LOST = (
     "rows of the force log are exactly zero amid others (a robot that did not stream, or near a singularity) and are "
     "left out"
 )
+HUNG = "rows of the force log only repeat the row before, for long (the sensor or the logger hung), and are left out"
 MANY = 0.1  # of the rows: more that are left out or share a time are a warning
 
 
@@ -45,6 +47,8 @@ def read_force_log(
         rows, a force that is zero throughout; with the line.
     """
     path = Path(path)
+    if other := unit_in_name(columns, time_unit):
+        raise RecordingError(f"{path}: {other}.")
     wanted = [*columns, *([push_column] if push_column else [])]
     lines: list[int] = []
     table: list[list[float]] = []
@@ -60,6 +64,9 @@ def read_force_log(
     except (UnicodeDecodeError, csv.Error):
         raise RecordingError(f"{path} is not a CSV text file. Export the force log as CSV with a header.") from None
     read = np.array(table).reshape(-1, len(wanted))
+    for name, column in zip(wanted, read.T, strict=True):
+        if len(read) and not np.isfinite(column).any():
+            raise RecordingError(f"{path}: the column {name} holds no number in any row. Is it the right one?")
     read[:, 0] *= TIME_UNITS[time_unit]
     full = np.isfinite(read).all(axis=1)
     check_times(path, read[full, 0], np.array(lines, dtype=int)[full])
@@ -76,7 +83,9 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
     """
     full = np.isfinite(read).all(axis=1)
     lost = false_zeros(read[full, 1:3])
-    data = one_row_a_time(read[full][~lost])
+    kept = read[full][~lost]
+    hung = held(kept[:, 0], kept[:, 1:3])
+    data = one_row_a_time(kept[~hung])
     if len(data) < FEWEST_ROWS:
         raise RecordingError(
             f"{where} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
@@ -84,13 +93,19 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
         )
     if not np.any(data[:, 1:3]):
         raise RecordingError(f"{where}: every force is zero: the sensor was not streaming. Record the push again.")
+    if not np.ptp(data[:, 1:3], axis=0).any():
+        raise RecordingError(
+            f"{where}: neither force ever changes: the sensor was not streaming. Record the push again."
+        )
     remarks = (
         *remarks,
         *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
         *remark(int(np.sum(lost)), len(read), LOST),
+        *remark(int(np.sum(hung)), len(read), HUNG),
         *missing_remarks(data[:, 0], "rows of the force log"),
-        *remark(len(lost) - int(np.sum(lost)) - len(data), len(read), TWICE),
+        *remark(len(hung) - int(np.sum(hung)) - len(data), len(read), TWICE),
         *still_columns(data[:, 1:3]),
+        *at_its_end(data[:, 1:3]),
     )
     push_s = data[:, 3] if data.shape[1] > 3 else None
     return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
@@ -105,7 +120,7 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
     missing = [name for name in wanted if name not in header]
     if missing:
         hint_of_robot = franka.hint(header)
-        hint = " Columns must be separated by commas." if len(header) == 1 and set(header[0]) & set(";\t") else ""
+        hint = header_hint(header, wanted)
         raise RecordingError(
             f"{path}, line 1: no column {', '.join(missing)}; found {', '.join(header)}.{hint} "
             f"Name the columns with columns in [force], or column in [push], of recording.toml.{hint_of_robot}"
@@ -124,6 +139,25 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
                     f"{path}, line {rows.line_num}: {name} is {cell!r}, not a number. Correct or remove the line."
                 ) from None
         yield rows.line_num, values
+
+
+def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
+    """What is likely wrong with a header that lacks wanted columns, as a sentence with a space before it; or ""."""
+    if len(header) == 1 and set(header[0]) & set(";\t"):
+        return " Columns must be separated by commas, and decimals written with a point."
+    if all(is_number(name) for name in header if name):
+        return f" The first line holds numbers: write the header {','.join(wanted)} above it."
+    if header[0].startswith("#"):
+        return " The header must be the first line: remove the lines above it."
+    return ""
+
+
+def is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def check_times(path: Path, time: Array, lines: Array) -> None:
@@ -153,14 +187,3 @@ def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
     if not count:
         return ()
     return (Remark("warning" if count > MANY * rows else "note", f"{count} of {rows} {what}."),)
-
-
-def still_columns(force: Array) -> tuple[Remark, ...]:
-    """A warning for each column of the forces (N, 2) that never changes."""
-    told = "force of the log never changes ({:g} N): is its channel connected, is it the right column?"
-    constant = np.ptp(force, axis=0) == 0.0
-    return tuple(
-        Remark("warning", f"The {axis} {told.format(value)}")
-        for axis, value, still in zip(("first", "second"), force[0], constant, strict=True)
-        if still
-    )

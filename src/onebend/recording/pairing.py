@@ -24,6 +24,7 @@ from onebend.recording.force import (
 from onebend.recording.force_log import FEWEST_ROWS, read_force_log
 from onebend.recording.frame import RestShape
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
+from onebend.recording.odd_force import size_remarks
 from onebend.recording.plausible import read_force
 from onebend.recording.signals import at_times, bandwidth, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
@@ -110,7 +111,8 @@ def cleaned(
         noise=fit.noise,
         settings=settings,
     )
-    return clean
+    odd = size_remarks(clean.force, rec.beam.mass)
+    return replace(clean, remarks=(*clean.remarks, *odd)) if odd else clean
 
 
 def pair(
@@ -186,7 +188,8 @@ def check_direction(
     if reading.better == "opposite":
         text = "The force looks as if it had the opposite sign. Give acts_on in [force] the other value, beam or robot."
     elif reading.better:
-        text = f"The force fits the bending far better with {reading.better}. Check columns, rotation_deg in [force]."
+        how = reading.better if reading.better.startswith("turned") else f"with {reading.better}"
+        text = f"The force fits the bending far better {how}. Check columns, rotation_deg in [force]."
     elif reading.askew:
         fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
         text = (

@@ -89,8 +89,10 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / FREEDOMS)
     sd = max(rough, LEAST_NOISE)
     final = solve(solve(best.x, few, size, camera, picture, sd=sd).x, corners, size, camera, picture, sd=sd)
-    fit = PlaneFit(final.x, np.linalg.inv(final.jac.T @ final.jac), camera, picture)
-    if not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side:
+    normal = final.jac.T @ final.jac
+    known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
+    fit = PlaneFit(final.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
+    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane."

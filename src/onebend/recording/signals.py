@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from onebend.records import Array, BoolArray, IntArray
 
 MAD_TO_SD = 1.4826  # of a normal distribution
+LONG_GAP = 0.25  # s: what moves in a longer one is not guessed
+APART = 10.0  # periods of the cut-off: what lies farther apart is filtered on its own
+SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples, beside a gap that say how it is entered and left
+BRIDGE = 15  # points of a bridge over a gap
+FINE = 3.0  # steps of the last digit: noise that is larger shows
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
 
@@ -32,7 +38,8 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
 
     The noise of the samples is taken as white: it rises as sin^2(pi f dt) in the velocity's spectrum. Its size is the
     median above 0.4 of the highest frequency, where motion is rare. Only frequencies count around which the power is
-    at least five times the noise, and the noise is taken off. (T, c) columns share a unit and are summed.
+    at least five times the noise, and the noise is taken off. (T, c) columns share a unit and are summed. Across long
+    gaps the velocity runs straight: a straight path would end in corners, which look like fast motion.
     """
     dt = step(time)
     grid = np.arange(time[0], time[-1] + 0.5 * dt, dt)
@@ -40,7 +47,7 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
         return float("nan")
     full = bridged(time, values)
     even = np.stack([np.interp(grid, time, column) for column in full.T], axis=1)
-    velocity = np.diff(even, axis=0) / dt
+    velocity = steady(np.diff(even, axis=0) / dt, grid, time, values)
     power = np.sum(np.abs(np.fft.rfft(velocity * np.hanning(len(velocity))[:, None], axis=0)) ** 2, axis=1)
     frequency = np.fft.rfftfreq(len(velocity), dt)
     noise = np.sin(np.pi * frequency * dt) ** 2
@@ -53,6 +60,22 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     if not total[-1] > 0:
         return float("nan")
     return float(frequency[int(np.searchsorted(total, fraction * total[-1]))])
+
+
+def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
+    """(N - 1, c) `velocity` between the instants `grid`, straight in time where `values` (T, c) at `time` lack for
+    longer than `LONG_GAP`; a column that is seen nowhere for two instants stays as it is."""
+    out = velocity.copy()
+    for column, seen in zip(out.T, np.isfinite(values).T, strict=True):
+        known = time[seen]
+        if len(known) < 2:
+            continue
+        after = np.searchsorted(known, grid[1:] - 0.5 * (grid[1] - grid[0]))
+        gap = np.concatenate([[np.inf], np.diff(known), [np.inf]])[after]
+        good = gap <= LONG_GAP
+        if good.any() and not good.all():
+            column[~good] = np.interp(np.flatnonzero(~good), np.flatnonzero(good), column[good])
+    return out
 
 
 def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
@@ -76,12 +99,21 @@ def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> B
     return found
 
 
+def within_noise(column: Array) -> bool:
+    """Whether the samples (N,) scatter by more than the steps in which they are written."""
+    steps = np.diff(np.unique(column))
+    if len(column) < 10 or not len(steps):
+        return False
+    return bool(np.median(np.abs(np.diff(column, n=2))) > FINE * float(np.min(steps)))
+
+
 def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:
     """Zero-phase Butterworth low-pass (half power twice, so -6 dB, at `cutoff` [Hz]) of (N, c) `values` at `time`.
 
     Irregular samples are put on an even grid by linear interpolation, filtered, and read at their own times again.
-    Stretches apart by more than `longest_gap` [s] are filtered separately: nothing is carried across a gap. A stretch
-    too short to filter becomes its mean.
+    A gap longer than `longest_gap` [s] is bridged by a cubic that leaves and meets the samples as these run there:
+    were its sides filtered apart, the ends of each would be levelled, and jump against each other. Stretches apart by
+    more than `APART` periods of the cut-off are filtered separately; one too short to filter becomes its mean.
     """
     out = np.array(values, dtype=float)
     if not np.isfinite(cutoff):
@@ -90,18 +122,53 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
     if cutoff >= 0.45 / dt:
         return out
     sos = butter(FILTER_ORDER, 2 * cutoff * dt, output="sos")
-    for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > longest_gap)):
-        t = time[rows]
+    apart = max(longest_gap, APART / cutoff)
+    for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > apart)):
+        t, bridge = bridged_gaps(time[rows], values[rows], longest_gap, SIDE / cutoff)
         grid = t[0] + dt * np.arange(int(np.floor((t[-1] - t[0]) / dt + 0.5)) + 1)
         if len(grid) < 16:
             out[rows] = np.mean(values[rows], axis=0)
             continue
-        even = np.stack([np.interp(grid, t, column) for column in values[rows].T], axis=1)
+        even = np.stack([np.interp(grid, t, column) for column in bridge.T], axis=1)
         pad = min(len(grid) - 1, int(2.0 / (cutoff * dt)))
         # Even reflection: at a rest the noise of the very last sample must not become the level beyond it.
         smooth = sosfiltfilt(sos, even, axis=0, padtype="even", padlen=pad)
-        out[rows] = np.stack([np.interp(t, grid, column) for column in smooth.T], axis=1)
+        out[rows] = np.stack([np.interp(time[rows], grid, column) for column in smooth.T], axis=1)
     return out
+
+
+def bridged_gaps(time: Array, values: Array, longest_gap: float, side: float) -> tuple[Array, Array]:
+    """`time` (N,) and `values` (N, c) with a cubic in every gap longer than `longest_gap` [s]; its ends and slopes are
+    those of the lines through the `side` [s] before and behind it."""
+    gaps = np.flatnonzero(np.diff(time) > longest_gap)
+    if not len(gaps):
+        return time, values
+    times, rows = [], []
+    borders = np.concatenate([[-1], gaps, [len(time) - 1]])
+    for before, gap, after in zip(borders, gaps, borders[2:], strict=False):
+        left, right = np.arange(before + 1, gap + 1), np.arange(gap + 1, after + 1)
+        ends = [
+            line_at(time[near], values[near], at)
+            for near, at in (
+                (left[time[left] >= time[gap] - side], time[gap]),
+                (right[time[right] <= time[gap + 1] + side], time[gap + 1]),
+            )
+        ]
+        inside = np.linspace(time[gap], time[gap + 1], BRIDGE + 2)[1:-1]
+        cubic = CubicHermiteSpline(time[gap : gap + 2], [level for level, _ in ends], [slope for _, slope in ends])
+        times.append(inside)
+        rows.append(cubic(inside))
+    where = np.repeat(gaps + 1, BRIDGE)
+    return np.insert(time, where, np.concatenate(times)), np.insert(values, where, np.concatenate(rows), axis=0)
+
+
+def line_at(time: Array, values: Array, at: float) -> tuple[Array, Array]:
+    """(c,) value and slope at `at` of the line through `values` (N, c); their mean, level, where a line says little."""
+    if len(time) < FEWEST_ON_LINE:
+        return np.asarray(values.mean(axis=0)), np.zeros(values.shape[1])
+    basis = np.stack([np.ones_like(time), time - at], axis=1)
+    line = np.linalg.lstsq(basis, values, rcond=None)[0]
+    return line[0], line[1]
 
 
 def low_pass_power(frequency: Array, cutoff: float) -> Array:

@@ -163,7 +163,8 @@ def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], f
             if seen:
                 ids = ", ".join(map(str, sorted(seen)))
                 return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
-    return f"Check that the tags are {tags.family}, printed with a white rim, in focus and at least 20 pixels wide."
+    need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
+    return f"Check that the tags are {tags.family}, {need}."
 
 
 def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
@@ -172,6 +173,8 @@ def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> lis
     for tag, seen in zip(tag_id, share, strict=True):
         if seen < 1 - OFTEN_HIDDEN:
             text = f"Tag {tag} was not seen in {round((1 - seen) * frames)} of {frames} frames."
+            if not seen:
+                text = f"Tag {tag} is in none of the {frames} frames: correct its id in recording.toml, or take it out."
             remarks.append(Remark("note" if seen else "warning", text))
     return remarks
 

@@ -143,11 +143,11 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
 def _oddities(recording: Recording, film: Film | None, log: ForceLog | None) -> list[Remark]:
     found = []
     camera, video = recording.camera, recording.video
-    if camera is not None and film is not None and camera.width * film.height != camera.height * film.width:
+    if camera is not None and film is not None and (camera.width, camera.height) != (film.width, film.height):
         text = (
             f"the camera was calibrated at {camera.width} x {camera.height}, the video is {film.width} x {film.height}"
         )
-        found.append(Remark("warning", f"{text}: another crop. Calibrate as you film."))
+        found.append(Remark("warning", f"{text}. Calibrate at the video's size, or remove [camera]."))
     if log is not None and film is not None and video is not None and np.isfinite(video.start + film.seconds):
         begin, end = video.start, video.start + film.seconds
         slack = video.start_uncertainty

@@ -18,11 +18,21 @@ from onebend.report.wording import significant
 WITHIN = 1e-3  # m: where the point counts as settled
 
 KError = Annotated[
-    float, typer.Option("--k-error", metavar="SHARE", help="Rehearse on beams this share softer and stiffer.")
+    float,
+    typer.Option(
+        "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
+    ),
 ]
-Delay = Annotated[float, typer.Option("--delay-ms", metavar="MS", help="From a frame's exposure to its answer.")]
-Rate = Annotated[float, typer.Option("--fps", metavar="HZ", help="Frames of the camera a second.")]
-Duration = Annotated[float, typer.Option("--duration-s", metavar="S", help="Of each rehearsal; at least two.")]
+Delay = Annotated[
+    float,
+    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
+]
+Rate = Annotated[
+    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
+]
+Duration = Annotated[
+    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
+]
 LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", metavar="N", help="No larger force.")]
 
 

@@ -1,0 +1,36 @@
+"""What in recording.toml is possible but unlikely: a camera, or a mass, that was probably written down wrong."""
+
+from __future__ import annotations
+
+from onebend.recording.entries import BeamEntry, CameraEntry
+from onebend.records import Remark
+
+PIXELS = 0.05  # by which fx and fy may differ: pixels are square
+MIDDLE = 0.2  # of the picture, that the principal point may be away from its middle
+SHORTEST, LONGEST = 0.3, 10.0  # focal length over the picture's longer side: 118 deg to 6 deg of view
+HEAVIEST = 50.0  # kg/m, a steel bar of 90 mm
+
+
+def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, ...]:
+    """A warning for each number that is probably wrong."""
+    out = [] if camera is None else camera_doubts(camera)
+    if beam.mass / beam.length > HEAVIEST:
+        out.append(f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?")
+    return tuple(Remark("warning", text) for text in out)
+
+
+def camera_doubts(camera: CameraEntry) -> list[str]:
+    """What is unlikely of a calibration."""
+    out = []
+    if abs(camera.fx / camera.fy - 1.0) > PIXELS:
+        out.append(f"[camera] fx = {camera.fx:g} and fy = {camera.fy:g} differ by more than 5 %: check them.")
+    longer = max(camera.width, camera.height)
+    if not SHORTEST * longer < camera.fx < LONGEST * longer:
+        out.append(f"[camera] fx = {camera.fx:g} is unlikely for a picture {longer} px wide: is it in pixels?")
+    off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
+    if off > MIDDLE:
+        out.append(
+            f"[camera] the principal point ({camera.cx:g}, {camera.cy:g}) is far from the picture's middle "
+            f"({0.5 * (camera.width - 1):g}, {0.5 * (camera.height - 1):g}): check cx and cy."
+        )
+    return out

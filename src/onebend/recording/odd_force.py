@@ -1,0 +1,82 @@
+"""What a force log shows by itself to be wrong: a channel that is not connected, a sensor at its end, another unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from onebend.recording.signals import within_noise
+from onebend.records import Array, Remark
+
+AXES = ("first", "second")
+AT_END, MORE_THAN_NEXT = 0.01, 3.0  # of the rows at one extreme value; times those at the next value
+LARGEST, SMALLEST = 100.0, 5e-3  # N: a soft beam is bent by less, and no sensor for it shows so little
+OF_WEIGHT = 50.0  # times its weight: what bends a soft beam is about its weight
+OTHER_UNIT = re.compile(r"[_\s\[(/](mN|kN|uN|g|gf|kg|kgf|lbf?|ozf?|counts|V|mV)[\])]?$")
+OTHER_TIME = re.compile(r"[_\s\[(/](ms|us|ns)[\])]?$")
+
+
+def still_columns(force: Array) -> tuple[Remark, ...]:
+    """A warning for each column of the forces (N, 2) that never changes."""
+    told = "force of the log never changes ({:g} N): is its channel connected, is it the right column?"
+    constant = np.ptp(force, axis=0) == 0.0
+    return tuple(
+        Remark("warning", f"The {axis} {told.format(value)}")
+        for axis, value, still in zip(AXES, force[0], constant, strict=True)
+        if still
+    )
+
+
+def at_its_end(force: Array) -> tuple[Remark, ...]:
+    """A warning for each column of the forces (N, 2) that often stands at its own largest or smallest value.
+
+    A sensor at the end of its range repeats one number; a measured force scatters about its largest one. Columns
+    without visible noise, or written with few digits, repeat numbers anyway and are not judged.
+    """
+    out = []
+    for axis, column in zip(AXES, force.T, strict=True):
+        values, counts = np.unique(column, return_counts=True)
+        for end, at, inward in (("largest", -1, -2), ("smallest", 0, 1)):
+            if len(values) < 3 or counts[at] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward]):
+                continue
+            there = column == values[at]
+            alone = there & ~np.concatenate([[False], there[:-1]]) & ~np.concatenate([there[1:], [False]])
+            if 2 * alone.sum() < counts[at] and within_noise(column[~there]):  # spikes are alone
+                share = 100 * counts[at] / len(column)
+                text = (
+                    f"The {axis} force of the log stands at exactly its {end} value, {values[at]:g} N, in {share:.0f} "
+                    "% of its rows: the sensor is at the end of its range, and the force was larger. k(s) comes out "
+                    "wrong; push less, or take a wider range."
+                )
+                out.append(Remark("warning", text))
+    return tuple(out)
+
+
+def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
+    """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are as large, or as small, as if
+    they stood in another unit."""
+    largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
+    heavy = largest / (9.81 * mass) if mass > 0 else 0.0
+    if largest > LARGEST or heavy > OF_WEIGHT:
+        times = f", {heavy:.0f} times its weight" if heavy > OF_WEIGHT else ""
+        text = f"The largest force on the beam is {largest:.3g} N{times}"
+    elif 0.0 < largest < SMALLEST:
+        text = f"The largest force on the beam is only {largest:.2g} N"
+    else:
+        return ()
+    return (
+        Remark("warning", f"{text}: is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."),
+    )
+
+
+def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
+    """What to do about columns (time, two forces) whose own names give another unit; "" where none does."""
+    time, *forces = columns
+    if (found := OTHER_TIME.search(time)) and found[1] != time_unit:
+        return f'the column {time} is in {found[1]} by its name: write time_unit = "{found[1]}" in [force]'
+    for name in forces:
+        if found := OTHER_UNIT.search(name):
+            return f"the column {name} is in {found[1]} by its name: convert it to newtons, and name it so"
+    return ""
