@@ -22,9 +22,9 @@ from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_model import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
-from onebend.learning.posterior import RHO, TAU, Nuisance
+from onebend.learning.posterior import Nuisance
 from onebend.learning.smoother import Habits, Smoother
-from onebend.learning.spline import Spline
+from onebend.learning.spline import RHO, TAU, Spline
 from onebend.records import Array, BoolArray
 
 _STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood

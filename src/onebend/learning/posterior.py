@@ -26,13 +26,12 @@ from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.scales import noise_before
-from onebend.learning.search import Effort, Optimum, search
-from onebend.learning.spline import Spline
+from onebend.learning.search import Effort, Optimum, conclude, search
+from onebend.learning.spline import RHO, TAU, Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
 _FEWEST = 5  # frames of a recording
-TAU, RHO = 8.0, 0.3  # expected roughness and steps of log k; their prior spans a factor of ten either way
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class FitSettings:
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
     effort: Effort = field(default_factory=Effort)
-    last_rounds: int = 2  # with all frames
+    last_rounds: int = 6  # at most, with all frames
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,7 @@ def fit(
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
+    expected = Scales(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
@@ -201,8 +200,8 @@ def fit(
         x[mass] = (x[mass] + np.array([1.0, 0.0, 0.0, 0.0])) / more - np.array([1.0, 0.0, 0.0, 0.0])
         near = replace(near, x=x)
         films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
-    optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
-    optimum = replace(optimum, steps=near.steps + optimum.steps)
+    found = search(films, at, near.x, level, near.scales, expected, end, progress)
+    optimum = conclude(films, at, replace(found, steps=near.steps + found.steps), level, expected, end)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)
     criticism = criticise(films, at, optimum, level, stiffness_of(at, optimum, gain_sd))

@@ -39,7 +39,8 @@ class Mixed:
 
     mean: Array  # (p,)
     covariance: Array  # (p, p)
-    parts: Array  # (n,) variances of the normal prior of which the mode is that of log k, scales integrated out
+    steps: Array  # (p - 1,) means of the steps
+    parts: Array  # (n,) mean variances of the parts: the normal prior that comes nearest
     tau: float  # medians
     rho: float
 
@@ -117,20 +118,23 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, bu
     count, p = chains * len(told), spline.count
     logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
     now = target.at(logs, np.ones((count, p - 1)))
-    mean, second, precision, sizes = np.zeros(p), np.zeros((p, p)), np.zeros(now.variance.shape[1]), []
+    mean, second, sizes = np.zeros(p), np.zeros((p, p)), []
+    parts, variance = np.zeros(now.variance.shape[1]), np.zeros(now.variance.shape[1])
     for i in range(burn + kept):
         now = target.moved(now, rng)
         if i < burn:
             continue
-        across = np.linalg.solve(now.root, (target.on_parts * now.variance[:, None]) @ target.weights.T)  # (B, r, p)
-        means = np.einsum("brp,br->bp", across, now.white)
-        told_away = np.sqrt(target.share)[:, None, None] * across
+        across = np.linalg.solve(now.root, target.on_parts * now.variance[:, None])  # (B, r, n)
+        of_parts = np.einsum("brn,br->bn", across, now.white)
+        means, told_away = of_parts @ target.weights.T, np.sqrt(target.share)[:, None, None] * (across @ target.weights.T)
         second += (target.weights * (target.share @ now.variance)) @ target.weights.T
         second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
         mean += target.share @ means
-        precision += target.share @ (1.0 / now.variance)
+        parts += target.share @ of_parts
+        variance += target.share @ now.variance
         sizes.append(now.logs)
     mean, second = mean / kept, second / kept
     tau, rho = np.exp(np.median(np.concatenate(sizes), axis=0)).tolist()
     covariance = second - np.outer(mean, mean)
-    return Mixed(mean + level, 0.5 * (covariance + covariance.T), kept / precision, tau, rho)
+    covariance = 0.5 * (covariance + covariance.T)
+    return Mixed(mean + level, covariance, parts[target.steps] / kept, variance / kept, tau, rho)

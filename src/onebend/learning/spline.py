@@ -18,6 +18,7 @@ from onebend.records import Array
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
+TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
 _DEGREE = 3
 
 

@@ -17,10 +17,9 @@ from scipy.optimize import minimize
 from onebend.beam.uncertain import IDENTIFIED_SD
 from onebend.blas import one_blas_thread
 from onebend.learning.identifiability import Seen, alone, eliminate, joint_information, mass_of, see, solve_push
-from onebend.learning.posterior import RHO, TAU
 from onebend.learning.proposals import PLACES, Quality
-from onebend.learning.scales import SPREAD
-from onebend.learning.spline import Spline
+from onebend.learning.roughness import SPREAD
+from onebend.learning.spline import RHO, TAU, Spline
 from onebend.learning.workbench import Bench
 from onebend.records import Array, BoolArray
 from onebend.rehearse.instruments import FUNCTIONS, even_push, instruments
@@ -179,7 +178,7 @@ def likely_scales(told: Array, away: Array) -> tuple[float, float]:
 
 
 def _scales(z: Array) -> tuple[float, float]:
-    tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD[:2] * np.clip(z, -_MOST, _MOST))
+    tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD * np.clip(z, -_MOST, _MOST))
     return float(tau), float(rho)
 
 
