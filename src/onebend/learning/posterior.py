@@ -157,9 +157,11 @@ class Posterior:
 
 
 def stiffness_of(at: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
-    """k(s) and its band at an optimum."""
-    where = at.index["stiffness", -1].where
-    return UncertainStiffness(at.spline.knots, optimum.x[where], optimum.covariance[where, where], gain_sd)
+    """k(s) and its band at an optimum: also where, within its knots, the spline cannot tell a step to be."""
+    where, fine, onto = at.index["stiffness", -1].where, at.spline.finer, at.spline.on_finer
+    covariance = onto @ optimum.covariance[where, where] @ onto.T
+    covariance += np.tensordot(optimum.jumps**2, at.spline.unseen, 1)
+    return UncertainStiffness(fine.knots, onto @ optimum.x[where], 0.5 * (covariance + covariance.T), gain_sd)
 
 
 def _from_legendre(states: Array) -> Profile:

@@ -77,7 +77,7 @@ class _Target:
 
     def at(self, logs: Array, own: Array) -> _Chains:
         """The chains with these sizes."""
-        variance = np.stack([self.spline.variances(*np.exp(one)) for one in logs])
+        variance = self.spline.variances(*np.exp(logs.T))
         free = variance[:, self.steps] * own
         variance[:, self.steps] = free / (1.0 + free / JUMP**2)
         spread = (self.on_parts * variance[:, None]) @ np.swapaxes(self.on_parts, 1, 2)

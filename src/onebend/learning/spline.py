@@ -20,6 +20,7 @@ LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
 _DEGREE = 3
+_WITHIN = 20  # places of a step between two coefficients that are averaged over
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,13 @@ class Spline:
         """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
         return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
 
-    def variances(self, tau: float, rho: float) -> Array:
-        """(n,) of the parts: level, slope, the smooth part's `count - 2` and `count - 1` steps."""
-        broad = (LEVEL_SD**2, SLOPE_SD**2)
-        return np.concatenate([broad, np.full(self.count - 2, tau**2), rho**2 * self.gaps])
+    def variances(self, tau: float | Array, rho: float | Array) -> Array:
+        """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2` and `count - 1` steps."""
+        out = np.empty((*np.shape(tau), 2 * self.count - 1))
+        out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
+        out[..., 2 : self.count] = np.square(tau)[..., None]
+        out[..., self.count :] = np.square(rho)[..., None] * self.gaps
+        return out
 
     @cached_property
     def gaps(self) -> Array:
@@ -71,6 +75,30 @@ class Spline:
         return np.concatenate(
             [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), steps - level @ steps], axis=1
         )
+
+    @cached_property
+    def finer(self) -> Spline:
+        """The splines on intervals a third as long."""
+        return Spline(3 * (self.count - _DEGREE) + _DEGREE)
+
+    @cached_property
+    def on_finer(self) -> Array:
+        """(count of the finer, count): the same functions by the finer ones' coefficients."""
+        s = np.linspace(0.0, 1.0, 8 * self.finer.count)
+        return np.asarray(np.linalg.lstsq(self.finer.basis(s), self.basis(s), rcond=None)[0])
+
+    @cached_property
+    def unseen(self) -> Array:
+        """(count - 1, f, f) covariance, by the f finer ones, of what the spline shows as a slope from one coefficient
+        to the next and is a step of size 1 that may be anywhere between them."""
+        at = self.finer._places
+        whole = self.basis(at)
+        out = []
+        for i in range(self.count - 1):
+            where = np.linspace(self._places[i], self._places[i + 1], 2 * _WITHIN + 1)[1::2]
+            away = (at > where[:, None]) - whole[:, i + 1 :].sum(axis=1)
+            out.append(away.T @ away / _WITHIN)
+        return np.stack(out)
 
     @cached_property
     def _places(self) -> Array:
