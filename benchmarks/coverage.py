@@ -89,7 +89,8 @@ def summary(name: str, runs: Sequence[Run]) -> Cell:
 
 
 def efficiency(name: str, runs: Sequence[Run]) -> str:
-    """A row of the table of squared errors over the least possible ones, for the thirds of the beam."""
+    """A row of the table of squared errors over the least possible ones, for the thirds of the beam: means over runs,
+    each in units of its own, so that a draw of which little can be known does not outweigh all others."""
     good = [r for r in runs if r.thirds_variance]
     error, least = (np.array([getattr(r, what) for r in good]) for what in ("thirds_error", "thirds_variance"))
     squares, off = error**2, "-"
@@ -97,8 +98,9 @@ def efficiency(name: str, runs: Sequence[Run]) -> str:
         bias = error.mean(axis=0)
         squares = (error - bias) ** 2 * len(good) / max(len(good) - 1, 1)
         off = " / ".join(f"{b:+.2f}" for b in bias / np.sqrt(least.mean(axis=0)))
-    shares = [share(squares[:, i], least[:, i]) for i in range(error.shape[1])]
-    ratios = " / ".join(f"{one.value:.2f} ± {one.error:.2f}" for one in shares)
+    ratio = squares / least
+    errors = ratio.std(axis=0, ddof=1) / np.sqrt(len(good))
+    ratios = " / ".join(f"{one:.2f} ± {by:.2f}" for one, by in zip(ratio.mean(axis=0), errors, strict=True))
     return f"| {name} | {len(good)} | {ratios} | {off} |"
 
 

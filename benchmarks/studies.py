@@ -24,21 +24,13 @@ from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
 from onebend.learning.forward import REST_MODES
 from onebend.learning.parameters import Priors
-from onebend.learning.posterior import RHO, TAU, FitSettings, Posterior, fit
-from onebend.learning.scales import SPREAD
+from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything")
-OWN = (
-    "prior 3",
-    "prior 8",
-    "prior 20",
-    "steps 1",
-    "fixed 6",
-    "drawn scales",
-)  # drawn from the fit's own model: see `own_run`
+OWN = ("drawn scales", "fixed 6")  # drawn from the fit's own model: see `own_run`
 LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
@@ -64,7 +56,6 @@ class Run:
     identified: tuple[bool, ...] = ()
     clock_error: float = 0.0  # s
     clock_sd: float = 0.0  # s
-    tau: float = 0.0
     converged: bool = False
     thirds_error: tuple[float, ...] = ()  # of the means of log k over thirds, where drawn from the fit's own model
     thirds_variance: tuple[float, ...] = ()  # the least possible one
@@ -180,35 +171,24 @@ def run(cell: str, seed: int) -> Run:
 
 
 def own_run(cell: str, seed: int) -> Run:
-    """The same with a draw from the fit's own model: "prior 8" has k of roughness 8 and the steps that
-    are expected, "steps 1" of steps 1 and the roughness expected, "fixed 6" one k of 6 functions. "drawn scales" draws
-    roughness and steps too, from the prior that the fit has of them: its band must hold the truth as often as it
-    says."""
+    """The same with a draw from the fit's own model: "drawn scales" draws all that the fit does not know from the
+    priors that it has of it, the sizes in the prior of log k included: its band must hold the truth as often as it
+    says. "fixed 6" is one k of 6 functions, and draws all else."""
     kind, number = cell.split()
     began = time.perf_counter()
     fixed, functions = kind == "fixed", int(number) if kind == "fixed" else FitSettings().functions
     try:
-        sizes = own_sizes(kind, number, seed)
-        drawn = draw(seed, functions=functions, fixed=fixed, **sizes)
+        drawn = draw(seed, functions=functions, fixed=fixed)
         found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
     except (LearningError, MechanicsError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    error = thirds(drawn.at.spline) @ (found.stiffness.mean - drawn.x[:functions])
+    error = thirds(drawn.at.spline) @ (found.mean[:functions] - drawn.x[:functions])
     return replace(
         compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
         thirds_error=tuple(error.tolist()),
         thirds_variance=tuple(least_variance(drawn, prior_of_k=not fixed).tolist()),
         seconds=time.perf_counter() - began,
     )
-
-
-def own_sizes(kind: str, number: str, seed: int) -> dict[str, float]:
-    """Roughness and steps of a cell of OWN, where they are not the expected ones."""
-    if kind == "drawn":
-        z = np.random.default_rng([seed, 13]).standard_normal(2)
-        tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD[:2] * z)
-        return {"tau": float(tau), "rho": float(rho)}
-    return {"prior": {"tau": float(number)}, "steps": {"rho": float(number)}}[kind] if kind != "fixed" else {}
 
 
 def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Run:
@@ -222,7 +202,6 @@ def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Run:
         sd=tuple((0.5 * np.log(band.high / band.low)).tolist()),
         inside=tuple(tuple(((truth > b.low) & (truth < b.high)).tolist()) for b in bands),
         identified=tuple(band.identified.tolist()),
-        tau=found.optimum.scales.tau,
         converged=found.optimum.converged,
     )
 
