@@ -86,7 +86,7 @@ class _Target:
         value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)
         value -= 0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
         value -= 0.5 * np.sum(((logs - np.log([TAU, RHO])) / SPREAD) ** 2, axis=1)
-        return _Chains(logs, own, variance, root, white, value)
+        return _Chains(logs, own, np.asarray(variance, dtype=float), root, white, value)
 
     def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
         """One step of every chain."""
@@ -126,7 +126,10 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, bu
             continue
         across = np.linalg.solve(now.root, target.on_parts * now.variance[:, None])  # (B, r, n)
         of_parts = np.einsum("brn,br->bn", across, now.white)
-        means, told_away = of_parts @ target.weights.T, np.sqrt(target.share)[:, None, None] * (across @ target.weights.T)
+        means, told_away = (
+            of_parts @ target.weights.T,
+            np.sqrt(target.share)[:, None, None] * (across @ target.weights.T),
+        )
         second += (target.weights * (target.share @ now.variance)) @ target.weights.T
         second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
         mean += target.share @ means
