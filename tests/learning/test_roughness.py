@@ -1,4 +1,4 @@
-"""The prior of log k and its posterior with unknown sizes: against the formulas, and against draws weighed one by one."""
+"""The prior of log k, and its posterior with unknown sizes: against formulas, and draws weighed one by one."""
 
 from __future__ import annotations
 

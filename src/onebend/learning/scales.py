@@ -38,7 +38,7 @@ _MOST = 4.0
 _GUESS_COUNTS = 3.0
 _CENTRE = 0.25  # share of the node in the middle
 _ON_THE_WAY = {"chains": 12, "burn": 15, "kept": 25}
-_AT_THE_END = {"chains": 4, "burn": 30, "kept": 100}  # for each of the scales that are averaged over
+_AT_THE_END = {"chains": 4, "burn": 20, "kept": 60}  # for each of the scales that are averaged over
 # Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
 # below this the solver's own error (1e-8 L) would have to be fitted.
 _LEAST = 0.02
