@@ -81,12 +81,12 @@ class _Target:
         free = variance[:, self.steps] * own
         variance[:, self.steps] = free / (1.0 + free / JUMP**2)
         spread = (self.on_parts * variance[:, None]) @ np.swapaxes(self.on_parts, 1, 2)
-        root = np.linalg.cholesky(spread + np.eye(spread.shape[-1]))
+        root = np.asarray(np.linalg.cholesky(spread + np.eye(spread.shape[-1])), dtype=float)
         white = np.linalg.solve(root, self.seen[..., None])[..., 0]
         value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)
         value -= 0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
         value -= 0.5 * np.sum(((logs - np.log([TAU, RHO])) / SPREAD) ** 2, axis=1)
-        return _Chains(logs, own, np.asarray(variance, dtype=float), root, white, value)
+        return _Chains(logs, own, variance, root, white, value)
 
     def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
         """One step of every chain."""
