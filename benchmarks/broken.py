@@ -65,7 +65,8 @@ def misplaced(bench: Bench, seed: int, *, along: float) -> Virtual:
 
 def elsewhere(bench: Bench, seed: int, *, at_s: float) -> Virtual:
     """The push is said to act at `at_s`; it acts at the tip."""
-    return virtual_recording(replace(bench, said=replace(bench.said, push_s=at_s)), seed=seed)
+    tip = replace(bench.push, at_s=1.0)
+    return virtual_recording(replace(bench, push=tip, said=replace(bench.said, push_s=at_s)), seed=seed)
 
 
 def wrong_length(bench: Bench, seed: int, *, share: float) -> Virtual:

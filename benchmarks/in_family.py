@@ -1,9 +1,9 @@
 """Observations drawn from the fit's own model, and the least variance that any estimator could have on them.
 
-Everything is as the fit assumes: log k from its spline prior of known sizes (or one fixed spline), clamp, origin,
-clock and tags from their priors, the force's error from its process, white noise on tags and on every frame's force.
-Only level and slope of log k, whose prior is all but flat, are drawn narrower: a flat prior does not care. So the
-band must hold the truth as often as it says, if what the fit does with its model is right.
+Everything is as the fit assumes: log k from its prior and the prior of that prior's sizes (or one fixed spline), clamp,
+origin, clock, push and tags from their priors, the force's error from its process, white noise on tags and on every
+frame's force. Only level and slope of log k, whose prior is all but flat, are drawn narrower: a flat prior does not
+care. So the band must hold the truth as often as it says, if what the fit does with its model is right.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from onebend.lab.shortcut import observe_quickly
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, virtual_recording
 from onebend.learning.forward import Film, film, jacobian, predict
-from onebend.learning.gauss_newton import FilmNoise, Rows, Scales, prior, quadratic, rest_quadratic, together
+from onebend.learning.gauss_newton import FilmNoise, Rows, Scales, quadratic, residuals, rest_quadratic, together
 from onebend.learning.parameters import Layout, Priors, layout
-from onebend.learning.posterior import RHO, TAU
+from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, mixed
+from onebend.learning.scales import Known
 from onebend.learning.spline import Spline
 from onebend.records import Array, ForceNoise, Observations
 
@@ -44,11 +45,11 @@ class Drawn:
     scales: Scales
 
 
-def draw(seed: int, *, tau: float = TAU, rho: float = RHO, functions: int = 16, fixed: bool = False) -> Drawn:
+def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     """One draw; with `fixed`, k(s) and the push are those of seed 0 and all else is drawn."""
     rng, own = np.random.default_rng([seed, 11]), np.random.default_rng([0 if fixed else seed, 12])
     spline = Spline(functions)
-    k = draw_log_k(spline, tau, rho, own)
+    k = spline.parts @ draw_parts(spline, own)
     stiffness = LogSpline(tuple(spline.knots.tolist()), tuple(k.tolist()))
     beam = Beam(0.15, stiffness)
     direction = own.uniform(1.4, 2.1)
@@ -77,20 +78,20 @@ def draw(seed: int, *, tau: float = TAU, rho: float = RHO, functions: int = 16, 
     template = replace(template, force=force, clean_force=logged)
     seen, at = prepared(template, spline)
     poses = noisy_poses(seen, at, x, WHITE * peak, rng)
-    scales = Scales(tau, rho, 1.0, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
-    return Drawn(with_poses(template, seen, poses), stiffness, seen, at, x, scales)
+    scales = Scales(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
+    observations = with_poses(template, seen, poses)
+    return Drawn(observations, stiffness, prepared(observations, spline)[0], at, x, scales)
 
 
-def draw_log_k(spline: Spline, tau: float, rho: float, rng: np.random.Generator) -> Array:
-    """Coefficients from the prior, their line drawn anew."""
-    root = np.linalg.cholesky(spline.precision(tau, rho))
-    c = np.linalg.solve(root.T, rng.standard_normal(spline.count))
-    s = np.linspace(0.0, 1.0, 201)
-    basis, line = spline.basis(s), np.stack([np.ones(len(s)), s - 0.5], axis=1)
-    rough = basis @ c
-    wanted = np.array([LEVEL + LEVEL_SD * rng.standard_normal(), SLOPE_SD * rng.standard_normal()])
-    values = rough - line @ np.linalg.lstsq(line, rough, rcond=None)[0] + line @ wanted
-    return np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0])
+def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
+    """(n,) parts of log k from their prior, that of its sizes included; level and slope drawn narrower."""
+    while True:
+        tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD * rng.standard_normal(2))
+        steps = rho * np.sqrt(spline.gaps) * rng.standard_cauchy(len(spline.gaps))
+        if rng.random() < np.exp(-0.5 * np.sum((steps / JUMP) ** 2)):
+            break
+    line = [LEVEL + LEVEL_SD * rng.standard_normal(), SLOPE_SD * rng.standard_normal()]
+    return np.concatenate([line, tau * rng.standard_normal(spline.count - 2), steps])
 
 
 def prepared(o: Observations, spline: Spline) -> tuple[Film, Layout]:
@@ -138,11 +139,12 @@ def thirds(spline: Spline) -> Array:
 
 
 def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
-    """(3,) of the means of log k over thirds: what the information at the truth allows, all scales known.
+    """(3,) of the means of log k over thirds: what is possible at the truth, all scales but those of log k known.
 
-    The data's Fisher information at the true parameters, plus the priors of what is random. With the prior of k too it
-    is van Trees' bound on the mean squared error over draws from the prior (each draw at its own information); without
-    it, the Cramer-Rao bound on any unbiased estimator for this k, the rest being random and integrated out.
+    The model linearised at the truth, with the data as drawn and the priors of what is random. With the prior of k too
+    it is the variance of the exact posterior, sizes of log k averaged over: no estimator's mean squared error over
+    draws is less than its mean. Without it, the Cramer-Rao bound on any unbiased estimator for this k, the rest being
+    random and integrated out.
     """
     at, seen, noise = drawn.at, drawn.seen, drawn.scales.films[0]
     now = predict(seen, at, drawn.x, None)
@@ -150,17 +152,16 @@ def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
     count = len(j)
     known = np.repeat(np.any(seen.whiten != 0.0, axis=(-1, -2)), 3, axis=1).astype(float)
     rows = Rows(
-        r=np.zeros_like(known),
+        r=residuals(seen, now),
         j=(seen.whiten @ j).reshape(count, -1, j.shape[-1]),
         a=(seen.whiten @ a).reshape(count, -1, 2),
         known=known,
         root_weight=known,
     )
     data = together([quadratic(rows, at, 0, drawn.x, noise), rest_quadratic([seen], at)])
-    precision, _, _ = prior([seen], at, LEVEL, drawn.scales)
-    p = at.spline.count
-    if not prior_of_k:
-        precision[:p, :p] = 0.0
-    covariance = np.linalg.inv(data.information + precision)[:p, :p]
+    told = Known(data, [seen], at, LEVEL, drawn.scales).told(drawn.scales)
+    covariance = np.linalg.pinv(told.information, hermitian=True)
+    if prior_of_k:
+        covariance = mixed(at.spline, [told], LEVEL, chains=30, burn=50, kept=150).covariance
     g = thirds(at.spline)
     return np.asarray(np.einsum("gi,ij,gj->g", g, covariance, g))

@@ -10,34 +10,34 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from benchmarks.in_family import draw, least_variance, thirds
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers
+from onebend.beam.modes import Modes
+from onebend.beam.stiffness import Powers, Profile
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.camera import TagNoise
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
-from onebend.learning.posterior import RHO, TAU, FitSettings, Posterior, fit
-from onebend.learning.scales import SPREAD
-from onebend.records import Array, Observations
+from onebend.learning.forward import REST_MODES
+from onebend.learning.parameters import Priors
+from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.recording.frame import MOUNTING_SD
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything", "stages", "franka")
-OWN = (
-    "prior 3",
-    "prior 8",
-    "prior 20",
-    "steps 1",
-    "fixed 6",
-    "drawn scales",
-)  # drawn from the fit's own model: see `own_run`
+OWN = ("drawn scales", "fixed 6")  # drawn from the fit's own model: see `own_run`
 LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
-MOUNTING = np.deg2rad(1.5)  # one sd of a tag's turn
+MOUNTING = Priors().mounting  # rad, one sd of a tag's turn
+CLAMP_SD = float(np.hypot(Priors().clamp, MOUNTING_SD))  # rad, of the clamp's direction where the rest is unknown
+PUSHED = 0.98  # where the push is said to act: off it either way there is beam
+STRAIGHT = Powers((0.0,))
 GAIN = 0.05  # one sd, as stated
 REVERSAL = {"everything": 0.02, "stages": 0.1, "franka": 0.3}  # of the largest force
 S = np.linspace(0.05, 0.9, 35)
@@ -57,7 +57,6 @@ class Run:
     identified: tuple[bool, ...] = ()
     clock_error: float = 0.0  # s
     clock_sd: float = 0.0  # s
-    tau: float = 0.0
     converged: bool = False
     thirds_error: tuple[float, ...] = ()  # of the means of log k over thirds, where drawn from the fit's own model
     thirds_variance: tuple[float, ...] = ()  # the least possible one
@@ -88,13 +87,14 @@ class Run:
 def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     """A random beam and push with one kind of errors; sizes of force errors are in parts of the largest force.
 
-    white: force samples 2 %, tags 0.02 mm and 1 mrad a frame. correlated: also 3 % with a correlation time of 0.3 s.
-    To that each of the next adds one thing: bias 30 %; gain 5 %, as declared; a written start of the film that is up to
-    1.5 s off; tags and base off their places by 0.5 mm and 1.5 deg, as declared. everything: all of these, and noise of
-    the tags that lasts, is stated too small and holds outliers, a force error of 2 % that changes when the load
-    reverses, and a natural curvature. stages: beside the correlated errors one of 10 % that is drawn anew when the load
-    begins and reverses. franka: the same of 30 %, a lag of 35 ms, a gain of 13 %, as declared, 80 samples a second,
-    and a written start of the film as under clock. Where tags are not displaced their places are stated to 0.02 mm.
+    Whatever the fit is told to allow for is drawn as it is told: where tags sit and how they are turned, the base tag,
+    the place of the push, the axes of the force. white: force samples 2 %, tags 0.02 mm and 1 mrad a frame, placed to
+    0.02 mm. correlated: also 3 % with a correlation time of 0.3 s. To that each of the next adds one thing: bias 30 %;
+    gain 5 %; a written start of the film that is up to 1.5 s off; tags placed by hand, to 0.5 mm. everything: all of
+    these, and noise of the tags that lasts, is stated too small and holds outliers, a force error of 2 % that changes
+    when the load reverses, and a natural curvature. stages: beside the correlated errors one of 10 % that is drawn anew
+    when the load begins and reverses. franka: the same of 30 %, a lag of 35 ms, a gain of 13 %, 80 samples a second,
+    and a written start of the film as under clock.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 7])
     everything = errors == "everything"
@@ -102,12 +102,13 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     def has(name: str) -> bool:
         return everything or errors == name
 
-    rest = Powers(tuple((np.array([0.03, 0.06]) * rng.standard_normal(2)).tolist())) if everything else Powers((0.0,))
-    beam = Beam(LENGTH, random_stiffness(kind, rng), rest_curvature=rest)
+    placement = PLACEMENT if has("tags") else PLACED
+    beam = Beam(LENGTH, random_stiffness(kind, rng), rest_curvature=rest_curvature(rng) if everything else STRAIGHT)
     direction, turn = rng.uniform(1.4, 2.1), rng.uniform(0.2, 0.8)
-    peak = force_that_bends(beam, rng.uniform(0.7, 1.3), direction)
-    off = rng.standard_normal((3, 3)) * np.array([PLACEMENT, PLACEMENT, MOUNTING]) * has("tags")
-    base = rng.standard_normal(3) * np.array([PLACEMENT, PLACEMENT, np.deg2rad(1.0)]) * has("tags")
+    at_s = PUSHED + PLACE_SD / LENGTH * float(rng.standard_normal())
+    peak = force_that_bends(beam, rng.uniform(0.7, 1.3), direction, at_s)
+    off = rng.standard_normal((3, 3)) * np.array([placement, placement, MOUNTING])
+    base = rng.standard_normal(3) * np.array([placement, placement, MOUNTING_SD])
     noise = TagNoise()
     if everything:
         noise = TagNoise(slow_xy=1e-5, slow_angle=5e-4, stated=0.7, outliers=0.005, missing=0.01)
@@ -116,7 +117,7 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     bias = 0.3 * peak * rng.standard_normal(2) * has("bias")
     return Bench(
         beam=beam,
-        push=Push(peak, direction=direction, turn=turn),
+        push=Push(peak, direction=direction, turn=turn, at_s=at_s),
         tags=tuple(Tag(i + 1, (i + 1) / 3, *map(float, off[i])) for i in range(3)),
         base=(float(base[0]), float(base[1]), float(base[2])),
         sensor=ForceSensor(
@@ -133,12 +134,28 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
         if has("clock") or franka
         else Clock(250.0, 250.0, 0.01),
         said=Said(
-            placement_sd=PLACEMENT if has("tags") else PLACED,
+            push_s=PUSHED,
+            placement_sd=placement,
+            axes=DIRECTION_SD * float(rng.standard_normal()),
             rest="unknown" if everything else "straight",
             gain_sd=gain,
         ),
         name=f"{kind} {errors} {seed}",
     )
+
+
+def rest_curvature(rng: np.random.Generator) -> Profile:
+    """A natural curvature as the fit expects it, given that the tags at rest lie on the frame's x axis.
+
+    The fit takes its three Legendre states and the clamp's direction from priors of their own. The frame is turned so
+    that the line through the tags is its x axis: so the clamp's direction undoes what the curvature turns that line by.
+    """
+    s = np.linspace(0.0, 1.0, 601)
+    height = cumulative_trapezoid(REST_MODES.angle(s), s, axis=0, initial=0.0)[200::200]
+    line = s[200::200] @ height / np.sum(s[200::200] ** 2)
+    precision = np.eye(3) / Priors().curvature ** 2 + np.outer(line, line) / CLAMP_SD**2
+    states = np.linalg.cholesky(np.linalg.inv(precision)) @ rng.standard_normal(3)
+    return Powers(tuple(np.linalg.solve(Modes(3, "powers").to_legendre, states).tolist()))
 
 
 def run(cell: str, seed: int) -> Run:
@@ -163,35 +180,24 @@ def run(cell: str, seed: int) -> Run:
 
 
 def own_run(cell: str, seed: int) -> Run:
-    """The same with a draw from the fit's own model: "prior 8" has k of roughness 8 and the steps that
-    are expected, "steps 1" of steps 1 and the roughness expected, "fixed 6" one k of 6 functions. "drawn scales" draws
-    roughness and steps too, from the prior that the fit has of them: its band must hold the truth as often as it
-    says."""
+    """The same with a draw from the fit's own model: "drawn scales" draws all that the fit does not know from the
+    priors that it has of it, the sizes in the prior of log k included: its band must hold the truth as often as it
+    says. "fixed 6" is one k of 6 functions, and draws all else."""
     kind, number = cell.split()
     began = time.perf_counter()
     fixed, functions = kind == "fixed", int(number) if kind == "fixed" else FitSettings().functions
     try:
-        sizes = own_sizes(kind, number, seed)
-        drawn = draw(seed, functions=functions, fixed=fixed, **sizes)
+        drawn = draw(seed, functions=functions, fixed=fixed)
         found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
     except (LearningError, MechanicsError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    error = thirds(drawn.at.spline) @ (found.stiffness.mean - drawn.x[:functions])
+    error = thirds(drawn.at.spline) @ (found.mean[:functions] - drawn.x[:functions])
     return replace(
         compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
         thirds_error=tuple(error.tolist()),
         thirds_variance=tuple(least_variance(drawn, prior_of_k=not fixed).tolist()),
         seconds=time.perf_counter() - began,
     )
-
-
-def own_sizes(kind: str, number: str, seed: int) -> dict[str, float]:
-    """Roughness and steps of a cell of OWN, where they are not the expected ones."""
-    if kind == "drawn":
-        z = np.random.default_rng([seed, 13]).standard_normal(2)
-        tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD[:2] * z)
-        return {"tau": float(tau), "rho": float(rho)}
-    return {"prior": {"tau": float(number)}, "steps": {"rho": float(number)}}[kind] if kind != "fixed" else {}
 
 
 def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Run:
@@ -205,7 +211,6 @@ def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Run:
         sd=tuple((0.5 * np.log(band.high / band.low)).tolist()),
         inside=tuple(tuple(((truth > b.low) & (truth < b.high)).tolist()) for b in bands),
         identified=tuple(band.identified.tolist()),
-        tau=found.optimum.scales.tau,
         converged=found.optimum.converged,
     )
 

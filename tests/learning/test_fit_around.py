@@ -68,7 +68,7 @@ def test_correlations_are_those_of_draws_from_the_posterior() -> None:
     draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance, 40_000, method="cholesky")
     s = np.linspace(0, 1, 201)
     known = one.band(s).identified
-    level = np.mean(draws[:, :8] @ one.stiffness.basis(s[known]).T, axis=1)
+    level = np.mean(draws[:, :8] @ one.at.spline.basis(s[known]).T, axis=1)
     for name in ("tag 1 along", "made: clamp angle", "made: mean force error y"):
         block = next(b for b in one.at.blocks if any(label.startswith(name.split(" error")[0]) for label in b.labels)
                      or (b.name == "force" and "force" in name))  # fmt: skip

@@ -47,10 +47,12 @@ def next_pushes(middle: Posterior) -> Plan:
 
 def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middle: Posterior) -> None:
     made, at = bench_of(middle), middle.at
-    names = ("stiffness", "along", "across", "turn")
-    rows = np.concatenate([np.arange(at.size)[at.index[name, -1].where] for name in names])
-    joint = made.joint(middle.stiffness.covariance)
-    np.testing.assert_allclose(joint, middle.covariance[np.ix_(rows, rows)], rtol=1e-6, atol=1e-12)
+    rows = np.concatenate([np.arange(at.size)[at.index[name, -1].where] for name in ("along", "across", "turn")])
+    joint, p, f = made.joint(middle.stiffness.covariance), at.spline.count, at.spline.finer.count
+    np.testing.assert_allclose(joint[:f, :f], middle.stiffness.covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(joint[f:, f:], middle.covariance[np.ix_(rows, rows)], rtol=1e-6, atol=1e-12)
+    across = middle.covariance[rows, :p] @ at.spline.on_finer.T
+    np.testing.assert_allclose(joint[f:, :f], across, rtol=1e-4, atol=1e-6 * np.abs(across).max())
     assert made.pushes[0].at_s == 0.6
     assert made.pushes[0].direction == pytest.approx(1.9, abs=0.05)
     assert made.frames == 60

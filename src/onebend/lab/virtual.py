@@ -23,7 +23,7 @@ from onebend.lab.sensors import ForceSensor, log_of
 from onebend.lab.truths import RESOLUTION
 from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
 from onebend.recording.observe import ObserveSettings, assemble
-from onebend.records import Array, ForceLog, Markers, Observations, Rest
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceLog, Markers, Observations, Rest
 
 LOG_BEFORE = 1.0  # s, the log begins before the film and ends after it
 DENSE = 1e-3  # s, step of the true force that a sensor sees
@@ -56,6 +56,9 @@ class Said:
     length: float = nan  # m
     push_s: float = nan
     placement_sd: float = 5e-4  # m
+    place_sd: float = PLACE_SD  # m, of the push's place
+    axes: float = 0.0  # rad, the log's x axis against the beam's; really they agree
+    axes_sd: float = DIRECTION_SD  # rad
     rest: Rest = "straight"
     gain_sd: float = nan
 
@@ -186,7 +189,7 @@ def written(bench: Bench) -> Recording:
         ),
         camera=None,
         video=VideoEntry(file=at / "video.mp4", start=clock.said, start_uncertainty=clock.uncertainty),
-        force=ForceEntry(file=at / "force.csv", gain_sd=said.gain_sd),
-        push=PushEntry(at=bench.push.at_s if isnan(said.push_s) else said.push_s),
+        force=ForceEntry(file=at / "force.csv", rotation=said.axes, rotation_sd=said.axes_sd, gain_sd=said.gain_sd),
+        push=PushEntry(at=bench.push.at_s if isnan(said.push_s) else said.push_s, at_sd=said.place_sd),
         gravity=None,
     )

@@ -36,8 +36,7 @@ class FilmNoise:
 class Scales:
     """Sizes that the data choose."""
 
-    tau: float  # roughness of the smooth part of log k
-    rho: float  # size of its steps
+    parts: Array  # (n,) variances of the parts of log k, see `Spline.parts`
     coloured: float  # of the sd that was expected of the force error's coloured part
     memory: float  # of its correlation time
     walk: float  # of the random walk that was expected
@@ -156,15 +155,18 @@ def together(parts: list[Quadratic]) -> Quadratic:
     )
 
 
-def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[Array, Array, float]:
-    """Precision (P, P) and mean (P,) of the parameters before the data, and the precision's log determinant."""
+def prior(films: list[Film], at: Layout, level: float | Array, scales: Scales) -> tuple[Array, Array, float]:
+    """Precision (P, P) and mean (P,) of the parameters before the data, and the precision's log determinant.
+
+    `level`: mean of log k's coefficients, one for all or one each.
+    """
     precision, mean, log_det = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0
     for block in at.blocks:
         if block.start < 0:
             continue
         where = block.where
         if block.name == "stiffness":
-            precision[where, where] = at.spline.precision(scales.tau, scales.rho) + at.evenness
+            precision[where, where] = at.spline.precision_of(scales.parts) + at.evenness
             mean[where] = level
             log_det += float(np.linalg.slogdet(precision[where, where])[1])
         elif block.name == "force":  # x and y in turn, alike

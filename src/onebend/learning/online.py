@@ -22,9 +22,9 @@ from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_model import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
-from onebend.learning.posterior import RHO, TAU, Nuisance
+from onebend.learning.posterior import Nuisance
 from onebend.learning.smoother import Habits, Smoother
-from onebend.learning.spline import Spline
+from onebend.learning.spline import RHO, TAU, Spline
 from onebend.records import Array, BoolArray
 
 _STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
@@ -237,13 +237,14 @@ def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Sta
     """What is known before the data, and the parameters to begin with."""
     x, mean, p = np.zeros(at.size), np.zeros(at.size), at.spline.count
     if isinstance(start, UncertainStiffness):
-        if not np.array_equal(start.knots, at.spline.knots):
+        if not np.array_equal(start.knots, at.spline.finer.knots):
             raise LearningError(
-                f"the stiffness to go on from has {len(start.mean)} functions, the settings ask for {p}; "
-                "make them equal"
+                f"the stiffness to go on from has {len(start.mean)} functions, the settings' {p} call for "
+                f"{at.spline.finer.count}; fit it with as many functions"
             )
-        x[:p] = mean[:p] = start.mean
-        return Start(at, mean, np.asarray(np.linalg.inv(start.covariance))), x
+        back = np.linalg.pinv(at.spline.on_finer)
+        x[:p] = mean[:p] = back @ start.mean
+        return Start(at, mean, np.asarray(np.linalg.inv(back @ start.covariance @ back.T))), x
     s = np.linspace(0.0, 1.0, 8 * p)
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
     if not np.all(k > 0.0):

@@ -28,13 +28,12 @@ from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.own_weight import following
 from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.scales import noise_before
-from onebend.learning.search import Effort, Optimum, search
-from onebend.learning.spline import Spline
+from onebend.learning.search import Effort, Optimum, conclude, search
+from onebend.learning.spline import RHO, TAU, Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
 _FEWEST = 5  # frames of a recording
-TAU, RHO = 8.0, 0.3  # expected roughness and steps of log k; their prior spans a factor of ten either way
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class FitSettings:
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
     effort: Effort = field(default_factory=Effort)
-    last_rounds: int = 2  # with all frames
+    last_rounds: int = 6  # at most, with all frames
 
 
 @dataclass(frozen=True)
@@ -183,9 +182,11 @@ class Posterior:
 
 
 def stiffness_of(at: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
-    """k(s) and its band at an optimum."""
-    where = at.index["stiffness", -1].where
-    return UncertainStiffness(at.spline.knots, optimum.x[where], optimum.covariance[where, where], gain_sd)
+    """k(s) and its band at an optimum: also where, within its knots, the spline cannot tell a step to be."""
+    where, fine, onto = at.index["stiffness", -1].where, at.spline.finer, at.spline.on_finer
+    covariance = onto @ optimum.covariance[where, where] @ onto.T
+    covariance += np.tensordot(optimum.jumps**2, at.spline.unseen, 1)
+    return UncertainStiffness(fine.knots, onto @ optimum.x[where], 0.5 * (covariance + covariance.T), gain_sd)
 
 
 def _from_legendre(states: Array) -> Profile:
@@ -214,7 +215,7 @@ def fit(
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
+    expected = Scales(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
@@ -228,8 +229,8 @@ def fit(
         films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
     same = all(np.array_equal(one.frames, other.frames) for one, other in zip(first, films, strict=True))
     shapes = [p.solved.q for p in near.predictions] if same else None
-    optimum = search(films, at, near.x, level, near.scales, expected, end, progress, shapes)
-    optimum = replace(optimum, steps=near.steps + optimum.steps)
+    found = search(films, at, near.x, level, near.scales, expected, end, progress, shapes)
+    optimum = conclude(films, at, replace(found, steps=near.steps + found.steps), level, expected, end)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)
     criticism = criticise(films, at, optimum, level, stiffness_of(at, optimum, gain_sd))

@@ -22,9 +22,12 @@ from onebend.learning.gauss_newton import (
     together,
 )
 from onebend.learning.parameters import Layout
-from onebend.learning.scales import Known, averaged_covariance, choose_scales, new_noise
+from onebend.learning.scales import Known, averaged, choose_scales, new_noise
 from onebend.progress import Progress
 from onebend.records import Array
+
+_HELD = 1e-5  # of log k: held in its place
+_STEADY = 0.1  # of the log of a film's noise from round to round
 
 
 @dataclass(frozen=True)
@@ -33,17 +36,29 @@ class Effort:
 
     most_steps: int = 60
     coarse_rounds: int = 3  # far from the optimum the markers' fine print misleads
-    rounds: int = 6  # in all; each ends with new scales
+    rounds: int = 6  # at most; each ends with new scales, until the noise is steady
     on_the_way: float = 0.3  # as `tolerance`, in all rounds but the last
     tolerance: float = 0.02  # expected gain of the last step, as a share of one sd
 
 
 @dataclass(frozen=True)
-class Optimum:
-    """Where the search ended, and why."""
+class Found:
+    """Where the search ended."""
 
-    x: Array  # (P,)
+    x: Array  # (P,) the most probable parameters under `scales`
+    scales: Scales
+    predictions: tuple[Prediction, ...]
+    steps: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The posterior, and why the search ended."""
+
+    x: Array  # (P,) log k's mean, its scales averaged over, and what is most probable with it
     covariance: Array  # (P, P)
+    jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, what is smooth apart
     scales: Scales
     predictions: tuple[Prediction, ...]
     log_evidence: float
@@ -62,14 +77,14 @@ def search(
     effort: Effort,
     progress: Progress,
     shapes: list[Array] | None = None,
-) -> Optimum:
+) -> Found:
     """From parameters x and scales to the maximum a posteriori; `level`: prior mean of log k; `shapes`: (F, Q) of each
     film at x, where they are known.
 
     Raises:
         LearningError: the start has no equilibrium under the measured forces.
     """
-    steps, converged = 0, False
+    steps, converged, steady = 0, False, False
     begin: list[Array | None] = [None] * len(films) if shapes is None else [*shapes]
     now = [predict(seen, at, x, q) for seen, q in zip(films, begin, strict=True)]
     if not all(np.all(p.solved.converged) for p in now):
@@ -77,7 +92,7 @@ def search(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
         )
     for round_number in range(effort.rounds):
-        last = round_number == effort.rounds - 1
+        last = steady or round_number == effort.rounds - 1
         if round_number < effort.coarse_rounds:
             size = [float(np.sqrt(np.mean(residuals(f, p) ** 2))) for f, p in zip(films, now, strict=True)]
             coarse = tuple(replace(n, marker=max(s, 1.5)) for n, s in zip(expected.films, size, strict=True))
@@ -86,22 +101,55 @@ def search(
         x, now, taken, converged = _descend(films, at, x, now, level, scales, most, tolerance)
         steps += taken
         rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
-        if not last and round_number >= effort.coarse_rounds - 1:
-            scales = _new_scales(films, at, rows, x, level, scales, expected)
         progress.advance()
-    known = Known(_data(films, at, rows, x, scales), films, at, level, expected)
+        if last:
+            break
+        if round_number >= effort.coarse_rounds - 1:
+            before, scales = scales, _new_scales(films, at, rows, x, level, scales, expected)
+            steady = round_number >= effort.coarse_rounds and _alike(before, scales)
+    return Found(x, scales, tuple(now), steps, converged)
+
+
+def conclude(films: list[Film], at: Layout, found: Found, level: float, expected: Scales, effort: Effort) -> Optimum:
+    """The posterior around where the search ended, what the scales leave open included."""
+    scales, now = found.scales, found.predictions
+    rows = [rows_of(f, at, found.x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
+    known = Known(_data(films, at, rows, found.x, scales), films, at, level, expected)
+    of_k, covariance = averaged(known, scales)
+    x, now = _settled(films, at, found, of_k.mean, covariance)
     return Optimum(
         x=x,
-        covariance=averaged_covariance(known, scales),
+        covariance=covariance,
+        jumps=of_k.steps,
         scales=scales,
-        predictions=tuple(now),
+        predictions=now,
         log_evidence=known.solve(scales)[1],
-        steps=steps,
-        converged=converged,
+        steps=found.steps,
+        converged=found.converged,
         stopped=f"the last step was worth less than {effort.tolerance:g} of a sd"
-        if converged
+        if found.converged
         else f"{effort.most_steps} steps were not enough",
     )
+
+
+def _settled(
+    films: list[Film], at: Layout, found: Found, k: Array, covariance: Array
+) -> tuple[Array, tuple[Prediction, ...]]:
+    """All else where the tags want it with log k's coefficients at k (p,); as found where the beam would not stand."""
+    p, parts = at.spline.count, found.scales.parts
+    x = found.x + np.linalg.solve(covariance[:p, :p], covariance[:p]).T @ (k - found.x[:p])
+    now = [predict(f, at, x, one.solved.q, one.own) for f, one in zip(films, found.predictions, strict=True)]
+    if not all(np.all(one.solved.converged) for one in now):
+        return found.x, found.predictions
+    held = replace(found.scales, parts=np.full_like(parts, _HELD**2))
+    x, now, _, _ = _descend(films, at, x, now, k, held, 10, 0.1)
+    return x, tuple(now)
+
+
+def _alike(before: Scales, after: Scales) -> bool:
+    """Whether the tags' noise has come to rest: what the beam could not follow yet counts as noise."""
+    pairs = zip(before.films, after.films, strict=True)
+    return all(abs(np.log(b.marker / a.marker)) < _STEADY for b, a in pairs)
 
 
 def _new_scales(
@@ -130,7 +178,7 @@ def _descend(
     at: Layout,
     x: Array,
     now: list[Prediction],
-    level: float,
+    level: float | Array,
     scales: Scales,
     most: int,
     tolerance: float,

@@ -1,9 +1,8 @@
 """log k(s) as a cubic B-spline with a smoothness prior.
 
 The prior is a sum of three: a broad one for level and slope; a smooth part whose second derivative is white noise of
-size `tau` (an integrated Wiener process); and steps, whose first derivative is white noise of size `rho` (a Wiener
-process: glued pieces, joints). The evidence chooses both sizes: rough data earn a rough k, and where nothing is seen
-the band opens as the prior does.
+size `tau` (an integrated Wiener process); and steps from each coefficient to the next, of size `rho` (a random walk:
+glued pieces, joints). Rough data earn a rough k, and where nothing is seen the band opens as the prior does.
 """
 
 from __future__ import annotations
@@ -13,13 +12,15 @@ from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg import null_space
 
 from onebend.records import Array
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
+TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
 _DEGREE = 3
-_PINNED = 0.01  # of the mean of the steps: the level has its own prior
+_WITHIN = 20  # places of a step between two coefficients that are averaged over
 
 
 @dataclass(frozen=True)
@@ -41,37 +42,75 @@ class Spline:
 
     def precision(self, tau: float, rho: float) -> Array:
         """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
-        smooth = np.linalg.inv(self._bending / tau**2 + self._level_and_slope)
-        steps = np.linalg.inv(self._slopes / rho**2 + np.outer(self._level, self._level) / _PINNED**2)
-        return np.asarray(np.linalg.inv(smooth + steps))
+        return self.precision_of(self.variances(tau, rho))
+
+    def precision_of(self, variances: Array) -> Array:
+        """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
+        return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
+
+    def variances(self, tau: float | Array, rho: float | Array) -> Array:
+        """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2` and `count - 1` steps."""
+        out = np.empty((*np.shape(tau), 2 * self.count - 1))
+        out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
+        out[..., 2 : self.count] = np.square(tau)[..., None]
+        out[..., self.count :] = np.square(rho)[..., None] * self.gaps
+        return out
+
+    @cached_property
+    def gaps(self) -> Array:
+        """(count - 1,) distances of the places of the coefficients."""
+        return np.diff(self._places)
+
+    @cached_property
+    def parts(self) -> Array:
+        """(count, n) coefficients of the independent parts that log k is the sum of."""
+        s = np.linspace(0.0, 1.0, 101)
+        basis = self.basis(s)
+        level, slope = basis.mean(axis=0), ((s - 0.5) @ basis) / np.sum((s - 0.5) ** 2)
+        both = np.stack([level, slope])
+        line = np.stack([np.ones(self.count), self._places - 0.5], axis=1)
+        bent = null_space(both)
+        values, vectors = np.linalg.eigh(bent.T @ self._bending @ bent)
+        steps = np.tril(np.ones((self.count, self.count)), -1)[:, :-1]
+        return np.concatenate(
+            [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), steps - level @ steps], axis=1
+        )
+
+    @cached_property
+    def finer(self) -> Spline:
+        """The splines on intervals a third as long."""
+        return Spline(3 * (self.count - _DEGREE) + _DEGREE)
+
+    @cached_property
+    def on_finer(self) -> Array:
+        """(count of the finer, count): the same functions by the finer ones' coefficients."""
+        s = np.linspace(0.0, 1.0, 8 * self.finer.count)
+        return np.asarray(np.linalg.lstsq(self.finer.basis(s), self.basis(s), rcond=None)[0])
+
+    @cached_property
+    def unseen(self) -> Array:
+        """(count - 1, f, f) covariance, by the f finer ones, of what the spline shows as a slope from one coefficient
+        to the next and is a step of size 1 that may be anywhere between them."""
+        at = self.finer._places
+        whole = self.basis(at)
+        out = []
+        for i in range(self.count - 1):
+            where = np.linspace(self._places[i], self._places[i + 1], 2 * _WITHIN + 1)[1::2]
+            away = (at > where[:, None]) - whole[:, i + 1 :].sum(axis=1)
+            out.append(away.T @ away / _WITHIN)
+        return np.stack(out)
+
+    @cached_property
+    def _places(self) -> Array:
+        """(count,) where the coefficients act (Greville)."""
+        return np.array([np.mean(self.knots[i + 1 : i + 1 + _DEGREE]) for i in range(self.count)])
 
     @cached_property
     def _bending(self) -> Array:
-        """`int b_i'' b_j'' ds`."""
-        return self._squares(2)
-
-    @cached_property
-    def _slopes(self) -> Array:
-        """`int b_i' b_j' ds`."""
-        return self._squares(1)
-
-    def _squares(self, order: int) -> Array:
-        """(count, count) integrals of products of derivatives: exact with four Gauss points a piece."""
+        """(count, count) `int b_i'' b_j'' ds`: exact with four Gauss points a piece."""
         x, w = np.polynomial.legendre.leggauss(4)
         edges = np.linspace(0.0, 1.0, self.count - _DEGREE + 1)
         h = edges[1] - edges[0]
         nodes = (edges[:-1, None] + 0.5 * h * (x + 1.0)).ravel()
-        each = np.stack([BSpline(self.knots, e, _DEGREE).derivative(order)(nodes) for e in np.eye(self.count)], axis=1)
+        each = np.stack([BSpline(self.knots, e, _DEGREE).derivative(2)(nodes) for e in np.eye(self.count)], axis=1)
         return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
-
-    @cached_property
-    def _level(self) -> Array:
-        """(count,) weights of the mean of log k."""
-        return np.asarray(self.basis(np.linspace(0.0, 1.0, 101)).mean(axis=0))
-
-    @cached_property
-    def _level_and_slope(self) -> Array:
-        """Broad prior of mean and least-squares slope of log k."""
-        s = np.linspace(0.0, 1.0, 101)
-        slope = ((s - 0.5) @ self.basis(s)) / np.sum((s - 0.5) ** 2)
-        return np.asarray(np.outer(self._level, self._level) / LEVEL_SD**2 + np.outer(slope, slope) / SLOPE_SD**2)

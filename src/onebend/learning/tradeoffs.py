@@ -76,7 +76,7 @@ def _level(posterior: Posterior) -> Array:
     """(P,) weights of the mean of log k, over the identified places if there are any."""
     s = np.linspace(0.0, 1.0, _PLACES)
     identified = posterior.band(s).identified
-    basis = posterior.stiffness.basis(s[identified] if np.any(identified) else s)
+    basis = posterior.at.spline.basis(s[identified] if np.any(identified) else s)
     out = np.zeros(posterior.at.size)
     out[posterior.at.index["stiffness", -1].where] = np.mean(basis, axis=0)
     return out

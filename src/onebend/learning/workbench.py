@@ -181,14 +181,13 @@ def push_of(observations: Observations) -> Push:
 
 
 def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Slope (N, p) and left covariance (N, N) of the shared nuisances, given the coefficients of log k."""
+    """Slope (N, f) and left covariance (N, N) of the shared nuisances, given the f coefficients of log k's band."""
     index = posterior.at.index
     first = np.arange(posterior.at.size)[index["stiffness", -1].where]
     rest = [np.arange(posterior.at.size)[index[name, -1].where] for name in names]
     others = np.concatenate([np.zeros(0, dtype=np.int64), *rest])
-    own = posterior.covariance[np.ix_(first, first)]
-    across = posterior.covariance[np.ix_(others, first)]
-    slope = np.linalg.solve(own, across.T).T
+    across = posterior.covariance[np.ix_(others, first)] @ posterior.at.spline.on_finer.T
+    slope = across @ np.linalg.pinv(posterior.stiffness.covariance, rcond=1e-11, hermitian=True)
     left = posterior.covariance[np.ix_(others, others)] - slope @ across.T
     return slope, np.asarray(0.5 * (left + left.T))
 

@@ -20,10 +20,9 @@ from onebend.beam.uncertain import IDENTIFIED_SD
 from onebend.blas import one_blas_thread
 from onebend.lab.pushes import Push
 from onebend.learning.identifiability import STEPS, Seen, alone, eliminate, joint_information, mass_of, see, solve_push
-from onebend.learning.posterior import RHO, TAU
 from onebend.learning.proposals import PLACES, Quality
-from onebend.learning.scales import SPREAD
-from onebend.learning.spline import Spline
+from onebend.learning.roughness import SPREAD
+from onebend.learning.spline import RHO, TAU, Spline
 from onebend.records import Array, BoolArray
 from onebend.rehearse.instruments import FUNCTIONS, Instruments, even_push, instruments
 from onebend.rehearse.setup import Setup
@@ -210,7 +209,7 @@ def likely_scales(told: Array, away: Array) -> tuple[float, float]:
 
 
 def _scales(z: Array) -> tuple[float, float]:
-    tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD[:2] * np.clip(z, -_MOST, _MOST))
+    tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD * np.clip(z, -_MOST, _MOST))
     return float(tau), float(rho)
 
 

@@ -58,7 +58,7 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
     squared, count = _squares(trainings)
     rms = np.sqrt(np.divide(squared, count, out=np.full(len(count), np.nan), where=count > 0))
     if posterior is not None:
-        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, len(posterior.stiffness.mean))
+        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.at.spline.count)
     else:
         assert learned is not None
         trial = learned.trials[learned.chosen]

@@ -1,0 +1,143 @@
+"""What data say of log k where the sizes in its prior are not known: their posterior, sampled.
+
+Given the sizes of the smooth part (`tau`), of the steps (`rho`) and of every single step beside the others, log k is
+normal. The sizes are not: a beam may be even but for one glued joint, and several answers may fit. So they are drawn:
+`tau` and `rho` by Metropolis steps with log k integrated out, every step's own size given the step (it is Student's t
+with one degree of freedom: most are small, a few are large). Mean and covariance of log k are averages of those given
+the sizes, so that few draws are enough. Chains run side by side, and every run is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.learning.spline import Spline
+from onebend.records import Array
+
+TAU, RHO = 3.0, 0.1  # expected roughness and size of steps of log k
+SPREAD = np.array([1.2, 1.2])  # one sd of their logs: a factor of ten either way
+JUMP = 1.0  # of log k: a single step is hardly ever larger than two of these
+_TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
+_MIX = 0.3  # share of wide proposals
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is known of log k's coefficients beside their prior: `-2 log p = c' H c - 2 b' c`."""
+
+    information: Array  # (p, p)
+    b: Array  # (p,)
+    weight: float = 1.0  # of this among others, their sum being one
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """log k's coefficients, its scales averaged over."""
+
+    mean: Array  # (p,)
+    covariance: Array  # (p, p)
+    steps: Array  # (p - 1,) means of the steps
+    parts: Array  # (n,) mean variances of the parts: the normal prior that comes nearest
+    tau: float  # medians
+    rho: float
+
+
+@dataclass(frozen=True)
+class _Chains:
+    """Where B chains stand."""
+
+    logs: Array  # (B, 2) of tau and rho
+    own: Array  # (B, p - 1) variance of every step beside the others
+    variance: Array  # (B, n) of the parts
+    root: Array  # (B, r, r) Cholesky factors of the data's covariance
+    white: Array  # (B, r) the data, whitened by them
+    value: Array  # (B,) log density of the sizes, log k integrated out
+
+
+class _Target:
+    """The density that the chains draw from."""
+
+    def __init__(self, spline: Spline, told: Sequence[Told], level: float, each: int) -> None:
+        self.spline, self.weights = spline, spline.parts
+        rows, seen = [], []
+        for one in told:
+            e, u = np.linalg.eigh(one.information)
+            root = np.sqrt(np.maximum(e, _TOLD))
+            rows.append(root[:, None] * u.T)
+            seen.append((u.T @ one.b) / root - rows[-1] @ np.full(spline.count, level))
+        kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.information) > _TOLD for t in told], axis=1))), 1)
+        self.rows = np.repeat(np.stack(rows)[:, -kept:], each, axis=0)  # (B, r, p)
+        self.seen = np.repeat(np.stack(seen)[:, -kept:], each, axis=0)  # (B, r)
+        self.on_parts = self.rows @ self.weights  # (B, r, n)
+        self.share = np.repeat([t.weight for t in told], each) / each
+        self.steps = slice(self.weights.shape[1] - spline.count + 1, self.weights.shape[1])
+
+    def at(self, logs: Array, own: Array) -> _Chains:
+        """The chains with these sizes."""
+        variance = self.spline.variances(*np.exp(logs.T))
+        free = variance[:, self.steps] * own
+        variance[:, self.steps] = free / (1.0 + free / JUMP**2)
+        spread = (self.on_parts * variance[:, None]) @ np.swapaxes(self.on_parts, 1, 2)
+        root = np.asarray(np.linalg.cholesky(spread + np.eye(spread.shape[-1])), dtype=float)
+        white = np.linalg.solve(root, self.seen[..., None])[..., 0]
+        value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)
+        value -= 0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
+        value -= 0.5 * np.sum(((logs - np.log([TAU, RHO])) / SPREAD) ** 2, axis=1)
+        return _Chains(logs, own, variance, root, white, value)
+
+    def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
+        """One step of every chain."""
+        count = len(now.logs)
+        stride = np.where(rng.random((count, 1)) < _MIX, 1.5, 0.5) * SPREAD
+        ways = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])[rng.integers(0, 3, count)]
+        tried = self.at(now.logs + ways * stride * rng.standard_normal((count, 2)), now.own)
+        taken = np.log(rng.random(count)) < tried.value - now.value
+        logs = np.where(taken[:, None], tried.logs, now.logs)
+        variance = np.where(taken[:, None], tried.variance, now.variance)
+        root = np.where(taken[:, None, None], tried.root, now.root)
+        step = self._drawn_steps(variance, root, rng)
+        scale = np.exp(2.0 * logs[:, 1:]) * self.spline.gaps
+        own = (0.5 + 0.5 * step**2 / scale) / rng.standard_exponential(step.shape)
+        return self.at(logs, own)
+
+    def _drawn_steps(self, variance: Array, root: Array, rng: np.random.Generator) -> Array:
+        """(B, p - 1) steps from their posterior at these sizes: a draw from the prior, corrected by what it misses."""
+        drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
+        missed = self.seen - (self.on_parts @ drawn[..., None])[..., 0] - rng.standard_normal(self.seen.shape)
+        pull = np.linalg.solve(np.swapaxes(root, 1, 2), np.linalg.solve(root, missed[..., None]))
+        steps = np.swapaxes(self.on_parts[..., self.steps], 1, 2) @ pull
+        return np.asarray(drawn[:, self.steps] + variance[:, self.steps] * steps[..., 0])
+
+
+def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, burn: int, kept: int) -> Mixed:
+    """Mean and covariance of log k around `level`, over `chains` chains for each of `told`."""
+    target, rng = _Target(spline, told, level, chains), np.random.default_rng(0)
+    count, p = chains * len(told), spline.count
+    logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
+    now = target.at(logs, np.ones((count, p - 1)))
+    mean, second, sizes = np.zeros(p), np.zeros((p, p)), []
+    parts, variance = np.zeros(now.variance.shape[1]), np.zeros(now.variance.shape[1])
+    for i in range(burn + kept):
+        now = target.moved(now, rng)
+        if i < burn:
+            continue
+        across = np.linalg.solve(now.root, target.on_parts * now.variance[:, None])  # (B, r, n)
+        of_parts = np.einsum("brn,br->bn", across, now.white)
+        means, told_away = (
+            of_parts @ target.weights.T,
+            np.sqrt(target.share)[:, None, None] * (across @ target.weights.T),
+        )
+        second += (target.weights * (target.share @ now.variance)) @ target.weights.T
+        second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
+        mean += target.share @ means
+        parts += target.share @ of_parts
+        variance += target.share @ now.variance
+        sizes.append(now.logs)
+    mean, second = mean / kept, second / kept
+    tau, rho = np.exp(np.median(np.concatenate(sizes), axis=0)).tolist()
+    covariance = second - np.outer(mean, mean)
+    covariance = 0.5 * (covariance + covariance.T)
+    return Mixed(mean + level, covariance, parts[target.steps] / kept, variance / kept, tau, rho)
