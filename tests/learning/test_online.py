@@ -37,7 +37,7 @@ PLAIN = OnlineSettings(functions=8, adapt=False, bulk=np.inf, gate=np.inf, marke
 
 
 def test_every_derivative_matches_differences() -> None:
-    at = live_layout(Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False)
+    at = live_layout(Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=0.02)
     setting = Setting(0.15, MARKERS, 0.02, at)
     place = place_at(setting, 0.8)
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
@@ -45,6 +45,7 @@ def test_every_derivative_matches_differences() -> None:
     x = 1e-3 * np.sin(np.arange(at.size))
     x[:7] = np.log(0.03) + 0.3 * np.cos(np.arange(7))
     exact = linearise(setting, place, x, given, None)
+    np.testing.assert_allclose(exact.slope[..., :1].shape, (2, 36, 1))
     h = 1e-5
     for i in range(at.size):
         step = h * np.eye(at.size)[i]
@@ -134,7 +135,7 @@ def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
 
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
-    at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True)
+    at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True, mass=0.0)
     keys, start = linear_frames(1, at, 7), Start(at, 0.3 * np.ones(at.size), None)
     scales = LiveScales(1.3, 0.02, 0.03, 0.02, 2.0, 0.2)
     process = ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02)

@@ -99,6 +99,7 @@ class OnlineLearner:
             placement_sd=settings.placement_sd,
             rest_unknown=settings.rest_unknown,
             calibrated=settings.calibrated,
+            mass=mass,
         )
         self.settings = settings
         self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
