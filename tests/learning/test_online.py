@@ -20,7 +20,8 @@ from onebend.errors import LearningError
 from onebend.learning.force_process import ForceProcess, Spans, covariance, fast_variance
 from onebend.learning.key_frames import KeyFrames, Past, empty
 from onebend.learning.live_model import Inputs, Setting, linearise, live_layout, place_at
-from onebend.learning.live_solve import LiveScales, Start, gather, solve
+from onebend.learning.live_scales import LiveScales
+from onebend.learning.live_solve import Start, gather, solve
 from onebend.learning.online import OnlineLearner, OnlineSettings
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import FitSettings, fit
@@ -45,7 +46,6 @@ def test_every_derivative_matches_differences() -> None:
     x = 1e-3 * np.sin(np.arange(at.size))
     x[:7] = np.log(0.03) + 0.3 * np.cos(np.arange(7))
     exact = linearise(setting, place, x, given, None)
-    np.testing.assert_allclose(exact.slope[..., :1].shape, (2, 36, 1))
     h = 1e-5
     for i in range(at.size):
         step = h * np.eye(at.size)[i]
@@ -54,8 +54,9 @@ def test_every_derivative_matches_differences() -> None:
         np.testing.assert_allclose(exact.j[..., i], difference, atol=1e-6 * max(1.0, float(np.max(abs(difference)))))
     for c in range(2):
         pushes = [force + sign * h * np.eye(2)[c] for sign in (1.0, -1.0)]
-        ends = [linearise(setting, place, x, replace(given, force=f), exact.q).pose for f in pushes]
-        np.testing.assert_allclose(exact.a[..., c], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
+        ends = [linearise(setting, place, x, replace(given, force=f), exact.q) for f in pushes]
+        np.testing.assert_allclose(exact.a[..., c], (ends[0].pose - ends[1].pose) / (2.0 * h), atol=1e-6)
+        np.testing.assert_allclose(exact.by_force[..., c], (ends[0].q - ends[1].q) / (2.0 * h), atol=1e-4)
 
 
 def test_covariance_of_averages_is_that_of_fine_samples() -> None:
@@ -137,7 +138,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
     at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True, mass=0.0)
     keys, start = linear_frames(1, at, 7), Start(at, 0.3 * np.ones(at.size), None)
-    scales = LiveScales(1.3, 0.02, 0.03, 0.02, 2.0, 0.2)
+    scales = LiveScales(1.3, 0.02, 0.03, 0.3, 0.02, 2.0, 0.2)
     process = ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02)
     never = Past(np.zeros((at.size + 2, at.size + 2)), np.zeros(at.size + 2), np.nan)
     found = solve(gather(keys, never), start, scales, process)

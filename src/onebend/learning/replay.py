@@ -8,11 +8,15 @@ import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
+from onebend.learning.force_error import force_error
 from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.online import OnlineLearner, OnlineSettings
-from onebend.records import Observations
+from onebend.learning.parameters import Priors, layout
+from onebend.learning.spline import Spline
+from onebend.records import Array, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
+_FAST = 0.2  # of the force error that lasts: what it is off by in every frame anew
 
 
 def replay(
@@ -56,16 +60,34 @@ def replay(
 def settings_for(observations: Observations, settings: OnlineSettings = OnlineSettings()) -> OnlineSettings:
     """Settings with what a recording says of placement, rest, camera, clock and force noise."""
     o = observations
-    clock = 0.0 if o.clock is None else float(o.clock.sd) if np.isfinite(o.clock.sd) else 1.0
-    noise = float(np.nanmean(o.force_sd)) if np.any(o.force_sd > 0.0) else settings.force_noise
+    known = replace(settings, placement_sd=o.placement_sd, rest_unknown=o.rest == "unknown", priors=_priors(o, settings))
+    if o.view is not None:
+        known = replace(known, calibrated=o.view.calibrated)
+    largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0
+    if largest == 0.0:
+        return known
+    error = force_error(o, o.time[usable_frames(o)])
+    short = error.filtered.covariance(error.noise.coloured, error.noise.tau, error.white)
     return replace(
-        settings,
-        placement_sd=o.placement_sd,
-        rest_unknown=o.rest == "unknown",
-        calibrated=o.view is None or o.view.calibrated,
-        force_noise=noise,
-        priors=settings.priors if settings.priors.clock is not None else replace(settings.priors, clock=clock),
+        known,
+        force_noise=error.size,
+        force_white=_FAST * error.size,
+        force_walk=error.noise.walk,
+        force_memory=_memory(error.filtered.lag, short),
+        force_zero=error.level,
     )
+
+
+def _priors(o: Observations, settings: OnlineSettings) -> Priors:
+    """What the fit takes as known before the data."""
+    at = layout(Spline(settings.functions), [o], [0], settings.priors)
+    sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
+    return replace(settings.priors, placement=float(at.index["along", -1].prior_sd[0]), **sd)
+
+
+def _memory(lag: Array, covariance: Array) -> float:
+    """s, of the exponential whose covariance has the same integral."""
+    return float(np.trapezoid(np.maximum(covariance, 0.0), lag) / covariance[0])
 
 
 def playable(observations: Observations) -> list[int]:
