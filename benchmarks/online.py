@@ -12,11 +12,10 @@ import numpy as np
 from benchmarks.truth import RECORDINGS, Truth, read_truth, stiffness_error
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
-from onebend.learning.frames import push_places
 from onebend.learning.learn import learn
 from onebend.learning.online import OnlineLearner
 from onebend.learning.posterior import fit
-from onebend.learning.replay import playable, settings_for
+from onebend.learning.replay import live_frames, settings_for
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 
@@ -42,11 +41,11 @@ def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
     mass = o.mass if np.isfinite(o.mass) else 0.0
     learner = OnlineLearner(o.length, o.marker_s, START, mass=mass, settings=settings_for(o))
-    places, wall, processor = push_places(o), [], []
-    for t in playable(o):
-        frame = (o.time[t], o.xy[t], o.angle[t], o.covariance[t], o.force[t], places[t])
+    wall, processor = [], []
+    for frame in live_frames(o):
+        given = vars(frame)
         began = time.perf_counter(), time.thread_time()
-        learner.update(*frame, loaded=bool(o.loaded[t]), gravity=o.gravity[t])
+        learner.update(**given)
         wall.append(time.perf_counter() - began[0])
         processor.append(time.thread_time() - began[1])
     return learner, np.array(wall), np.array(processor)

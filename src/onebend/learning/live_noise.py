@@ -15,6 +15,7 @@ from onebend.records import Array
 
 _KEPT = 512  # frames
 _FEWEST = 20  # frames that tell a noise
+_BULK = 5.0  # sd: beyond, a tag was read wrong
 _LEAST = 0.02  # of what the tags' covariances say
 _GUESS_COUNTS = 20.0  # frames that the size it begins with counts like
 
@@ -46,11 +47,19 @@ class Scatter:
         self._away[self._own == 0] += left
         self._own[self._own >= 0] -= 1
 
-    def noise(self, keys: KeyFrames, solution: Solution, spent: float) -> float:
-        """Size of the tags' noise over what their covariances say; `spent`: parameters that the tags settled."""
+    def forget(self) -> None:
+        """All frames so far."""
+        self._count = 0
+        self._own[:] = -1
+
+    def noise(self, keys: KeyFrames, solution: Solution, spent: float) -> float | None:
+        """Size of the tags' noise over what their covariances say; None while too few frames tell it.
+
+        `spent`: parameters that the tags settled.
+        """
         kept = min(self._count, _KEPT)
         if kept < _FEWEST:
-            return self._expected
+            return None
         order = (self._count - kept + np.arange(kept)) % _KEPT
         own, used = self._own[order], keys.used
         e = solution.e[len(solution.e) - used :]
@@ -59,12 +68,9 @@ class Scatter:
         r = (self._root[order] @ left[..., None]).reshape(kept, -1)
         numbers = 3.0 * float(np.count_nonzero(self._root[order, :, 0, 0]))
         share = max(1.0 - spent / max(numbers, 1.0), 0.3)
-        bulk = np.clip(r, -3.0 * self._typical(r), 3.0 * self._typical(r))
+        most = _BULK * float(np.median(np.abs(r[r != 0.0]))) / 0.6745 if np.any(r) else 0.0
+        bulk = np.clip(r, -most, most)
         white = float(np.sum(bulk**2)) / max(numbers * share, 1.0)
-        found = white * correlation_time(r)
+        found = max(white * correlation_time(r), _LEAST**2)
         more = kept / (kept + _GUESS_COUNTS)
         return max(float(np.exp(0.5 * more * np.log(found) + (1.0 - more) * np.log(self._expected))), _LEAST)
-
-    @staticmethod
-    def _typical(r: Array) -> float:
-        return max(float(np.median(np.abs(r))) / 0.6745, 1e-300)

@@ -37,6 +37,7 @@ class LiveScales:
 
 
 _SPREAD = dict(zip(("tau", "rho", "coloured", "memory", "walk"), SPREAD.tolist(), strict=True)) | {"white": 0.7}
+MEMORY_DOUBT = _SPREAD["memory"]
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,14 @@ class _Node:
 class ScaleSearch:
     """What to try next, and what the trials so far have told."""
 
-    def __init__(self, expected: LiveScales, chosen: tuple[str, ...]) -> None:
-        """`chosen` scales are searched; over all of them but white noise, which hardly matters, it is averaged."""
+    def __init__(self, expected: LiveScales, chosen: tuple[str, ...], memory_doubt: float) -> None:
+        """`chosen` scales are searched; over all of them but white noise, which hardly matters, it is averaged.
+
+        `memory_doubt`: sd of the log of the memory that is expected.
+        """
         self._chosen = chosen
         self._expected = np.log([getattr(expected, name) for name in chosen])
-        self._spread = np.array([_SPREAD[name] for name in chosen])
+        self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
         self._steps = np.full(len(chosen), 0.3)
         self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
         self._nodes: dict[int, _Node] = {}

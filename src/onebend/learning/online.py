@@ -20,7 +20,7 @@ from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_model import Setting, live_layout
-from onebend.learning.live_scales import LiveScales
+from onebend.learning.live_scales import MEMORY_DOUBT, LiveScales
 from onebend.learning.live_solve import Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import RHO, TAU, Nuisance
@@ -49,6 +49,7 @@ class OnlineSettings:
     force_walk: float | None = None  # N per root second, of its drift; None: 0.3 of the coloured one a second
     force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
     force_memory: float = 0.3  # s, correlation time of the log's coloured error
+    memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
     roughness: float = TAU  # of log k
     steps: float = RHO  # of log k
     adapt: bool = True  # False: the sizes stay as they begin
@@ -224,6 +225,7 @@ def _habits(settings: OnlineSettings) -> Habits:
         renewed=s.renewed,
         zero=s.force_zero,
         least_zero=s.force_noise,
+        memory_doubt=s.memory_doubt,
         adapt=s.adapt,
         bulk=s.bulk,
         gate=s.gate,
@@ -273,7 +275,7 @@ def _check(length: float, marker_s: Array, mass: float, settings: OnlineSettings
         raise LearningError(f"tags are at s in (0, 1], got {marker_s.tolist()}")
     if not mass >= 0.0:
         raise LearningError(f"a beam's mass cannot be negative, got {mass} kg")
-    sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory")
+    sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
     for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
         value = getattr(settings, name)
         if value is not None and not value > 0.0:

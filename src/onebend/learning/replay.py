@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
-from onebend.learning.force_error import force_error
+from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.online import OnlineLearner, OnlineSettings
 from onebend.learning.parameters import Priors, layout
 from onebend.learning.spline import Spline
-from onebend.records import Array, Observations
+from onebend.records import Array, BoolArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
+_REST_STEP = 0.05  # s, between two looks at the log where no film was made
+_LONGER, _LEAST_DOUBT = 1.5, 0.1  # a filter makes memories alike: how much, by trial
 _FAST = 0.2  # of the force error that lasts: what it is off by in every frame anew
 
 
@@ -42,18 +44,8 @@ def replay(
         gain_sd=gain_sd,
         settings=settings_for(o, settings),
     )
-    places = push_places(o)
-    for t in playable(o):
-        learner.update(
-            o.time[t],
-            o.xy[t],
-            o.angle[t],
-            o.covariance[t],
-            o.force[t],
-            places[t],
-            loaded=bool(o.loaded[t]),
-            gravity=o.gravity[t],
-        )
+    for frame in live_frames(o):
+        learner.update(**vars(frame))
     return learner
 
 
@@ -67,13 +59,14 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
     if largest == 0.0:
         return known
     error = force_error(o, o.time[usable_frames(o)])
-    short = error.filtered.covariance(error.noise.coloured, error.noise.tau, error.white)
+    memory, longer = _memory(error, 1.0), _memory(error, _LONGER)
     return replace(
         known,
         force_noise=error.size,
         force_white=_FAST * error.size,
         force_walk=error.noise.walk,
-        force_memory=_memory(error.filtered.lag, short),
+        force_memory=memory,
+        memory_doubt=settings.memory_doubt * max(np.log(longer / memory) / np.log(_LONGER), _LEAST_DOUBT),
         force_zero=error.level,
     )
 
@@ -85,13 +78,63 @@ def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     return replace(settings.priors, placement=float(at.index["along", -1].prior_sd[0]), **sd)
 
 
-def _memory(lag: Array, covariance: Array) -> float:
-    """s, of the exponential whose covariance has the same integral."""
-    return float(np.trapezoid(np.maximum(covariance, 0.0), lag) / covariance[0])
+def _memory(error: ForceError, times: float) -> float:
+    """s, of the exponential with the integral of the filtered covariance, the noise's own memory being longer."""
+    short = error.filtered.covariance(error.noise.coloured, times * error.noise.tau, error.white)
+    return float(np.trapezoid(np.maximum(short, 0.0), error.filtered.lag) / short[0])
 
 
-def playable(observations: Observations) -> list[int]:
-    """Frames that a live learner can use: those under load, and those at rest well away from contact."""
+@dataclass(frozen=True)
+class LiveFrame:
+    """What `OnlineLearner.update` takes."""
+
+    time: float
+    xy: Array
+    angle: Array
+    covariance: Array
+    force: Array
+    push_s: float
+    loaded: bool
+    gravity: Array
+
+
+def live_frames(observations: Observations) -> list[LiveFrame]:
+    """What a live learner can use, in order of time: frames under load, frames at rest well away from contact, and the
+    force log in the rest before and after the film, where no tag is seen."""
+    o, places = observations, push_places(observations)
+    film = [
+        LiveFrame(
+            time=float(o.time[t]),
+            xy=o.xy[t],
+            angle=o.angle[t],
+            covariance=o.covariance[t],
+            force=o.force[t],
+            push_s=float(places[t]),
+            loaded=bool(o.loaded[t]),
+            gravity=o.gravity[t],
+        )
+        for t in _playable(o)
+    ]
+    if o.clean_force is None or not film:
+        return film
+    tags = len(o.marker_s)
+    nothing = np.full((tags, 2), np.nan), np.full(tags, np.nan), np.full((tags, 3, 3), np.nan)
+    time, force = o.clean_force.time, o.clean_force.force
+    known = np.all(np.isfinite(force), axis=1)
+    gap = max(_REST_STEP, float(np.median(np.diff(o.time))))
+
+    def alone(part: BoolArray, frame: LiveFrame) -> list[LiveFrame]:
+        rows = np.flatnonzero(part & known)
+        rows = rows[np.unique(np.floor((time[rows] - time[0]) / gap), return_index=True)[1]]
+        return [LiveFrame(float(time[i]), *nothing, force[i], 1.0, False, frame.gravity) for i in rows.tolist()]
+
+    before, after = time < o.time[0] - 0.5 * gap, time > o.time[-1] + 0.5 * gap
+    first = [] if o.loaded[0] else alone(before, film[0])
+    return [*first, *film, *([] if o.loaded[-1] else alone(after, film[-1]))]
+
+
+def _playable(observations: Observations) -> list[int]:
+    """Frames under load, and frames at rest well away from contact."""
     o = observations
     known = np.all(np.isfinite(o.force), axis=1)
     touched = o.time[o.loaded]

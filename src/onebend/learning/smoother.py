@@ -17,6 +17,7 @@ from onebend.records import Array, BoolArray
 
 _PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
+_FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
 _NOISE_EVERY = 16  # updates between two looks at the tags' noise
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
@@ -29,6 +30,7 @@ class Habits:
     renewed: int  # key frames linearised anew with every frame
     zero: float  # N, sd of the log's zero
     least_zero: float  # N
+    memory_doubt: float  # of the log of the force error's memory
     adapt: bool
     bulk: float  # sd
     gate: float  # sd
@@ -48,7 +50,8 @@ class Smoother:
         self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
         self._setting, self._start, self._habits = setting, start, habits
         chosen = ("coloured", "memory", "walk", "white")
-        self._search = ScaleSearch(scales, chosen if start.fixed is not None else (*chosen, "tau", "rho"))
+        chosen = chosen if start.fixed is not None else (*chosen, "tau", "rho")
+        self._search = ScaleSearch(scales, chosen, habits.memory_doubt)
         self._scatter = Scatter(tags, scales.marker)
         self._updates = 0
         self._places: dict[float, Place] = {}
@@ -160,7 +163,10 @@ class Smoother:
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
         keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
-        if not np.any(keys.stale[: keys.used]) and self._has_moved():
+        moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
+        if moved > _FAR:
+            self._scatter.forget()
+        if moved > _MOVED:
             self.move()
         self._updates += 1
         if not habits.adapt:
@@ -190,14 +196,14 @@ class Smoother:
         keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
         keys.stale[: keys.used] = True
 
-    def _has_moved(self) -> bool:
-        """Whether the estimate is so far from where frames are linearised that it shows."""
+    def _moved(self) -> float:
+        """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
         keys, solution = self.keys, self.solution
         away = solution.e - np.zeros(2)
         away[len(away) - keys.used :] -= keys.error[: keys.used]
         away[: len(away) - keys.used] = 0.0
         every = np.concatenate([away.ravel(), self.x - self.point]) / solution.unit
-        return float(np.sum((solution.factor.T @ every) ** 2)) > _MOVED**2
+        return float(np.linalg.norm(solution.factor.T @ every))
 
     def _try_scale(self, sums: Sums) -> None:
         """One trial of other scales."""
@@ -220,7 +226,7 @@ class Smoother:
         prior, _ = self._start.precision(self.scales.tau, self.scales.rho)
         spent = len(self.x) - float(np.sum(self.solution.covariance() * prior)) + 2.0 * self.keys.used
         marker = self._scatter.noise(self.keys, self.solution, spent)
-        self.scales = replace(self.scales, marker=marker)
+        self.scales = self.scales if marker is None else replace(self.scales, marker=marker)
 
     def covariance(self) -> Array:
         """(n, n) of the parameters, averaged over what the scales may be."""
