@@ -20,8 +20,7 @@ from onebend.errors import LearningError
 from onebend.learning.force_process import ForceProcess, Spans, covariance, fast_variance
 from onebend.learning.key_frames import KeyFrames, Past, empty
 from onebend.learning.live_model import Inputs, Setting, linearise, live_layout, place_at
-from onebend.learning.live_scales import LiveScales
-from onebend.learning.live_solve import Start, gather, solve
+from onebend.learning.live_solve import LiveScales, Start, gather, solve
 from onebend.learning.online import OnlineLearner, OnlineSettings
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import FitSettings, fit

@@ -3,7 +3,7 @@
 One trial at a time, at what is known then. Some climb: one scale in turn is made larger or smaller, and kept if more
 probable. The others look about: pairs to either side along and across the scales give the curvature of their
 probability; pairs far out along its axes are the nodes over which the parameters' covariance is averaged (a cubature
-of degree three, as in the fit). One round of looks takes some fifty trials; then it begins anew.
+of degree three, as in the fit). After a round of some forty looks they begin anew.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from onebend.learning.live_solve import LiveScales, Solution
 from onebend.learning.scales import SPREAD
 from onebend.records import Array
 
@@ -20,20 +22,8 @@ _MOST = 4.0  # sd from what was expected
 _SHORTEST, _LONGEST = 0.05, 0.7  # step of a log
 _NEAR = 0.4  # sd of what was expected: so far out the curvature is looked at
 _CLIMB_EVERY = 3  # trials
+_TRUSTED = 1.0  # of a node's log weight: so far above what was expected, its look is not believed
 _LEAST_CURVATURE = 0.5  # the prior alone has one
-
-
-@dataclass(frozen=True)
-class LiveScales:
-    """Sizes that the data choose."""
-
-    marker: float  # noise of the tags over what their covariances say
-    white: float  # N, force error of every frame
-    coloured: float  # N, Ornstein-Uhlenbeck part
-    memory: float  # s, its correlation time
-    walk: float  # N per root second
-    tau: float  # roughness of log k
-    rho: float  # its steps
 
 
 _SPREAD = dict(zip(("tau", "rho", "coloured", "memory", "walk"), SPREAD.tolist(), strict=True)) | {"white": 0.7}
@@ -42,11 +32,10 @@ MEMORY_DOUBT = _SPREAD["memory"]
 
 @dataclass(frozen=True)
 class _Node:
-    """What the parameters would be at other scales."""
+    """What would be known of the parameters at other scales."""
 
     log_weight: float  # over the middle's
-    away: Array  # (n,) of their mean from that at the scales' optimum
-    covariance: Array  # (n, n)
+    spread: Array  # (n, n) about the optimum, over the covariance there: as that shrinks, so does this
 
 
 class ScaleSearch:
@@ -74,7 +63,7 @@ class ScaleSearch:
     @property
     def round(self) -> int:
         """Trials that surely hold a whole round of looks."""
-        return int(np.ceil(2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY / (_CLIMB_EVERY - 1))) + 1
+        return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
 
     def proposal(self, now: LiveScales) -> LiveScales:
         """The next trial."""
@@ -101,22 +90,32 @@ class ScaleSearch:
         self._climbs += 1
         self._trials += 1
 
-    def looked(self, worse: float, away: Array, covariance: Array) -> None:
-        """After a look: by how much -2 log probability is larger there, and the parameters' mean and covariance."""
+    def looked(self, worse: float, there: Solution, here: Solution) -> None:
+        """After a look: by how much -2 log probability is larger there, and what is known there and at the optimum."""
+        if self._at < 2 * len(self._pairs):
+            self._curve(worse)
+            return
+        count = len(self._open)
+        share = np.log((1.0 - _CENTRE) / (2 * count) / _CENTRE)
+        log_weight = min(share + 0.5 * count / (1.0 - _CENTRE) - 0.5 * worse, share + _TRUSTED)
+        away = there.x - here.x
+        root, _ = dpotrf(here.covariance(), lower=1)
+        half, _ = dtrtrs(root, there.covariance() + np.outer(away, away), lower=1)
+        spread, _ = dtrtrs(root, half.T, lower=1)
+        self._nodes[self._at - 2 * len(self._pairs)] = _Node(float(log_weight), spread)
+        self._advance()
+
+    def _curve(self, worse: float) -> None:
+        """One look near by: the slope drops out of a pair's sum."""
+        self._curved[self._at // 2] += 0.5 * worse / _NEAR**2
+        if self._at == 2 * len(self._pairs) - 1:
+            self._axes = self._principal()
+        self._advance()
+
+    def _advance(self) -> None:
         self._trials += 1
-        pairs = 2 * len(self._pairs)
-        if self._at < pairs:
-            self._curved[self._at // 2] += 0.5 * worse / _NEAR**2  # the slope drops out of the pair's sum
-            if self._at == pairs - 1:
-                self._axes = self._principal()
-        else:
-            count = len(self._open)
-            share = np.log((1.0 - _CENTRE) / (2 * count) / _CENTRE)
-            far = 0.5 * count / (1.0 - _CENTRE)
-            log_weight = min(share + far - 0.5 * worse, share + 2.0)
-            self._nodes[self._at - pairs] = _Node(float(log_weight), away, covariance)
         self._at += 1
-        if self._at == pairs + 2 * len(self._open):
+        if self._at == 2 * (len(self._pairs) + len(self._open)):
             self._begin()
 
     def failed(self) -> None:
@@ -124,23 +123,22 @@ class ScaleSearch:
         if self.climbs:
             self.climbed(False)
         elif self._at < 2 * len(self._pairs):
-            self.looked(_NEAR**2, np.zeros(0), np.zeros((0, 0)))
+            self._curve(_NEAR**2)
         else:
             self._nodes.pop(self._at - 2 * len(self._pairs), None)
-            self._trials += 1
-            self._at += 1
-            if self._at == 2 * (len(self._pairs) + len(self._open)):
-                self._begin()
+            self._advance()
 
     def averaged(self, covariance: Array) -> Array:
         """(n, n) covariance around the optimum, from that at the scales of the optimum."""
         nodes = list(self._nodes.values())
         weights = np.exp([0.0, *(node.log_weight for node in nodes)])
         weights /= np.sum(weights)
-        out = weights[0] * covariance
+        spread = weights[0] * np.eye(len(covariance))
         for weight, node in zip(weights[1:], nodes, strict=True):
-            out = out + weight * (node.covariance + np.outer(node.away, node.away))
-        return np.asarray(out)
+            spread += weight * node.spread
+        root, _ = dpotrf(covariance, lower=1)
+        out = root @ spread @ root.T
+        return np.asarray(0.5 * (out + out.T))
 
     def _begin(self) -> None:
         """A new round of looks."""

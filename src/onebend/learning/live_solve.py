@@ -17,10 +17,22 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
 from onebend.learning.force_process import ForceProcess, Spans, covariance
 from onebend.learning.key_frames import AT_REST, KeyFrames, Past
-from onebend.learning.live_scales import LiveScales
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
 from onebend.records import Array
+
+
+@dataclass(frozen=True)
+class LiveScales:
+    """Sizes that the data choose."""
+
+    marker: float  # noise of the tags over what their covariances say
+    white: float  # N, force error of every frame
+    coloured: float  # N, Ornstein-Uhlenbeck part
+    memory: float  # s, its correlation time
+    walk: float  # N per root second
+    tau: float  # roughness of log k
+    rho: float  # its steps
 
 
 @dataclass(frozen=True)
@@ -77,7 +89,7 @@ class Solution:
     e: Array  # (slots, 2) N
     spans: Spans
     process: ForceProcess
-    inverse: Array  # (slots, slots) of the force error's covariance
+    inverse: Array  # (slots, slots) of the force error's covariance, the lower triangle
     factor: Array  # lower Cholesky factor of the scaled information, the e before the x
     unit: Array  # (2 slots + n,) the scale: e, x = unit * scaled
     minus_log: float  # -2 log evidence, but for a constant
@@ -91,8 +103,7 @@ class Solution:
         """(n, n) of the parameters."""
         n = len(self.x)
         inverse, _ = dpotri(self.factor[-n:, -n:], lower=1)
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        return np.asarray(inverse * np.outer(self.unit[-n:], self.unit[-n:]))
+        return _symmetric(inverse) * np.outer(self.unit[-n:], self.unit[-n:])
 
     def error_at(self, time: float) -> tuple[Array, Array, float]:
         """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
@@ -100,7 +111,7 @@ class Solution:
             alone = Spans(np.array([time]), np.array([time]), np.ones(1), np.zeros(1))
             return np.zeros(2), np.zeros(0), float(covariance(self.process, alone)[0, 0])
         every = covariance(self.process, self.spans.then(time))
-        rows = self.inverse @ every[:-1, -1]
+        rows = _symmetric(self.inverse) @ every[:-1, -1]
         return rows @ self.e, rows, float(every[-1, -1] - rows @ every[:-1, -1])
 
 
@@ -174,12 +185,19 @@ def solve(sums: Sums, start: Start, scales: LiveScales, process: ForceProcess) -
 
 
 def _inverse(c: Array) -> tuple[Array, float]:
-    """Of the force error's covariance, and its log determinant for both axes."""
+    """Of the force error's covariance, the lower triangle, and its log determinant for both axes."""
     factor, info = dpotrf(c, lower=1)
     if info:
         raise np.linalg.LinAlgError("the force error's covariance is not positive definite")
     inverse, _ = dpotri(factor, lower=1)
-    return np.tril(inverse) + np.tril(inverse, -1).T, 4.0 * float(np.sum(np.log(np.diag(factor))))
+    return inverse, 4.0 * float(np.sum(np.log(np.diag(factor))))
+
+
+def _symmetric(lower: Array) -> Array:
+    """From the lower triangle, zero above it."""
+    out = lower + lower.T
+    out[np.diag_indices(len(out))] *= 0.5
+    return np.asarray(out)
 
 
 def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:

@@ -20,8 +20,8 @@ from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_model import Setting, live_layout
-from onebend.learning.live_scales import MEMORY_DOUBT, LiveScales
-from onebend.learning.live_solve import Start
+from onebend.learning.live_scales import MEMORY_DOUBT
+from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import RHO, TAU, Nuisance
 from onebend.learning.smoother import Habits, Smoother
@@ -159,7 +159,7 @@ class OnlineLearner:
             state.x[: self.settings.functions] += _STIFFER
             return Update(*nothing, solved=False)
         found = state.gate(frame)
-        state.renew()
+        state.advance()
         self._frames += 1
         return Update(*found, solved=True)
 
@@ -180,6 +180,7 @@ class OnlineLearner:
     @property
     def parameters(self) -> tuple[Array, Array]:
         """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
+        self._state.catch_up()
         return self._state.x.copy(), self._state.covariance()
 
     @property
@@ -192,6 +193,7 @@ class OnlineLearner:
     @property
     def force_error(self) -> Array:
         """(2,) N: the log's error at the last frame, as far as it is known."""
+        self._state.catch_up()
         e = self._state.solution.e
         return e[-1].copy() if len(e) else np.zeros(2)
 
@@ -209,6 +211,7 @@ class OnlineLearner:
     @property
     def beam(self) -> Beam:
         """The beam as it is now."""
+        self._state.catch_up()
         theta0 = self._setting.at.get(self._state.x, "curvature")
         rest: Profile = Uniform(0.0)
         if np.any(theta0 != 0.0):

@@ -11,14 +11,15 @@ from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
 from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
 from onebend.learning.live_noise import Scatter
-from onebend.learning.live_scales import LiveScales, ScaleSearch
-from onebend.learning.live_solve import Solution, Start, Sums, gather, robust_weights, solve
+from onebend.learning.live_scales import ScaleSearch
+from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, robust_weights, solve
 from onebend.records import Array, BoolArray
 
 _PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
 _FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
-_NOISE_EVERY = 16  # updates between two looks at the tags' noise
+_TRIALS = 2  # of other scales, after every other frame
+_NOISE_EVERY = 8  # solutions between two looks at the tags' noise
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
 
@@ -53,12 +54,14 @@ class Smoother:
         chosen = chosen if start.fixed is not None else (*chosen, "tau", "rho")
         self._search = ScaleSearch(scales, chosen, habits.memory_doubt)
         self._scatter = Scatter(tags, scales.marker)
-        self._updates = 0
+        self._solved = 0
+        self.pending = True  # a frame has come since the posterior was solved for
         self._places: dict[float, Place] = {}
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
-        self.solution: Solution = solve(gather(self.keys, self.past), start, scales, self._process(scales))
+        self._sums: Sums = gather(self.keys, self.past)
+        self.solution: Solution = solve(self._sums, start, scales, self._process(scales))
 
     def enter(self, frame: Frame, rate: Array) -> bool:
         """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
@@ -138,7 +141,7 @@ class Smoother:
         innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
         by_errors = -a[:, None, :] * rows[None, :, None]
         expected = self.solution.spread(np.concatenate([by_errors.reshape(len(j), -1), j], axis=1)) + own * a @ a.T
-        blocks = np.stack([expected[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(tags)])
+        blocks = expected.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
         solved = np.linalg.solve(blocks + self.scales.marker**2 * frame.covariance, innovation[..., None])[..., 0]
         distance = np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
         far = frame.seen & (distance > self._habits.gate)
@@ -154,11 +157,20 @@ class Smoother:
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
 
+    def advance(self) -> None:
+        """After a frame: every other time the posterior is solved for, in between other scales are tried on it."""
+        if self.pending:
+            self.renew()
+        elif self._habits.adapt:
+            for _ in range(_TRIALS):
+                self._try_scale()
+        self.pending = not self.pending
+
     def renew(self) -> None:
-        """Solve with what is linearised now, move the estimate, weigh the tags anew, every other time try a scale."""
+        """Solve with what is linearised now, move the estimate, weigh the tags anew."""
         keys, habits = self.keys, self._habits
-        sums = gather(keys, self.past)
-        self.solution = solution = solve(sums, self._start, self.scales, self._process(self.scales))
+        self._sums = gather(keys, self.past)
+        self.solution = solution = solve(self._sums, self._start, self.scales, self._process(self.scales))
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
@@ -168,13 +180,15 @@ class Smoother:
             self._scatter.forget()
         if moved > _MOVED:
             self.move()
-        self._updates += 1
-        if not habits.adapt:
-            return
-        if self._updates % _NOISE_EVERY == 0:
+        self._solved += 1
+        if habits.adapt and self._solved % _NOISE_EVERY == 0:
             self._look_at_noise()
-        else:
-            self._try_scale(sums)
+
+    def catch_up(self) -> None:
+        """Solve now if a frame has come since the last time."""
+        if self.pending:
+            self.renew()
+            self.pending = False
 
     def settle(self, rounds: int) -> None:
         """Linearise everything anew and solve, several times; then look about the scales once more."""
@@ -184,10 +198,9 @@ class Smoother:
             self.renew()
         if self._habits.adapt:
             self._look_at_noise()
-            sums = gather(self.keys, self.past)
             for _ in range(2 * self._search.round):
-                self._try_scale(sums)
-                self.solution = solve(sums, self._start, self.scales, self._process(self.scales))
+                self._try_scale()
+        self.pending = False
 
     def move(self) -> None:
         """Linearise at the present estimate from now on."""
@@ -205,21 +218,22 @@ class Smoother:
         every = np.concatenate([away.ravel(), self.x - self.point]) / solution.unit
         return float(np.linalg.norm(solution.factor.T @ every))
 
-    def _try_scale(self, sums: Sums) -> None:
-        """One trial of other scales."""
+    def _try_scale(self) -> None:
+        """One trial of other scales on what the last solution was made from."""
         search, here, now = self._search, self.solution, self.scales
         tried = search.proposal(now)
         try:
-            there = solve(sums, self._start, tried, self._process(tried))
+            there = solve(self._sums, self._start, tried, self._process(tried))
         except np.linalg.LinAlgError:
             search.failed()
             return
         worse = there.minus_log + search.cost(tried) - here.minus_log - search.cost(now)
-        if search.climbs:
-            search.climbed(worse < 0.0)
-            self.scales = tried if worse < 0.0 else now
-        else:
-            search.looked(worse, there.x - here.x, there.covariance())
+        if not search.climbs:
+            search.looked(worse, there, here)
+            return
+        search.climbed(worse < 0.0)
+        if worse < 0.0:
+            self.scales, self.solution = tried, there
 
     def _look_at_noise(self) -> None:
         """The tags' noise from what is left of the last frames."""
