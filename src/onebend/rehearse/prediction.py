@@ -117,7 +117,7 @@ def derivatives(setup: Setup, bench: Bench) -> tuple[Seen, ...]:
     tags, mass, out = np.asarray(bench.tags), mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
-        out.append(see(solved, bench, mass, push.at_s, SPLINE.basis(solved.problem.grid.nodes), tags))
+        out.append(see(solved, bench, even_push(push), mass, SPLINE.basis(solved.problem.grid.nodes), tags))
     return tuple(out)
 
 
