@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,6 +108,7 @@ def virtual(runs: int, errors: str) -> None:
     for seed in range(runs):
         try:
             found.append(case(seed, errors))
+            print(f"\r{seed + 1} of {runs}", end="", file=sys.stderr, flush=True)
         except (LearningError, ObservationError) as wrong:
             print(f"seed {seed}: {wrong}")
     print("| errors | runs | | truth inside 95 % band | band over the fit's: 10 % / median / 90 % | RMS error of log k |")
