@@ -56,8 +56,8 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
     if o.view is not None:
         known = replace(known, calibrated=o.view.calibrated)
     largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0
-    if largest == 0.0:
-        return known
+    if largest == 0.0 or not (np.any(o.force_sd > 0.0) or o.clean_force is not None):
+        return known  # nothing is said of the force's noise
     error = force_error(o, o.time[usable_frames(o)])
     memory, longer = _memory(error, 1.0), _memory(error, _LONGER)
     return replace(

@@ -186,7 +186,7 @@ class Smoother:
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
-        if self.pending:
+        if self.pending and self.keys.used:
             self.renew()
             self.pending = False
 
