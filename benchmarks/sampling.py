@@ -24,7 +24,17 @@ from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.blas import one_blas_thread
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.forward import Prediction, jacobian, predict
-from onebend.learning.gauss_newton import misfit, prior, quadratic, residuals, rest_quadratic, rows_of, shrink, together
+from onebend.learning.gauss_newton import (
+    explained_by,
+    misfit,
+    prior,
+    quadratic,
+    residuals,
+    rest_quadratic,
+    rows_of,
+    shrink,
+    together,
+)
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, BoolArray
 
@@ -81,10 +91,10 @@ def target_of(found: Posterior) -> tuple[Callable[[Array], Here], Array]:
         slope = precision @ away + rests.information @ x - rests.b
         value = 0.5 * float(away @ precision @ away + x @ rests.information @ x) - float(rests.b @ x)
         for (f, p, n), r in zip(every, rows, strict=True):
-            there: Prediction = predict(f, at, x, p.solved.q)
+            there: Prediction = predict(f, at, x, p.solved.q, p.own)
             if not np.all(there.solved.converged):
                 raise UnreachableError
-            left, mine = r.root_weight * residuals(f, there), at.known_to(f.number)
+            left, mine = r.root_weight * residuals(f, there) + explained_by(r.a, there.own), at.known_to(f.number)
             value += 0.5 * misfit(r, left, n)
             j = (f.whiten @ jacobian(f, at, x, there)[0]).reshape(*left.shape, -1) * r.root_weight[..., None]
             across = (j - r.a @ (shrink(r, n) @ (np.swapaxes(r.a, 1, 2) @ j))) / n.marker**2

@@ -6,6 +6,7 @@ from pathlib import Path
 from PIL import Image
 
 import onebend
+from onebend.learning.explained import explained
 from onebend.report.curves import stiffness
 from onebend.report.drawing import fit
 from onebend.report.style import png_of
@@ -19,7 +20,7 @@ learned = onebend.learn(observations)
 found = onebend.fit([observations], learned.beam.stiffness)
 
 figures = [
-    fit(found.beam, onebend.validate(found.beam, observations), observations),
+    fit(found.beam, onebend.validate(found.beam, observations), observations, explained(found)[0]),
     stiffness(
         found.beam,
         uncertain=found.stiffness,

@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Uniform
 from onebend.beam.uncertain import UncertainStiffness
+from onebend.learning.explained import explained
+from onebend.learning.validation import validate
 from onebend.report import curves, figures
 from onebend.report.simulated import centreline, largest_push, spread_of_pushes
-from onebend.report.style import png_of
+from onebend.report.style import BLUE, png_of
 from tests import made_up
 
 ONE = made_up.comparison()
@@ -41,6 +43,37 @@ def every_figure() -> dict[str, Figure]:
 
 
 FIGURES = every_figure()
+FITTED = explained(FIT)[0]
+LOGGED = validate(FIT.beam, FIT.films[0].observations)
+
+
+def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_says() -> None:
+    one = FITTED.comparison
+    residual = 1000 * np.linalg.norm(one.measured - one.predicted, axis=-1)
+    np.testing.assert_allclose(1000 * one.rms, np.sqrt(np.nanmean(residual**2, axis=0)), rtol=0.05)
+    assert FITTED.line.shape == (len(one.frame), 121, 2)
+    sits = FIT.at.get(FIT.mean, "along"), FIT.at.get(FIT.mean, "across")
+    away = np.linalg.norm(FITTED.line[:, [40, 80, 120]] - one.predicted, axis=-1)
+    assert np.max(away) < 1.01 * np.max(np.hypot(*sits)) + 2e-5  # the tags ride on the line
+    slow = FIT.slow[0].force[: len(one.frame)] - FIT.films[0].force[: len(one.frame)]
+    np.testing.assert_allclose(one.force - FITTED.logged, slow)
+
+
+def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
+    seen = FIT.films[0].observations
+    axes = figures.shapes(FIT.beam, LOGGED, seen, FITTED).axes[0]
+    blue = [line for line in axes.lines if line.get_color() == BLUE and line.get_linestyle() == "-"]
+    blue = [line for line in blue if np.size(line.get_xdata()) == FITTED.line.shape[1]]
+    last = largest_push(FITTED.comparison)
+    np.testing.assert_allclose(np.array(blue[-1].get_data(), dtype=float).T, 1000 * FITTED.line[last])
+    dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
+    assert len(dashed) == len(blue) + 1  # and one for the legend
+    above, _ = figures.markers(LOGGED, FITTED).axes
+    solid = [line for line in above.lines if str(line.get_label()).startswith("M")]
+    np.testing.assert_allclose(np.array(solid[0].get_ydata(), dtype=float), 1000 * FITTED.comparison.predicted[:, 0, 0])
+    force = figures.force(seen, FITTED).axes[0]
+    labels = [str(line.get_label()) for line in force.lines]
+    assert sum("as fitted" in label for label in labels) == 2
 
 
 @pytest.mark.parametrize("name", FIGURES)

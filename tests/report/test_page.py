@@ -49,7 +49,17 @@ def drawn() -> dict[str, bytes]:
 
 
 def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
-    expected = {"stiffness", "nuisances", "shapes", "markers", "residuals", "selection", "force", "validation"}
+    expected = {
+        "stiffness",
+        "nuisances",
+        "shapes",
+        "markers",
+        "residuals",
+        "fitted",
+        "selection",
+        "force",
+        "validation",
+    }
     expected |= {f"validation-{i}-{what}" for i in (1, 2) for what in ("shapes", "residuals")}
     assert set(drawn) == expected  # and no fit: there is no video
     links = Links(page(made_up.findings(2), drawn, version="1.2.3"))
@@ -192,4 +202,4 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     text = Links(page(wrong, {}, version="1")).text
     assert "this band is not to be trusted" in text
     assert "NOT TO BE TRUSTED" in text
-    assert "1 in 1e+09 or less" in text
+    assert "1 in 1 000 000 000 or less" in text

@@ -63,7 +63,8 @@ class Prediction:
 
     solved: Equilibrium
     pose: Array  # (F, m, 3)
-    force: Array  # (F, 2) N, the corrected force
+    force: Array  # (F, 2) N, the corrected force, `own` with it
+    own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
 
 
 def film(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> Film:
@@ -113,11 +114,13 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     )
 
 
-def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction:
-    """Equilibria and tags for parameters x; warm-started from shapes `start` (F, Q) where given."""
+def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+    """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
+    warm-started from shapes `start` (F, Q) where given."""
     r = seen.number
+    own = np.zeros_like(seen.force) if own is None else own
     errors = at.get(x, "force", r).reshape(-1, 2)
-    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T
+    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T + own
     weight_beyond = seen.weight
     if seen.weight_modes is not None and seen.weight_modes.force is not None:
         weight_beyond = weight_beyond + seen.weight_modes.force @ at.get(x, "mass")
@@ -135,7 +138,7 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None) -> Prediction
     cos, sin = np.cos(angle), np.sin(angle)
     ride = np.stack([cos * over - sin * across, sin * over + cos * across], axis=-1)
     xy = (1.0 + at.get(x, "scale", r)) * (solved.xy(s) + ride) + at.get(x, "origin", r)
-    return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force)
+    return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force, own)
 
 
 def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, Array]:

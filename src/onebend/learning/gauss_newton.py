@@ -4,6 +4,10 @@ At a point x every film gives whitened residuals r, derivatives J with the param
 frame's covariance is its tags' own plus what the fast part of its force error does: `s^2 (I + (f/s)^2 A A^T)`. The
 data's say is a quadratic: information `H` and `b = J^T S^-1 (r + J x)`. Priors are Gaussian, so for fixed scales the
 maximum and the evidence (marginal likelihood) of the linearised model follow in closed form (`scales.py`).
+
+All derivatives are taken at the force with each frame's own, fast error f taken off, and `r` is what is left there plus
+`A f`. Taken at the force as logged they would go with its noise, and noise in what bends a beam makes it look stiffer
+(errors in variables, attenuation).
 """
 
 from __future__ import annotations
@@ -44,7 +48,7 @@ class Scales:
 class Rows:
     """One film at one point: whitened and robustly weighted, R = 3 m numbers a frame."""
 
-    r: Array  # (F, R) residuals
+    r: Array  # (F, R) residuals, what each frame's own force explains not taken off
     j: Array  # (F, R, C) with the parameters known to the film
     a: Array  # (F, R, 2) with the frame's force
     known: Array  # (F, R) 1 where measured
@@ -66,10 +70,11 @@ def rows_of(seen: Film, at: Layout, x: Array, now: Prediction, noise: FilmNoise)
     j, a = jacobian(seen, at, x, now)
     frames = len(j)
     known = np.any(seen.whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
+    whitened = (seen.whiten @ a).reshape(frames, -1, 2)
     plain = Rows(
-        r=residuals(seen, now),
+        r=residuals(seen, now) + explained_by(whitened, now.own),
         j=(seen.whiten @ j).reshape(frames, -1, j.shape[-1]),
-        a=(seen.whiten @ a).reshape(frames, -1, 2),
+        a=whitened,
         known=known,
         root_weight=known,
     )
@@ -86,10 +91,15 @@ def residuals(seen: Film, now: Prediction) -> Array:
     return np.asarray(np.einsum("fmab,fmb->fma", seen.whiten, away).reshape(len(away), -1))
 
 
+def explained_by(a: Array, own: Array) -> Array:
+    """(F, R) what the frames' own forces (F, 2) [N] do to the rows, to first order."""
+    return np.asarray(np.einsum("frd,fd->fr", a, own))
+
+
 def split(rows: Rows, r: Array, noise: FilmNoise) -> tuple[Array, Array]:
     """Residuals (F, R) less what the frames' own force errors explain, and these errors (F, 2) N."""
     force = np.einsum("fdc,fcr,fr->fd", shrink(rows, noise), np.swapaxes(rows.a, 1, 2), r, optimize=True)
-    return r - np.einsum("frd,fd->fr", rows.a, force), force
+    return r - explained_by(rows.a, force), force
 
 
 def misfit(rows: Rows, r: Array, noise: FilmNoise) -> float:

@@ -29,6 +29,15 @@ class Comparison:
 
 
 @dataclass(frozen=True)
+class Explained:
+    """A recording as a fit explains it, its nuisances applied; `comparison.force` is the corrected force."""
+
+    comparison: Comparison  # over the frames that the fit used
+    line: Array  # (T, places, 2) m, the beam's centre line from the clamp to the tip
+    logged: Array  # (T, 2) N, the force as logged
+
+
+@dataclass(frozen=True)
 class Trial:
     """One row of the paper's table: n curvature modes, m stiffness functions."""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.criticism import Criticism, criticise
-from onebend.learning.forward import Film, film
+from onebend.learning.forward import Film, Prediction, film, predict
 from onebend.learning.frames import mass_profile, usable_frames
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
@@ -78,6 +79,12 @@ class Posterior:
     def covariance(self) -> Array:
         """(P, P) of the parameters (Laplace)."""
         return self.optimum.covariance
+
+    @cached_property
+    def slow(self) -> tuple[Prediction, ...]:
+        """The tags of every film with the slow error of its force log taken off, and each frame's own left in."""
+        every = zip(self.films, self.optimum.predictions, strict=True)
+        return tuple(predict(film, self.at, self.mean, found.solved.q) for film, found in every)
 
     @property
     def stiffness(self) -> UncertainStiffness:

@@ -9,15 +9,16 @@ import numpy as np
 from onebend.errors import LearningError
 from onebend.learning.forward import Film, Prediction, predict
 from onebend.learning.gauss_newton import (
+    FilmNoise,
     Quadratic,
     Rows,
     Scales,
-    misfit,
     prior,
     quadratic,
     residuals,
     rest_quadratic,
     rows_of,
+    split,
     together,
 )
 from onebend.learning.parameters import Layout
@@ -140,7 +141,7 @@ def _descend(
         if not all(np.all(p.solved.converged) for p in shapes):
             return np.inf
         every = zip(films, rows, shapes, scales.films, strict=True)
-        tags = sum(misfit(r, r.root_weight * residuals(f, p), noise) for f, r, p, noise in every)
+        tags = sum(_misfit(r.root_weight * residuals(f, p), p.own, noise) for f, r, p, noise in every)
         away = at_x - mean
         return float(tags + away @ precision @ away + at_x @ rests.information @ at_x - 2.0 * rests.b @ at_x)
 
@@ -153,7 +154,9 @@ def _descend(
         while True:
             step = np.linalg.solve(hessian + damping * np.diag(diagonal), slope)
             tried = x + step * min(1.0, 1.5 / max(float(np.max(np.abs(step[: at.spline.count]))), 1e-300))
-            there = [predict(f, at, tried, p.solved.q) for f, p in zip(films, now, strict=True)]
+            every = zip(films, rows, now, scales.films, strict=True)
+            forces = [_own(f, at, r, p, noise, tried - x, damping) for f, r, p, noise in every]
+            there = [predict(f, at, tried, p.solved.q, own) for f, p, own in zip(films, now, forces, strict=True)]
             if cost(rows, there, tried) <= before + 1e-6:
                 break
             damping *= 8.0
@@ -164,3 +167,14 @@ def _descend(
         if decrease < tolerance**2:
             return x, now, step_number, True
     return x, now, most, False
+
+
+def _misfit(left: Array, own: Array, noise: FilmNoise) -> float:
+    """Minus twice the log probability of what is left of the tags (F, R), and of the frames' own forces (F, 2)."""
+    return float(np.sum(left**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
+
+
+def _own(seen: Film, at: Layout, rows: Rows, now: Prediction, noise: FilmNoise, step: Array, damping: float) -> Array:
+    """(F, 2) N: each frame's own force after a step of the parameters, to first order the most probable one."""
+    best = split(rows, rows.r - rows.j @ step[at.known_to(seen.number)], noise)[1]
+    return np.asarray(now.own + (best - now.own) / (1.0 + damping))

@@ -18,12 +18,12 @@ _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
 def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
-    """(m,) m of each recording: distance of the tags from the fit, its nuisances (force error, ...) applied.
+    """(m,) m of each recording: distance of the tags from the fit, its nuisances (slow force error, ...) applied.
 
     NaN for a tag that was never seen. Unlike the RMS of a `Comparison`, errors of the force log are taken off here.
     """
     out = []
-    for seen, fitted in zip(posterior.films, posterior.optimum.predictions, strict=True):
+    for seen, fitted in zip(posterior.films, posterior.slow, strict=True):
         squared = distances((seen.measured - fitted.pose)[..., :2]) ** 2
         count = np.sum(np.isfinite(squared), axis=0)
         total = np.nansum(squared, axis=0)

@@ -13,15 +13,11 @@ from onebend.report.wording import millimetres, significant, worst_marker
 
 def cards(findings: Findings) -> list[dict[str, str]]:
     """What it is, its value, and a note, one a card."""
-    seen, training = findings.recordings[0], findings.trainings[0]
+    seen = findings.recordings[0]
     found = [_stiffness_card(findings)]
     if findings.posterior is not None:
         found.append(sureness_card(findings.posterior.stiffness, trusted=findings.posterior.criticism.trusted))
-    note = f"RMS over {len(training.frame)} frames it was learned from, under the force as logged"
-    if findings.posterior is not None:
-        fitted = max(float(np.nanmax(one)) for one in fitted_rms(findings.posterior))
-        note += f"; {millimetres(fitted)} mm with the force's fitted error taken off"
-    found.append({"what": "learned recording, worst marker", "value": worst_marker(training), "note": note})
+    found.append(_training_card(findings))
     if findings.validations:
         worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
         note = f"RMS, worst of {len(findings.validations)} other recordings ({worst.name})"
@@ -32,6 +28,18 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         note = f"noise left in it: {significant(noise, 2)} mN (sd)"
         found.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
     return found
+
+
+def _training_card(findings: Findings) -> dict[str, str]:
+    """How near the beam comes to the tags that it was learned from."""
+    what = "learned recording, worst marker"
+    logged = max(findings.trainings, key=lambda one: np.max(np.nan_to_num(one.rms)))
+    if findings.posterior is None:
+        note = f"RMS over {len(logged.frame)} frames, under the force as logged"
+        return {"what": what, "value": worst_marker(logged), "note": note}
+    fitted = max(float(np.nanmax(one)) for one in fitted_rms(findings.posterior))
+    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged, whose slow error the fit takes off"
+    return {"what": what, "value": f"{millimetres(fitted)} mm", "note": note}
 
 
 def _stiffness_card(findings: Findings) -> dict[str, str]:

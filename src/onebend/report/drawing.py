@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
 from onebend.errors import OnebendError
-from onebend.learning.outcome import Comparison
+from onebend.learning.explained import explained
+from onebend.learning.outcome import Comparison, Explained
 from onebend.progress import Progress, Silent, track
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
@@ -27,22 +28,28 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, 
     """PNGs of every figure that the findings allow, in the order of the page."""
     beam, learned, posterior = findings.beam, findings.learned, findings.posterior
     training, seen = findings.trainings[0], findings.recordings[0]
+    fits: Sequence[Explained | None] = [None] * len(findings.trainings)
+    if posterior is not None:
+        fits = explained(posterior)
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     if posterior is not None:
         wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
     wanted |= {
-        "fit": partial(fit, beam, training, seen),
-        "shapes": partial(figures.shapes, beam, training, seen),
-        "markers": partial(figures.markers, training),
-        "residuals": partial(figures.residuals, training),
+        "fit": partial(fit, beam, training, seen, fits[0]),
+        "shapes": partial(figures.shapes, beam, training, seen, fits[0]),
+        "markers": partial(figures.markers, training, fits[0]),
     }
-    for i, (one, where) in enumerate(list(zip(findings.trainings, findings.recordings, strict=True))[1:], start=2):
-        wanted[f"learned-{i}-shapes"] = partial(figures.shapes, beam, one, where)
-        wanted[f"learned-{i}-residuals"] = partial(figures.residuals, one)
+    for i, (one, where, found) in enumerate(zip(findings.trainings, findings.recordings, fits, strict=True), start=1):
+        before = "" if i == 1 else f"learned-{i}-"
+        if i > 1:
+            wanted[f"{before}shapes"] = partial(figures.shapes, beam, one, where, found)
+        if found is not None:
+            wanted[f"{before}fitted"] = partial(figures.residuals, found.comparison, "left by the fit")
+        wanted[f"{before}residuals"] = partial(figures.residuals, one, "under the force as logged")
     if learned is not None:
         wanted["selection"] = partial(figures.selection, learned)
     if not seen.static:  # poses have no time
-        wanted["force"] = partial(figures.force, seen)
+        wanted["force"] = partial(figures.force, seen, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
     wanted |= validation_figures(beam, pairs, *findings.trainings)
     return draw(wanted, progress)
@@ -84,13 +91,14 @@ def draw(wanted: dict[str, Draw], progress: Progress) -> dict[str, bytes]:
     return drawn
 
 
-def fit(beam: Beam, one: Comparison, seen: Observations) -> Figure | None:
+def fit(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | None = None) -> Figure | None:
     """The fit over the video frame; None where there is no video any more, or no camera."""
     if seen.view is None or seen.video is None:
         return None
+    shown = one if fitted is None else fitted.comparison
     try:
         film = VideoEntry(file=seen.video, topic=seen.video_topic, damaged="keep" if seen.video_topic else "refuse")
-        image = frame_at(film, int(one.frame[largest_push(one)]))
+        image = frame_at(film, int(shown.frame[largest_push(shown)]))
     except OnebendError:
         return None
-    return figures.fit_over_frame(image, seen.view, beam, one, seen)
+    return figures.fit_over_frame(image, seen.view, beam, one, seen, fitted)

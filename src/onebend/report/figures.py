@@ -15,40 +15,59 @@ from numpy.typing import NDArray
 
 from onebend.beam.model import Beam
 from onebend.learning.frames import distances
-from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.outcome import Comparison, Explained, Learned, Trial
 from onebend.recording.lens import project
 from onebend.records import Array, Observations, View
-from onebend.report.simulated import centreline, largest_push, spread_of_pushes
+from onebend.report.simulated import centreline, largest_push, same_frame, spread_of_pushes
 from onebend.report.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
 from onebend.report.wording import millimetres
 
 MM = 1000.0
+_DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
 # What is drawn over a photo keeps a white edge, to be seen on any background.
 _EDGED: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
 
 
 @styled
-def fit_over_frame(image: NDArray[np.uint8], view: View, beam: Beam, one: Comparison, seen: Observations) -> Figure:
-    """Measured markers and the simulated beam at the largest push, over the video frame (RGB) itself."""
-    t = largest_push(one)
-    line = centreline(beam, one, seen, t)
+def fit_over_frame(
+    image: NDArray[np.uint8],
+    view: View,
+    beam: Beam,
+    one: Comparison,
+    seen: Observations,
+    fitted: Explained | None = None,
+) -> Figure:
+    """Measured markers and the beam at the largest push, over the video frame (RGB) itself.
+
+    The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
+    force as logged.
+    """
+    shown = one if fitted is None else fitted.comparison
+    t = largest_push(shown)
+    logged = centreline(beam, one, seen, t if fitted is None else same_frame(one, shown, t))
+    line = logged if fitted is None else fitted.line[t]
+    what = "simulated" if fitted is None else "fitted"
     figure, (axes,) = blank(4.4)
     axes.imshow(image)
     axes.set_axis_off()
-    points = [project(view, one.measured[t])]
+    points = [project(view, shown.measured[t])]
+    if fitted is not None and logged is not None:
+        points += [project(view, logged)]
+        axes.plot(*points[-1].T, color=INK, linewidth=1.2, **_DASHED, label="under the force as logged",
+                  path_effects=[withStroke(linewidth=2.6, foreground="white")])  # fmt: skip
     if line is not None:
-        on_image = project(view, line)
-        axes.plot(*on_image.T, color=BLUE, linewidth=2.2, label="simulated beam", **_EDGED)
-        predicted = project(view, one.predicted[t])
-        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label="simulated markers", **_EDGED)
-        points += [on_image]
+        points += [project(view, line)]
+        axes.plot(*points[-1].T, color=BLUE, linewidth=2.2, label=f"{what} beam", **_EDGED)
+        predicted = project(view, shown.predicted[t])
+        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label=f"{what} markers", **_EDGED)
     axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=2,
               label="measured markers", **_EDGED)  # fmt: skip
-    where = line[round(float(one.push_s[t]) * (len(line) - 1))] if line is not None else one.measured[t, -1]
-    points += [_draw_force(axes, view, where, one.force[t], 0.22 * beam.length)]
+    where = line[round(float(shown.push_s[t]) * (len(line) - 1))] if line is not None else shown.measured[t, -1]
+    points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
-    axes.set_title(f"{one.name}, frame {one.frame[t]}: {np.linalg.norm(one.force[t]):.2f} N at s = {one.push_s[t]:.2g}")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
+    size = np.linalg.norm(shown.force[t])
+    axes.set_title(f"{one.name}, frame {shown.frame[t]}: {size:.2f} N at s = {shown.push_s[t]:.2g}")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4 if fitted is not None else 3, columnspacing=1.2)
     return figure
 
 
@@ -77,21 +96,27 @@ def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
 
 
 @styled
-def shapes(beam: Beam, one: Comparison, seen: Observations) -> Figure:
-    """The simulated beam and the measured markers at rest and at pushes of growing size (Fig. 7 of the paper)."""
+def shapes(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | None = None) -> Figure:
+    """The beam and the measured markers at rest and at pushes of growing size (Fig. 7 of the paper)."""
     figure, (axes,) = blank(3.6)
-    chosen = spread_of_pushes(one, 6)
+    shown = one if fitted is None else fitted.comparison
+    chosen = spread_of_pushes(shown, 6)
     for order, t in enumerate(chosen):
-        line = centreline(beam, one, seen, t)
         strength = 0.25 + 0.75 * (order + 1) / len(chosen)
+        logged = centreline(beam, one, seen, t if fitted is None else same_frame(one, shown, t))
+        if fitted is not None and logged is not None:
+            axes.plot(*(MM * logged.T), color=MUTED, alpha=strength, linewidth=1.0, **_DASHED)
+        line = logged if fitted is None else fitted.line[t]
         if line is not None:
             axes.plot(*(MM * line.T), color=BLUE, alpha=strength, linewidth=1.6)
         for i in range(len(one.tag_id)):
             axes.plot(
-                *(MM * one.measured[t, i]), shape(i), color=colour(i), alpha=strength, markersize=6, zorder=4,
+                *(MM * shown.measured[t, i]), shape(i), color=colour(i), alpha=strength, markersize=6, zorder=4,
                 label=f"M{i + 1} measured" if order == len(chosen) - 1 else None,
             )  # fmt: skip
-    axes.plot([], [], color=BLUE, label="simulated beam")
+    axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
+    if fitted is not None:
+        axes.plot([], [], color=MUTED, linewidth=1.0, **_DASHED, label="under the force\nas logged")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     axes.set_title(f"{one.name}: shapes under growing force")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
@@ -99,20 +124,23 @@ def shapes(beam: Beam, one: Comparison, seen: Observations) -> Figure:
 
 
 @styled
-def markers(one: Comparison) -> Figure:
-    """Every marker over time, measured (dots) and simulated (lines), in x and y."""
+def markers(one: Comparison, fitted: Explained | None = None) -> Figure:
+    """Every marker over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
     figure, (above, below) = blank(4.6, 2, 1, sharex=True)
-    time = one.time - one.time[0]
+    time, shown = one.time - one.time[0], one if fitted is None else fitted.comparison
     step = max(1, len(time) // 150)  # dots that would only cover each other are left out
     for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
         for i in range(len(one.tag_id)):
             axes.plot(time[::step], MM * one.measured[::step, i, axis], shape(i), color=colour(i), alpha=0.45,
                       markersize=3.2, markeredgewidth=0)  # fmt: skip
-            axes.plot(*_unbroken(time, MM * one.predicted[:, i, axis]), color=colour(i), linewidth=1.4,
-                      label=f"M{i + 1}, s = {one.marker_s[i]:.3g}")  # fmt: skip
+            if fitted is not None:
+                axes.plot(*_unbroken(time, MM * one.predicted[:, i, axis]), color=colour(i), linewidth=0.9, **_DASHED)
+            axes.plot(*_unbroken(shown.time - one.time[0], MM * shown.predicted[:, i, axis]), color=colour(i),
+                      linewidth=1.4, label=f"M{i + 1}, s = {one.marker_s[i]:.3g}")  # fmt: skip
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel("pose" if one.static else "time [s]")
-    above.set_title(f"{one.name}: markers measured (dots) and simulated (lines)")
+    lines = "lines simulated" if fitted is None else "lines fitted, dashed under the force as logged"
+    above.set_title(f"{one.name}: dots measured, {lines}")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(one.tag_id)))
     return figure
 
@@ -125,7 +153,7 @@ def _unbroken(time: Array, values: Array) -> tuple[Array, Array]:
 
 
 @styled
-def residuals(one: Comparison) -> Figure:
+def residuals(one: Comparison, title: str = "measured to simulated") -> Figure:
     """How far the simulated markers are from the measured ones: over time, and in the plane."""
     figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
     residual = MM * (one.measured - one.predicted)
@@ -135,7 +163,7 @@ def residuals(one: Comparison) -> Figure:
         left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=f"M{i + 1}: {rms:.2f} mm RMS")
         right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel="pose" if one.static else "time [s]", ylabel="distance [mm]", ylim=(0, None))
-    left.set_title(f"{one.name}: distance, measured to simulated")
+    left.set_title(f"{one.name}: {title}")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(one.tag_id))), fontsize=8)
     right.axhline(0, color=MUTED, linewidth=0.8)
     right.axvline(0, color=MUTED, linewidth=0.8)
@@ -179,8 +207,8 @@ def _cell(trial: Trial) -> str:
 
 
 @styled
-def force(seen: Observations) -> Figure:
-    """The force on the beam over time, on the log's clock: what was filmed, when contact was, what was taken off."""
+def force(seen: Observations, fitted: Explained | None = None) -> Figure:
+    """The force on the beam over time: what was filmed, when contact was, what was taken off; the fit's own dashed."""
     clean = seen.clean_force
     figure, (axes,) = blank(3.0)
     time, values = (seen.time, seen.force) if clean is None else (clean.time, clean.force)
@@ -191,6 +219,10 @@ def force(seen: Observations) -> Figure:
         if clean is not None:
             label += f"  (tare {clean.tare[axis]:+.3f} N taken off, noise left {MM * clean.noise_sd[axis]:.1f} mN)"
         axes.plot(time[::step] - start, values[::step, axis], color=tint, linewidth=1.2, label=label)
+        if fitted is not None:
+            there = fitted.comparison
+            axes.plot(*_unbroken(there.time - start, there.force[:, axis]), color=tint, linewidth=1.2,
+                      **_DASHED, alpha=0.9, label=f"F{name} as fitted")  # fmt: skip
     axes.axhline(0, color=MUTED, linewidth=0.8)
     for first, last in _spans(seen.time - start, seen.loaded):
         axes.axvspan(first, last, color=ORANGE, alpha=0.08, linewidth=0)
@@ -198,7 +230,7 @@ def force(seen: Observations) -> Figure:
     axes.axvline(float(seen.time[-1]) - start, color=MUTED, linestyle=":", linewidth=1)
     axes.set(xlabel="time since the first frame [s]", ylabel="force [N]")
     axes.set_title("force on the beam (shaded: in contact; dotted: first and last frame)")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if fitted is None else 2)
     return figure
 
 

@@ -46,7 +46,6 @@ def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> s
 def _content(findings: Findings) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)]
-    pairs = list(zip(findings.trainings, findings.recordings, strict=True))
     return {
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
@@ -61,11 +60,11 @@ def _content(findings: Findings) -> dict[str, Any]:
         "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
         "k_rows": _stiffness_rows(findings),
         "tags": [f"M{i + 1}" for i in range(len(first.tag_id))],
-        "trainings": [_comparison_row(one) for one, _ in pairs],
-        "learned_figures": _captions("learned", [one for one, _ in pairs])[2:],
+        "trainings": [_comparison_row(one) for one in findings.trainings],
+        "learned_figures": _learned_captions(findings),
         "trials": [] if learned is None else _trials(learned),
         "validations": [_comparison_row(one) for one in findings.validations],
-        "validation_figures": _captions("validation", findings.validations),
+        "validation_figures": _validation_captions(findings.validations),
         "inputs": [(one.name, inputs(one)) for one in findings.recordings],
         "assumptions": assumptions(findings),
         "files": files_described(findings),
@@ -135,11 +134,21 @@ def _comparison_row(one: Comparison) -> dict[str, Any]:
     return {"name": one.name, "frames": len(one.frame), "cells": cells}
 
 
-def _captions(kind: str, comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
+def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
     captions = []
     for i, one in enumerate(comparisons, start=1):
-        captions.append((f"{kind}-{i}-shapes", f"{one.name}: simulated beam and measured markers."))
-        captions.append((f"{kind}-{i}-residuals", f"{one.name}: distance between measured and simulated markers."))
+        captions.append((f"validation-{i}-shapes", f"{one.name}: simulated beam and measured markers."))
+        captions.append((f"validation-{i}-residuals", f"{one.name}: distance between measured and simulated markers."))
+    return captions
+
+
+def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
+    """Figures of the recordings after the first, whose own stand in the text."""
+    captions = []
+    for i, one in enumerate(findings.trainings[1:], start=2):
+        captions.append((f"learned-{i}-shapes", f"{one.name}: the beam and measured markers."))
+        captions.append((f"learned-{i}-fitted", f"{one.name}: what the fit leaves of the tags."))
+        captions.append((f"learned-{i}-residuals", f"{one.name}: measured to simulated under the force as logged."))
     return captions
 
 

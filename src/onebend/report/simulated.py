@@ -26,6 +26,11 @@ def spread_of_pushes(one: Comparison, count: int) -> list[int]:
     return sorted({int(np.argmin(np.abs(rising - value))) for value in wanted})
 
 
+def same_frame(one: Comparison, other: Comparison, t: int) -> int:
+    """Index in `one` of the frame t of `other`, the nearest where it has not that very frame."""
+    return int(np.argmin(np.abs(one.time - other.time[t])))
+
+
 def centreline(beam: Beam, one: Comparison, seen: Observations, t: int, places: int = 121) -> Array | None:
     """(places, 2) m, the beam simulated under the measured force of the comparison's frame t; None if it cannot be."""
     here = np.flatnonzero(seen.frame == one.frame[t])

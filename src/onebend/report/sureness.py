@@ -113,7 +113,7 @@ def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
     return [
         SupposedRow(
             what=supposed_words(one, posterior),
-            odds=f"1 in {10.0 ** min(-one.score.log10_p, 9.0):.2g}" + (" or less" if one.score.log10_p < -9.0 else ""),
+            odds=_odds(one.score.log10_p),
             size=millimetres(one.score.size),
             shift=f"{100.0 * float(np.expm1(one.shift)):.2g} %",
             alarm=one in critic.alarms,
@@ -132,3 +132,10 @@ def tradeoff_words(posterior: Posterior) -> list[str]:
 def _pair(one: Tradeoff) -> str:
     how = "rise and fall together" if one.correlation > 0.0 else "go against each other"
     return f"{one.first} and {one.second} {how} (correlation {one.correlation:+.2f})"
+
+
+def _odds(log10_p: float) -> str:
+    """A probability as people say it, to two digits; beyond a billion it only counts that it is small."""
+    count = 10.0 ** min(-log10_p, 9.0)
+    whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
+    return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")

@@ -50,10 +50,11 @@ def headline(run: Findings) -> Panel:
         how = f"m = {trial.m} {run.learned.family}, {run.learned.method}"
         lines.append(f"[bold]model[/] n = {trial.n} curvature modes, {how}")
     for i, one in enumerate(run.trainings):
-        lines.append(f"[bold]{escape(one.name)}[/] worst marker {worst_marker(one)} RMS under the force as logged")
+        logged = f"{worst_marker(one)} RMS under the force as logged"
         if run.posterior is not None:
             rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
-            lines[-1] += f"; {millimetres(rms)} mm with its fitted error taken off"
+            logged = f"{millimetres(rms)} mm RMS in the fit; {logged}, whose slow error the fit takes off"
+        lines.append(f"[bold]{escape(one.name)}[/] worst marker {logged}")
     return Panel("\n".join(lines), expand=False, border_style="green")
 
 
