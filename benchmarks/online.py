@@ -111,12 +111,16 @@ def virtual(runs: int, errors: str) -> None:
             print(f"\r{seed + 1} of {runs}", end="", file=sys.stderr, flush=True)
         except (LearningError, ObservationError) as wrong:
             print(f"seed {seed}: {wrong}")
-    print("| errors | runs | | truth inside 95 % band | band over the fit's: 10 % / median / 90 % | RMS error of log k |")
+    print(
+        "| errors | runs | | truth inside 95 % band | band over the fit's: 10 % / median / 90 % | RMS error of log k |"
+    )
     print("| --- " * 6 + "|")
     for i, name in enumerate(("live, at the end", "live, settled", "fit")):
         inside = 100.0 * np.mean([one.inside[i] for one in found])
-        ratio = "1" if i == 2 else " / ".join(
-            f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in found], (10, 50, 90))
+        ratio = (
+            "1"
+            if i == 2
+            else " / ".join(f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in found], (10, 50, 90)))
         )
         error = np.sqrt(np.mean([one.error[i] ** 2 for one in found]))
         print(f"| {errors} | {len(found)} | {name} | {inside:.0f} % | {ratio} | {error:.3f} |")

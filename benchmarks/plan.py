@@ -132,9 +132,11 @@ def virtual(runs: range) -> None:
     ratios = np.array([[removed(one.before, pair) for pair in (one.best, one.middle)] for one in found])
     left = np.array([pair[0] / pair[1] for one in found for pair in (one.best, one.middle)])
     better = sum(one.best[1] < one.middle[1] for one in found)
-    print(f"\n{len(found)} beams. Removed, promised over delivered: first proposal {spread(ratios[:, 0])}, middle one "
-          f"{spread(ratios[:, 1])}. Band left, promised over delivered: {spread(left)}. "
-          f"The first proposal left a narrower band than the middle one on {better}.")
+    print(
+        f"\n{len(found)} beams. Removed, promised over delivered: first proposal {spread(ratios[:, 0])}, middle one "
+        f"{spread(ratios[:, 1])}. Band left, promised over delivered: {spread(left)}. "
+        f"The first proposal left a narrower band than the middle one on {better}."
+    )
 
 
 def removed(before: float, pair: tuple[float, float]) -> float:

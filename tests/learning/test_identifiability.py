@@ -89,7 +89,7 @@ class Wrong:
     def of(vector: Array) -> Wrong:
         sizes = [5, 3, 4, 3, 3, 3, 1, 2, 1, 1, 1]
         *parts, force = np.split(vector, np.cumsum(sizes))
-        return Wrong(*parts, force=force.reshape(STEPS, 2))
+        return Wrong(*parts, force.reshape(STEPS, 2))
 
 
 SIZE = 27 + 2 * STEPS

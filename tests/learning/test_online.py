@@ -38,7 +38,9 @@ PLAIN = OnlineSettings(functions=8, adapt=False, bulk=np.inf, gate=np.inf, marke
 
 
 def test_every_derivative_matches_differences() -> None:
-    at = live_layout(Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=0.02)
+    at = live_layout(
+        Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=0.02
+    )
     setting = Setting(0.15, MARKERS, 0.02, at)
     place = place_at(setting, 0.8)
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
@@ -54,9 +56,9 @@ def test_every_derivative_matches_differences() -> None:
         np.testing.assert_allclose(exact.j[..., i], difference, atol=1e-6 * max(1.0, float(np.max(abs(difference)))))
     for c in range(2):
         pushes = [force + sign * h * np.eye(2)[c] for sign in (1.0, -1.0)]
-        ends = [linearise(setting, place, x, replace(given, force=f), exact.q) for f in pushes]
-        np.testing.assert_allclose(exact.a[..., c], (ends[0].pose - ends[1].pose) / (2.0 * h), atol=1e-6)
-        np.testing.assert_allclose(exact.by_force[..., c], (ends[0].q - ends[1].q) / (2.0 * h), atol=1e-4)
+        there = [linearise(setting, place, x, replace(given, force=f), exact.q) for f in pushes]
+        np.testing.assert_allclose(exact.a[..., c], (there[0].pose - there[1].pose) / (2.0 * h), atol=1e-6)
+        np.testing.assert_allclose(exact.by_force[..., c], (there[0].q - there[1].q) / (2.0 * h), atol=1e-4)
 
 
 def test_covariance_of_averages_is_that_of_fine_samples() -> None:
@@ -132,7 +134,7 @@ def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
     assert np.max(np.abs(away)) < 0.01  # of a sd: a tag's way along the beam is a circle in the learner
     n = len(mean)
     spread = np.linalg.inv(rows.T @ rows)[:n, :n]
-    np.testing.assert_allclose(found / np.outer(scale[:n], scale[:n]), spread, atol=2e-3)
+    np.testing.assert_allclose(found / np.outer(scale[:n], scale[:n]), spread, atol=5e-3)
 
 
 def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
@@ -217,7 +219,7 @@ def drawn(seed: int, count: int) -> tuple[Observations, LogSpline]:
     for t in range(count):
         before = coloured[t - 1] * keep if t else rng.normal(size=2) * 0.003
         coloured[t] = before + (0.003 * np.sqrt(1.0 - keep**2) * rng.normal(size=2) if t else 0.0)
-    error = coloured + 0.003 * rng.normal(size=2) + 0.001 * rng.normal(size=(count, 2))
+    error = coloured + 0.05 * 0.35 * rng.normal(size=2) + 0.001 * rng.normal(size=(count, 2))
     seen = made.xy + 5e-4 * rng.normal(size=2)
     return replace(made, xy=seen, angle=made.angle + turn, force=made.force + error, loaded=made.loaded), log_k
 

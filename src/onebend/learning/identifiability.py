@@ -19,7 +19,15 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
-from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_moment, of_rest_curvature, of_stiffness, respond
+from onebend.beam.sensitivity import (
+    of_clamp_angle,
+    of_force,
+    of_mass,
+    of_moment,
+    of_rest_curvature,
+    of_stiffness,
+    respond,
+)
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError, MechanicsError

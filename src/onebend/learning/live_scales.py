@@ -52,7 +52,7 @@ class ScaleSearch:
         self._steps = np.full(len(chosen), 0.3)
         self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
         self._nodes: dict[int, _Node] = {}
-        self._trials, self._climbs = 0, 0
+        self._trials, self._climbs, self._at = 0, 0, 0
         self._begin()
 
     @property

@@ -52,7 +52,9 @@ def replay(
 def settings_for(observations: Observations, settings: OnlineSettings = OnlineSettings()) -> OnlineSettings:
     """Settings with what a recording says of placement, rest, camera, clock and force noise."""
     o = observations
-    known = replace(settings, placement_sd=o.placement_sd, rest_unknown=o.rest == "unknown", priors=_priors(o, settings))
+    known = replace(
+        settings, placement_sd=o.placement_sd, rest_unknown=o.rest == "unknown", priors=_priors(o, settings)
+    )
     if o.view is not None:
         known = replace(known, calibrated=o.view.calibrated)
     largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0

@@ -50,7 +50,7 @@ class Smoother:
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
         self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
         self._setting, self._start, self._habits = setting, start, habits
-        chosen = ("coloured", "memory", "walk", "white")
+        chosen: tuple[str, ...] = ("coloured", "memory", "walk", "white")
         chosen = chosen if start.fixed is not None else (*chosen, "tau", "rho")
         self._search = ScaleSearch(scales, chosen, habits.memory_doubt)
         self._scatter = Scatter(tags, scales.marker)
@@ -107,7 +107,8 @@ class Smoother:
         there = linearise(self._setting, place, self.point, given, start)
         good = there.converged
         solved = np.asarray(chosen)[good]
-        keys.q[solved, :nodes], keys.nodes[solved], keys.by_force[solved, :nodes] = there.q[good], nodes, there.by_force[good]
+        keys.q[solved, :nodes], keys.nodes[solved] = there.q[good], nodes
+        keys.by_force[solved, :nodes] = there.by_force[good]
         keys.set_linear(solved, self.point, there.pose[good], there.j[good], there.a[good])
         return set(solved.tolist())
 
