@@ -88,8 +88,10 @@ class Wrong:
     @staticmethod
     def of(vector: Array) -> Wrong:
         sizes = [5, 3, 4, 3, 3, 3, 1, 2, 1, 1, 1]
-        *parts, force = np.split(vector, np.cumsum(sizes))
-        return Wrong(*parts, force.reshape(STEPS, 2))
+        parts = np.split(vector, np.cumsum(sizes))
+        k, q0, mass, along, across, turn, clamp, origin, scale, place, axes, force = parts
+        steps = force.reshape(STEPS, 2)
+        return Wrong(k, q0, mass, along, across, turn, clamp, origin, scale, place, axes, steps)
 
 
 SIZE = 27 + 2 * STEPS

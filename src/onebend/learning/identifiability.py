@@ -87,10 +87,8 @@ def _forces(candidate: Push) -> Array:
 
 
 def see(solved: Equilibrium, bench: Bench, candidate: Push, mass: float, on_nodes: Array, tags: Array) -> Seen:
-    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C).
-
-    `mass` [kg] is that of the beam.
-    """
+    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C), and with
+    all else. `mass` [kg] is the beam's."""
     problem, nodes = solved.problem, solved.problem.grid.nodes
     per_length = mass / bench.length * MASS_MODES.curvature(nodes)
     change = (
@@ -108,8 +106,8 @@ def see(solved: Equilibrium, bench: Bench, candidate: Push, mass: float, on_node
     force[-1] = 0.0  # at rest nothing pushes
     there = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
     pushed, here = _forces(candidate), solved.angle(np.array([candidate.at_s]))
-    lever = np.cos(here) * pushed[:, 1:] - np.sin(here) * pushed[:, :1]  # (F, 1) N: a metre along the tangent adds it
-    across = np.stack([-pushed[:, 1], pushed[:, 0]], axis=-1)
+    lever = np.cos(here) * pushed[:, 1:] - np.sin(here) * pushed[:, :1]  # (F, 1) N: a metre farther out adds it
+    across = pushed[:, ::-1] * np.array([-1.0, 1.0])
     return Seen(
         tags=tags,
         functions=functions,
