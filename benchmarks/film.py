@@ -3,7 +3,8 @@
 Each run draws a beam, its tags and mounting, a camera, a scene, a sensor and a clock, films a slow push, learns from
 the folder as a user would, and compares. `inside` counts the places s = 0.05 to 0.9 that the fit calls identified and
 whose 95 % band holds the true k, with the standard error over whole runs; `without a warning` are runs in which nothing
-was said against the result. Runs are kept in out/film: the next call goes on from there.
+was said against the result. Runs are kept in out/film: the next call goes on from there (take another file when the
+fit has changed).
 """
 
 from __future__ import annotations
@@ -23,14 +24,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import RECORDINGS, Truth, read_truth
 from onebend.errors import OnebendError
-from onebend.lab.chance import random_bench
-from onebend.lab.designs import DESIGNS
+from onebend.lab.chance import Chance, random_bench
 from onebend.lab.film import film
 from onebend.lab.filming import Filming
-from onebend.lab.strategies import PushName, Wish, filming_of
 from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn_recording
 from onebend.progress import Progress, Silent
@@ -41,13 +41,17 @@ from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections
 
+SMOOTH = 12.0  # of the slope of log k over s: steeper are steps and joints, which a smooth prior rounds off
+VAGUE = 0.1  # of the peak: a force no better known than this
 S = np.linspace(0.05, 0.9, 35)
 KEPT = Path(__file__).parents[1] / "out" / "film"
 STREAM = 77  # of the random numbers of benches
-TWINS: tuple[tuple[str, PushName, bool, str], ...] = (  # calibrated as the recording is
-    ("linear", "slow", True, "linear_train"),
-    ("quadratic", "s08", True, "quadratic_s08"),
-    ("cubic", "fast", False, "cubic_fast"),
+# Shorter and coarser films than a laboratory's best, so that 50 of them are affordable: contact of 4 to 7 s, some
+# cameras of 640 x 480, some at 10 frames/s.
+DRAWN = Chance(
+    seconds=(4.0, 7.0),
+    sides=((640, 480), (1280, 720), (1280, 720), (1920, 1080)),
+    fps=(10.0, 15.0, 24.0, 30.0),
 )
 
 
@@ -57,10 +61,14 @@ class Run:
 
     seed: int
     sensor: str
+    camera: str = ""  # its picture, px
+    steepest: float = 0.0  # of log k over s, its size
+    peak: float = 0.0  # N, of the push
+    slack: float = 0.0  # sd of the force's error that comes and goes with the load, over the peak
     failure: str = ""
     frames: int = 0
     film_seconds: float = 0.0  # of one core
-    learn_seconds: float = 0.0
+    learn_seconds: float = 0.0  # of one core
     place: float = 0.0  # m RMS, tags against the truth
     angle: float = 0.0  # rad RMS
     claimed: float = 0.0
@@ -88,7 +96,7 @@ class Keeping:
 
 def run(seed: int) -> Run:
     """Film the bench of a seed, learn, compare."""
-    filming = random_bench(np.random.default_rng([STREAM, seed]), name=f"drawn-{seed}")
+    filming = random_bench(np.random.default_rng([STREAM, seed]), DRAWN, name=f"drawn-{seed}")
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return learned(filming, Path(place) / "film", seed)
@@ -96,26 +104,30 @@ def run(seed: int) -> Run:
 
 def learned(filming: Filming, folder: Path, seed: int) -> Run:
     """Film a bench into `folder`, learn, compare."""
-    began = time.process_time()
+    camera, began = filming.camera, time.process_time()
+    bench = filming.bench
+    slack = np.sqrt(2.0) * bench.sensor.reversal / bench.push.peak
+    size = f"{camera.width} x {camera.height}"
+    begun = Run(seed, filming.sensor_name, size, peak=bench.push.peak, slack=float(slack))
     try:
         film(filming, folder, seed=seed)
     except OnebendError as wrong:
-        return Run(seed, filming.sensor_name, failure=f"film: {wrong}")
-    filmed, started = time.process_time() - began, time.perf_counter()
+        return replace(begun, failure=f"film: {wrong}")
+    filmed, started = time.process_time() - began, time.process_time()
     detect, truth = Keeping(), read_truth(folder)
+    begun = replace(begun, steepest=float(np.max(np.abs(np.gradient(np.log(truth.k), truth.s)))))
     try:
         found = learn_recording(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
     except OnebendError as wrong:
-        return Run(seed, filming.sensor_name, failure=f"learn: {wrong}", film_seconds=filmed)
+        return replace(begun, failure=f"learn: {wrong}", film_seconds=filmed)
     assert found.posterior is not None
     assert detect.found is not None
     place, angle, claimed = errors(measure_markers(detect.found, read_recording(folder)), truth)
-    made = Run(
-        seed,
-        filming.sensor_name,
+    made = replace(
+        begun,
         frames=len(truth.time),
         film_seconds=filmed,
-        learn_seconds=time.perf_counter() - started,
+        learn_seconds=time.process_time() - started,
         place=place,
         angle=angle,
         claimed=claimed,
@@ -150,8 +162,13 @@ def study(runs: int, jobs: int, kept: Path) -> list[Run]:
         kept.parent.mkdir(parents=True, exist_ok=True)
         os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that start now
         with ProcessPoolExecutor(jobs) as pool, kept.open("a", encoding="utf-8") as file:
-            for future in as_completed([pool.submit(run, seed) for seed in wanted]):
-                one = future.result()
+            futures = {pool.submit(run, seed): seed for seed in wanted}
+            for future in as_completed(futures):
+                try:
+                    one = future.result()
+                except Exception as wrong:  # a fault of the program: told as such, and tried again by the next call
+                    done[futures[future]] = Run(futures[future], "", failure=f"crashed: {wrong!r}")
+                    continue
                 done[one.seed] = one
                 file.write(json.dumps(asdict(one)) + "\n")
                 file.flush()
@@ -176,13 +193,17 @@ def study_table(runs: Sequence[Run]) -> str:
         "| " + "--- | " * 11,
     ]
     groups = {"all": list(runs)}
+    groups |= {"k(s) smooth": [one for one in runs if one.steepest < SMOOTH and not one.failure]}
+    groups |= {"k(s) with steps or a joint": [one for one in runs if one.steepest >= SMOOTH]}
     groups |= {sensor: [one for one in runs if one.sensor == sensor] for sensor in sorted({r.sensor for r in runs})}
+    groups |= {"force known to a tenth of its peak": [one for one in runs if one.slack < VAGUE]}
+    groups |= {"force known no better": [one for one in runs if one.slack >= VAGUE]}
     groups["without a warning"] = [one for one in runs if not one.warnings and not one.failure]
     for name, group in groups.items():
         good = [one for one in group if not one.failure]
-        if not good:
-            continue
         share = np.array([one.inside for one in good if np.isfinite(one.inside)])
+        if not len(share):
+            continue
         identified = 100 * np.mean([one.identified for one in good])
         spread = share.std(ddof=1) / np.sqrt(len(share)) if len(share) > 1 else float("nan")
         middle = {
@@ -195,6 +216,25 @@ def study_table(runs: Sequence[Run]) -> str:
             f"| {1e3 * middle['place']:.4f} | {np.degrees(middle['angle']):.4f} | {middle['claimed']:.2f} "
             f"| {middle['learn_seconds']:.0f} |"
         )
+    return "\n".join(lines)
+
+
+def runs_table(runs: Iterable[Run]) -> str:
+    """A row a run: the share of the identified places, and of all, that its band holds."""
+    lines = [
+        "| run | sensor | camera | frames | push [N] | steepest log k | inside, identified | inside, all | identified "
+        "| error of log k | claimed sd | place [mm] | film, learn [s of one core] |",
+        "| " + "--- | " * 13,
+    ]
+    for one in runs:
+        name = f"| {one.seed} | {one.sensor} | {one.camera} "
+        if one.failure:
+            lines.append(name + "| " * 10 + "|")
+            continue
+        shares = " | ".join(f"{100.0 * v:.0f} %" for v in (one.inside, one.inside_all, one.identified))
+        sizes = f"{one.error:.3f} | {one.width:.3f} | {1e3 * one.place:.4f}"
+        times = f"{one.film_seconds:.0f}, {one.learn_seconds:.0f}"
+        lines.append(f"{name}| {one.frames} | {one.peak:.2g} | {one.steepest:.0f} | {shares} | {sizes} | {times} |")
     return "\n".join(lines)
 
 
@@ -211,35 +251,6 @@ def odd_runs(runs: Iterable[Run]) -> str:
     return "\n".join(lines)
 
 
-def twins_table(recordings: Path) -> str:
-    """Tags of films of the named designs beside those of the development recordings that they resemble."""
-    lines = [
-        "| film | frames | place [mm] | angle [deg] | claimed chi^2 | film [frames/s of one core] | recording "
-        "| place [mm] | angle [deg] |",
-        "| " + "--- | " * 9,
-    ]
-    for design, push, calibrated, other in TWINS:
-        filming = filming_of(DESIGNS[design], Wish(push=push, calibrated=calibrated), f"{design}-{push}")
-        with tempfile.TemporaryDirectory() as place:
-            folder, began = Path(place) / "film", time.process_time()
-            film(filming, folder, seed=1)
-            seconds = time.process_time() - began
-            mine, frames = tag_errors(folder), len(read_truth(folder).time)
-        theirs = tag_errors(recordings / other) if (recordings / other / "truth").is_dir() else (float("nan"),) * 3
-        lines.append(
-            f"| {design} {push} | {frames} | {1e3 * mine[0]:.4f} | {np.degrees(mine[1]):.4f} | {mine[2]:.2f} "
-            f"| {frames / seconds:.1f} | {other} | {1e3 * theirs[0]:.4f} | {np.degrees(theirs[1]):.4f} |"
-        )
-    return "\n".join(lines)
-
-
-def tag_errors(folder: Path) -> tuple[float, float, float]:
-    """RMS error of place [m] and angle [rad] of a recording's tags, and the median of their squares as claimed."""
-    rec = read_recording(folder)
-    assert rec.video is not None
-    return errors(measure_markers(detect_tags(rec.video, rec.tags, threads=1), rec), read_truth(folder))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=50)
@@ -250,6 +261,7 @@ def main() -> None:
     asked = parser.parse_args()
     runs = study(asked.runs, asked.jobs, asked.kept)
     print(study_table(runs))
+    print(f"\nEvery run:\n\n{runs_table(runs)}")
     print(f"\nRuns to look at:\n\n{odd_runs(runs)}")
     if not asked.no_twins:
         print(f"\nTags of films and of the development recordings:\n\n{twins_table(asked.recordings)}")

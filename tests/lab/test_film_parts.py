@@ -18,7 +18,7 @@ from onebend.lab.movement import PLACES, Motive, cubic, shapes_at
 from onebend.lab.pushes import Push
 from onebend.lab.raster import LINES, Box, box_around, coverage
 from onebend.lab.strategies import Wish, filming_of
-from onebend.lab.tagprint import outlines, placed
+from onebend.lab.tagprint import as_printed, outlines, placed
 from onebend.lab.viewpoint import Camera, all_seen, view_from
 from onebend.lab.virtual import Bench, Tag, tag_places, tag_poses
 from onebend.recording.lens import project, to_plane
@@ -108,6 +108,22 @@ def test_a_tag_of_polygons_is_found_where_it_was_put() -> None:
         placed(60.0 * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]), pose * [1.0, -1.0, 1.0]) * up
     )
     np.testing.assert_allclose(found.corners, corners, atol=0.25)
+
+
+@settings(deadline=None, max_examples=20)
+@given(tag=st.integers(0, 500), phase=st.tuples(st.floats(0.0, 0.999), st.floats(0.0, 0.999)))
+def test_a_printer_sets_edges_on_its_grid_and_cells_stay_neighbours(tag: int, phase: tuple[float, float]) -> None:
+    size, dot, made = 0.012, 2.54e-2 / 600.0, outlines(tag)
+    printed, exact = as_printed(made, size, dot, np.array(phase)), as_printed(made, size, 0.0, np.array(phase))
+    assert exact.ink == pytest.approx(size * made.ink, abs=0.0)
+    off = printed.ink - exact.ink
+    assert np.max(np.abs(off)) <= 0.5 * dot * (1.0 + 1e-9)
+    dots = printed.ink / dot + np.array(phase)
+    assert np.max(np.abs(dots - np.round(dots))) < 1e-6
+    for axis in range(2):  # one place of the design is one place of the print
+        places, moved = exact.ink[..., axis].ravel(), printed.ink[..., axis].ravel()
+        for place in np.unique(places):
+            assert np.ptp(moved[places == place]) == 0.0
 
 
 def test_interpolation_is_exact_for_cubics() -> None:

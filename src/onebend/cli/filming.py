@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,17 +63,15 @@ def film(
     quiet: Quiet = False,
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
-    wish = Wish(
+    seen = Wish(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
+    wish = replace(
+        seen,
         push=push,
         at_s=or_nan(push_at),
         force=or_nan(force),
         bend=math.radians(bend),
         direction=math.radians(or_nan(direction)),
         seconds=or_nan(seconds),
-        camera=camera,
-        fps=or_nan(fps),
-        tilt=math.radians(or_nan(tilt)),
-        distance=or_nan(distance),
         sensor=sensor,
         gravity=gravity,
         base_angle=math.radians(base_angle),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import typer
@@ -11,7 +14,6 @@ from rich.console import Console
 from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of, workplace
 from onebend.errors import RecordingError
 from onebend.lab.strategies import Wish
-from onebend.progress import Progress
 from onebend.rehearse.rehearsal import Rehearsal, cores
 from onebend.rehearse.rehearsal import rehearse as make_rehearsal
 from onebend.rehearse.setup import Setup, known_beam, setup_of
@@ -70,16 +72,8 @@ def rehearse(
 ) -> None:
     """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
     with clean_errors():
-        first = Wish(
-            push=push,
-            bend=math.radians(bend),
-            seconds=or_nan(seconds),
-            camera=camera,
-            fps=or_nan(fps),
-            tilt=math.radians(or_nan(tilt)),
-            distance=or_nan(distance),
-            sensor=sensor,
-        )
+        first = Wish(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
+        first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
         setup = setup_of(
             known_beam(design),
             wishes_of(first, push_at or [], force or [], direction or []),
@@ -89,26 +83,25 @@ def rehearse(
             turn_sd=math.radians(turn),
             clock_sd=or_nan(clock_sd),
         )
-
-        def work(keep: Path | None, progress: Progress) -> Rehearsal:
-            processes = jobs or cores()
-            return make_rehearsal(
-                setup, runs=runs, seed=seed, jobs=processes, keep=keep, count=count, progress=progress
-            )
-
-        if output is None:
-            with progress_of(quiet) as progress:
-                found = work(None, progress)
-        else:
-            with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                found = work(place.partial, progress)
-                publish(place, writer_of(found, written_by=BY))
+        work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or cores(), count=count)
+        found = _carried_out(work, output, overwrite=overwrite, quiet=quiet)
     if as_json:
         print_json(summary_of(found, written_by=BY))
         return
     show_rehearsal(Console(), found)
     if output is not None:
         typer.echo(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+
+
+def _carried_out(work: Callable[..., Rehearsal], output: Path | None, *, overwrite: bool, quiet: bool) -> Rehearsal:
+    """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
+    if output is None:
+        with progress_of(quiet) as progress:
+            return work(progress=progress)
+    with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+        found = work(keep=place.partial, progress=progress)
+        publish(place, writer_of(found, written_by=BY))
+    return found
 
 
 def wishes_of(first: Wish, at: list[float], force: list[float], direction: list[float]) -> list[Wish]:

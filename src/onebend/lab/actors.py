@@ -9,7 +9,7 @@ import numpy as np
 from onebend.lab.pushes import Push, smooth
 from onebend.lab.render import Layer, Moment, Shadow
 from onebend.lab.scene import Colour, Scene
-from onebend.lab.tagprint import outlines, placed
+from onebend.lab.tagprint import Outlines, placed
 from onebend.records import Array
 
 SHADOW = np.array([0.0025, -0.003])  # m, from the thing that casts it
@@ -29,9 +29,7 @@ class Cast:
     scene: Scene
     push: Push
     half_width: Array  # (S,) m, of the drawn beam
-    tags: tuple[int, ...]  # ids, base tags first
-    family: str
-    size: float  # m
+    tags: tuple[Outlines, ...]  # m, as printed; base tags first
     base_angle: float  # rad: the clamp's frame in the room
 
 
@@ -67,9 +65,8 @@ def moment_of(cast: Cast, pose: Pose) -> Moment:
         for part, width in pieces(pose, cast.half_width)
     ]
     for tag, at in zip(cast.tags, pose.tags, strict=True):
-        made = outlines(tag, cast.family)
-        layers.append(Layer(placed(cast.size * made.paper, at), grey(scene.paper)))
-        layers.append(Layer(placed(cast.size * made.ink, at), grey(scene.ink)))
+        layers.append(Layer(placed(tag.paper, at), grey(scene.paper)))
+        layers.append(Layer(placed(tag.ink, at), grey(scene.ink)))
     if above:
         layers.append(Layer(tool, scene.tool))
     if abs(pose.time - scene.hand_at) < HAND_TIME:

@@ -162,6 +162,7 @@ def random_scene(rng: np.random.Generator, bench: Bench) -> Scene:
         backdrop=backdrops[int(rng.integers(len(backdrops)))],
         paper=float(rng.uniform(0.75, 0.95)),
         ink=float(rng.uniform(0.06, 0.2)),
+        print_dpi=float(rng.choice([600.0, 1200.0, 2400.0])),
         brightness=float(rng.uniform(0.75, 1.05)),
         falloff=float(rng.uniform(0.05, 0.4)),
         brightest=(float(rng.uniform(0.2, 0.8)), float(rng.uniform(0.2, 0.8))),

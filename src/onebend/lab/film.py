@@ -18,7 +18,7 @@ from onebend.lab.movement import PLACES, Shapes, shapes_at
 from onebend.lab.render import Exposed, Moment, Stage, frame_of, stage
 from onebend.lab.scene import Scene
 from onebend.lab.sensors import log_of
-from onebend.lab.tagprint import outlines, placed
+from onebend.lab.tagprint import as_printed, outlines, placed
 from onebend.lab.truth_file import Made, write_truth
 from onebend.lab.video_out import write_video
 from onebend.lab.viewpoint import calibration, view_from
@@ -31,6 +31,7 @@ from onebend.records import Array, ForceLog, View
 
 STEPS = 0.7  # px: how far the picture may move from one drawn moment of an exposure to the next
 MOST_MOMENTS = 8
+INCH = 0.0254  # m
 SHARPEST = 0.8  # half widths a radius
 
 
@@ -52,7 +53,7 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     refuse_sharp_bends(filming, shapes)
     tags = in_room(tag_poses(filming, shapes), filming.base_angle)
     beam = in_room(np.concatenate([shapes.xy, shapes.angle[..., None]], axis=-1), filming.base_angle)
-    cast = cast_of(filming)
+    cast = cast_of(filming, np.random.default_rng([seed, 12]))
     view = view_from(filming.camera, to_be_seen(cast, beam, tags))
     staged = stage_of(filming, cast, view, beam, seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -102,16 +103,17 @@ def in_room(pose: Array, base_angle: float) -> Array:
     return np.concatenate([xy, pose[..., 2:] + base_angle], axis=-1)
 
 
-def cast_of(filming: Filming) -> Cast:
-    """What moves, but for its motion."""
+def cast_of(filming: Filming, rng: np.random.Generator) -> Cast:
+    """What moves, but for its motion. Where each tag falls on the printer's grid of dots is drawn."""
     told = written(filming.bench).tags
+    ids = [tag.id for tag in (*told.on_base, *told.on_beam)]
+    made = [outlines(tag, told.family) for tag in ids]
+    dot = INCH / filming.scene.print_dpi if filming.scene.print_dpi > 0.0 else 0.0
     return Cast(
         scene=filming.scene,
         push=filming.bench.push,
         half_width=0.5 * np.asarray(filming.width(PLACES), dtype=float),
-        tags=tuple(tag.id for tag in (*told.on_base, *told.on_beam)),
-        family=told.family,
-        size=filming.tag_size,
+        tags=tuple(as_printed(one, filming.tag_size, dot, rng.random(2)) for one in made),
         base_angle=filming.base_angle,
     )
 
@@ -119,16 +121,14 @@ def cast_of(filming: Filming) -> Cast:
 def to_be_seen(cast: Cast, beam: Array, tags: Array) -> Array:
     """(N, 2) m: the paper of every tag at every time, and the beam."""
     corners = [
-        placed(cast.size * outlines(tag, cast.family).paper[0], pose)
-        for i, tag in enumerate(cast.tags)
-        for pose in tags[:: max(1, len(tags) // 200), i]
+        placed(tag.paper[0], pose) for i, tag in enumerate(cast.tags) for pose in tags[:: max(1, len(tags) // 200), i]
     ]
     return np.concatenate([*corners, beam[::5, :, :2].reshape(-1, 2)])
 
 
 def stage_of(filming: Filming, cast: Cast, view: View, beam: Array, seed: int) -> Stage:
     """The table with the clamp on it."""
-    reach = 0.03 + float(np.max(cast.half_width)) + cast.size
+    reach = 0.03 + float(np.max(cast.half_width)) + filming.tag_size
     xy = beam[:: max(1, len(beam) // 100), :, :2].reshape(-1, 2)
     corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * reach
     moving = (xy[:, None] + corners).reshape(-1, 2)

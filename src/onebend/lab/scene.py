@@ -30,6 +30,7 @@ class Scene:
     hand: Colour = (0.36, 0.24, 0.21)
     paper: float = 0.90  # brightness of the tags' paper
     ink: float = 0.12
+    print_dpi: float = 2400.0  # dots per inch of the printer that made the tags; 0: edges without error
     brightness: float = 1.0
     falloff: float = 0.2  # of the light, from the brightest place to the farthest corner
     brightest: tuple[float, float] = (0.6, 0.4)  # place in the picture, as parts of its width and height
@@ -51,8 +52,11 @@ class Scene:
             raise RecordingError(
                 f"there is no backdrop {self.backdrop!r}. Take one of {', '.join(get_args(Backdrop))}."
             )
-        if min(self.exposure, self.blur, self.noise, self.tool_width) < 0.0 or not 0.0 <= self.falloff < 1.0:
-            raise RecordingError("exposure, blur and noise of a scene cannot be negative; falloff is in [0, 1)")
+        if (
+            min(self.exposure, self.blur, self.noise, self.tool_width, self.print_dpi) < 0.0
+            or not 0.0 <= self.falloff < 1.0
+        ):
+            raise RecordingError("exposure, blur, noise and dots per inch cannot be negative; falloff is in [0, 1)")
         if not 0 <= self.crf <= 51:
             raise RecordingError(f"H.264 knows qualities from 0 to 51, got {self.crf}")
 

@@ -10,10 +10,10 @@ from math import inf
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.virtual import Virtual
+from onebend.lab.virtual import Bench, Virtual
 from onebend.recording.force import clean_force, force_at
 from onebend.recording.frame import to_beam_frame
-from onebend.records import Array, ClockOffset, Observations
+from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations
 
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
@@ -37,28 +37,15 @@ def observe_quickly(
         An error whose shape is not that of the force at the frames.
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
-    if error is not None and error.shape != virtual.force.shape:
-        raise RecordingError(f"the force at the frames is {virtual.force.shape}, its error is {error.shape}")
-    true_time = markers.time + bench.clock.offset
-    begin, end = bench.push.contact
-    still = np.asarray((markers.time < begin) | (markers.time > end))
-    none = np.zeros((len(markers.time), 2))
-    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, none)
-    clean, force, noise = None, virtual.force, np.full(2, np.nan)
-    if error is not None:
-        force = force + error
-        noise = np.sqrt(np.mean(error**2, axis=0))
-    else:
-        rests = [(-inf, begin + bench.clock.offset - MARGIN)]
-        if bench.push.after > 2.0 * MARGIN:
-            rests.append((end + bench.clock.offset + MARGIN, inf))
-        clean = clean_force(virtual.log, rests, cutoff=cutoff)
-        force, noise = force_at(clean, true_time + clock_error), clean.noise_sd
+    time = markers.time + bench.clock.offset + clock_error
+    still = _untouched(bench, markers.time)
+    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
+    clean, force, noise = _force_seen(virtual, error, time, cutoff)
     known = np.all(np.isfinite(force), axis=1)
     return Observations(
         name=rec.name,
         length=rec.beam.length,
-        time=(true_time + clock_error)[known],
+        time=time[known],
         frame=np.flatnonzero(known).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
@@ -72,14 +59,39 @@ def observe_quickly(
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
-        gravity=none[known],
+        gravity=np.zeros_like(force)[known],
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
-        clock=ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.said, True)
-        if clock_sd > 0.0
-        else None,
+        clock=_clock(bench, clock_error, clock_sd),
         clean_force=clean,
         place_sd=rec.place_sd,
         direction_sd=rec.direction_sd,
     )
+
+
+def _untouched(bench: Bench, time: Array) -> BoolArray:
+    """(T,) film times [s] at which nothing pushes."""
+    begin, end = bench.push.contact
+    return np.asarray((time < begin) | (time > end))
+
+
+def _clock(bench: Bench, error: float, sd: float) -> ClockOffset | None:
+    """What is found of the clocks where they are not known."""
+    return ClockOffset(bench.clock.offset + error, sd, bench.clock.said, True) if sd > 0.0 else None
+
+
+def _force_seen(
+    virtual: Virtual, error: Array | None, at: Array, cutoff: float
+) -> tuple[CleanForce | None, Array, Array]:
+    """The cleaned log if it is used, the force (T, 2) N that frames at `at` (T,) [s] of its clock are given, its sd."""
+    if error is not None:
+        if error.shape != virtual.force.shape:
+            raise RecordingError(f"the force at the frames is {virtual.force.shape}, its error is {error.shape}")
+        return None, virtual.force + error, np.sqrt(np.mean(error**2, axis=0))
+    begin, end = (moment + virtual.bench.clock.offset for moment in virtual.bench.push.contact)
+    rests = [(-inf, begin - MARGIN)]
+    if virtual.bench.push.after > 2.0 * MARGIN:
+        rests.append((end + MARGIN, inf))
+    clean = clean_force(virtual.log, rests, cutoff=cutoff)
+    return clean, force_at(clean, at), clean.noise_sd

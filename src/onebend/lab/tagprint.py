@@ -41,6 +41,18 @@ def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Out
     return Outlines(paper[None], (np.stack(patches) - middle) * scale)
 
 
+def as_printed(made: Outlines, size: float, dot: float, phase: Array) -> Outlines:
+    """In metres, of a tag whose square measures `size`: a printer sets every edge on its grid of dots.
+
+    `dot` [m] is the grid's step (0: print without error), `phase` (2,) in [0, 1) where on it the tag's middle falls.
+    Half the dots of a tag are so on either side of where they should be: each edge is up to `dot` / 2 off, evenly.
+    """
+    if dot == 0.0:
+        return Outlines(size * made.paper, size * made.ink)
+    on_grid = dot * (np.round(size * made.ink / dot + phase) - phase)
+    return Outlines(size * made.paper, on_grid)
+
+
 def rectangle(left: float, right: float, top: float, bottom: float) -> Array:
     """Corners (4, 2)."""
     return np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=float)

@@ -62,11 +62,11 @@ def advise(setup: Setup, now: Predicted, *, count: int = 8, progress: Progress =
     found = []
     for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):
         try:
-            bench = instruments(changed)
-            told = told_by(changed, bench, derivatives(changed, bench))
+            used = instruments(changed)
+            told = told_by(changed, used, derivatives(changed, used))
         except MechanicsError:
             continue  # stands where it was looked for, but not on its way there
-        quality = outcome_with(now, bench, told).quality
+        quality = outcome_with(now, used, told).quality
         found.append(Change(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
     return _distinct(sorted(found, key=lambda one: -one.share))[:count]
 
@@ -88,7 +88,7 @@ def _tags(setup: Setup) -> Iterator[Thought]:
 def _pushes(setup: Setup) -> Iterator[Thought]:
     """The first push made otherwise, and one more push."""
     first = setup.pushes[0]
-    bench = replace(instruments(setup), curvature=sharpest(setup))
+    bench = replace(instruments(setup).bench, curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
     side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
     for reach in reaches(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
@@ -105,7 +105,7 @@ def _pushes(setup: Setup) -> Iterator[Thought]:
 
 def sharpest(setup: Setup) -> float:
     """rad: the largest |q - q0| of the pushes that are planned."""
-    bench, bent = instruments(setup), []
+    bench, bent = instruments(setup).bench, []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         bent.append(float(np.max(np.abs(solved.q - solved.problem.q0))))

@@ -14,22 +14,25 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import minimize
 
+from onebend.beam.sensitivity import of_moment, respond
+from onebend.beam.statics import Equilibrium
 from onebend.beam.uncertain import IDENTIFIED_SD
 from onebend.blas import one_blas_thread
-from onebend.learning.identifiability import Seen, alone, eliminate, joint_information, mass_of, see, solve_push
+from onebend.lab.pushes import Push
+from onebend.learning.identifiability import STEPS, Seen, alone, eliminate, joint_information, mass_of, see, solve_push
 from onebend.learning.posterior import RHO, TAU
 from onebend.learning.proposals import PLACES, Quality
 from onebend.learning.scales import SPREAD
 from onebend.learning.spline import Spline
-from onebend.learning.workbench import Bench
 from onebend.records import Array, BoolArray
-from onebend.rehearse.instruments import FUNCTIONS, even_push, instruments
+from onebend.rehearse.instruments import FUNCTIONS, Instruments, even_push, instruments
 from onebend.rehearse.setup import Setup
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
 _TWO_SIDED = 2.0 * 1.959964
 _EXACT = 1e-3  # of its doubt: what is left of a nuisance that is known
+_TINY = 1e-9  # sd of what is known
 _MOST = 3.0  # sd of the scales' logs
 
 
@@ -73,8 +76,8 @@ def predict(setup: Setup) -> Predicted:
     Raises:
         MechanicsError: the beam buckles or snaps through under a push.
     """
-    bench = instruments(setup)
-    return _outcome(setup, bench, told_by(setup, bench, derivatives(setup, bench)))
+    used = instruments(setup)
+    return _outcome(setup, used, told_by(setup, used, derivatives(setup, used)))
 
 
 @one_blas_thread
@@ -84,22 +87,23 @@ def doubts(setup: Setup) -> tuple[Doubt, ...]:
     Raises:
         MechanicsError: as `predict`.
     """
-    bench = instruments(setup)
-    seen = derivatives(setup, bench)
-    now = _outcome(setup, bench, told_by(setup, bench, seen))
+    used = instruments(setup)
+    seen = derivatives(setup, used)
+    now = _outcome(setup, used, told_by(setup, used, seen))
     out = []
-    for name, better in known_exactly(bench).items():
+    for name, better in known_exactly(used).items():
         left = outcome_with(now, better, told_by(setup, better, seen)).quality.mean_width
         out.append(Doubt(name, left, max(1.0 - left / now.quality.mean_width, 0.0)))
     return tuple(sorted(out, key=lambda one: -one.share))
 
 
-def known_exactly(bench: Bench) -> dict[str, Bench]:
-    """The bench with one thing known, all but exactly."""
-    force, e = bench.force, _EXACT
+def known_exactly(used: Instruments) -> dict[str, Instruments]:
+    """The instruments with one thing known, all but exactly."""
+    bench, push, e = used.bench, used.push, _EXACT
+    force = bench.force
+    steady = replace(force.times(e), frame=force.frame)
     out = {
         "force's gain": replace(bench, gain_sd=0.0),
-        "force's bias and slow error": replace(bench, force=replace(force.times(e), frame=force.frame)),
         "force's noise": replace(bench, force=replace(force, frame=e * force.frame)),
         "tags' places": replace(bench, placement_sd=e * bench.placement_sd, origin_sd=e * bench.origin_sd),
         "tags' turns": replace(bench, turn_sd=e * bench.turn_sd),
@@ -109,35 +113,63 @@ def known_exactly(bench: Bench) -> dict[str, Bench]:
     }
     if bench.curvature_sd > 0.0:
         out["shape at rest"] = replace(bench, curvature_sd=e * bench.curvature_sd)
-    return {name: one for name, one in out.items() if name != "force's gain" or bench.gain_sd > 0.0}
+    if bench.gain_sd == 0.0:
+        del out["force's gain"]
+    return {name: replace(used, bench=one) for name, one in out.items()} | {
+        "force's bias and slow error": Instruments(replace(bench, force=steady), replace(push, load=e * push.load)),
+        "push's place": replace(used, push=replace(push, place=e * push.place)),
+        "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
+    }
 
 
-def derivatives(setup: Setup, bench: Bench) -> tuple[Seen, ...]:
-    """Of the tags along every push, with what is not known."""
-    tags, mass, out = np.asarray(bench.tags), mass_of(setup.beam), []
+def derivatives(setup: Setup, used: Instruments) -> tuple[Seen, ...]:
+    """Of the tags along every push, with what is not known; behind the coefficients of log k stand a push's own."""
+    bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
-        out.append(see(solved, bench, even_push(push), mass, SPLINE.basis(solved.problem.grid.nodes), tags))
+        on_nodes = SPLINE.basis(solved.problem.grid.nodes)
+        one = see(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
+        out.append(replace(one, functions=np.concatenate([one.functions, own_derivatives(solved, one, push)], axis=-1)))
     return tuple(out)
 
 
-def told_by(setup: Setup, bench: Bench, seen: tuple[Seen, ...]) -> Array:
+def own_derivatives(solved: Equilibrium, seen: Seen, push: Push) -> Array:
+    """(F, M, 3, 4) of the tags' poses with the push's place [m], the turn of its axes [rad] and its force's error [N].
+
+    A force that acts farther out by d along the tangent u is the same force with a moment d u x F beside it.
+    """
+    steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)[:, None]
+    force = push.peak * steps * np.array([np.cos(push.direction), np.sin(push.direction)])
+    response = respond(solved, of_moment(solved.problem, np.asarray(push.at_s))).poses(seen.tags)
+    angle = solved.angle(np.array([push.at_s]))[:, 0]
+    lever = np.cos(angle) * force[:, 1] - np.sin(angle) * force[:, 0]
+    turned = np.stack([-force[:, 1], force[:, 0]], axis=-1)
+    along = np.einsum("tmad,td->tma", seen.force, turned)[..., None]
+    return np.concatenate([lever[:, None, None, None] * response, along, seen.force], axis=-1)
+
+
+def told_by(setup: Setup, used: Instruments, seen: tuple[Seen, ...]) -> Array:
     """(p, p) information of all pushes together on the coefficients, tags and rest shape being the same in all."""
+    bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
-    pairs = zip(seen, setup.pushes, strict=True)
-    joint = np.sum([joint_information(one, bench, even_push(push), chosen) for one, push in pairs], axis=0)
+    sd = np.maximum([own.place, own.direction, own.load, own.load], _TINY)
+    first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
+    last = np.arange(first, first + len(sd))
+    order = np.concatenate([np.setdiff1d(np.arange(size), last), last])
+    parts = [joint_information(one, bench, even_push(p), chosen) for one, p in zip(seen, setup.pushes, strict=True)]
+    joint = np.sum([eliminate(one[np.ix_(order, order)], len(sd), sd**-2.0) for one in parts], axis=0)
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def _outcome(setup: Setup, bench: Bench, told: Array) -> Predicted:
+def _outcome(setup: Setup, used: Instruments, told: Array) -> Predicted:
     k = np.asarray(setup.beam.stiffness(PLACES))
     away = _away(k)
-    return _with_scales(k, away, told, bench.gain_sd, *likely_scales(told, away))
+    return _with_scales(k, away, told, used.bench.gain_sd, *likely_scales(told, away))
 
 
-def outcome_with(now: Predicted, bench: Bench, told: Array) -> Predicted:
+def outcome_with(now: Predicted, used: Instruments, told: Array) -> Predicted:
     """The same beam with other information; the prior's sizes are kept, so that only the data differ."""
-    return _with_scales(now.k, _away(now.k), told, bench.gain_sd, now.tau, now.rho)
+    return _with_scales(now.k, _away(now.k), told, used.bench.gain_sd, now.tau, now.rho)
 
 
 def _away(k: Array) -> Array:

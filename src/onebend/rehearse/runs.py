@@ -18,12 +18,12 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.shortcut import observe_quickly
-from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
+from onebend.lab.virtual import Bench, Clock, Said, Tag, Virtual, observe_virtual, virtual_recording
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.proposals import PLACES
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, track
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
 from onebend.rehearse.instruments import FUNCTIONS, MOST_FRAMES
 from onebend.rehearse.setup import Setup
 
@@ -65,17 +65,18 @@ def benches(setup: Setup, seed: int) -> tuple[Bench, ...]:
     gain = setup.sensor.gain + setup.sensor.gain_sd * rng.standard_normal()
     sensor = replace(setup.sensor, gain=float(gain), gain_sd=0.0)
     offset = 250.0
+    missed = PLACE_SD / setup.beam.length * rng.standard_normal(len(setup.pushes))
     return tuple(
         Bench(
             beam=setup.beam,
-            push=push,
+            push=replace(push, at_s=min(push.at_s + float(missed[i]), 1.0)),
             tags=tags,
             base=(float(base[0]), float(base[1]), float(base[2])),
             sensor=sensor,
             camera=setup.noise,
             fps=setup.fps,
             clock=Clock(offset, offset + float(rng.uniform(-CLOCK_SAID, CLOCK_SAID)), 2.0),
-            said=Said(placement_sd=setup.placement_sd, rest=setup.rest, gain_sd=setup.gain_sd),
+            said=Said(placement_sd=setup.placement_sd, rest=setup.rest, gain_sd=setup.gain_sd, push_s=push.at_s),
             name=f"push {i + 1}",
         )
         for i, push in enumerate(setup.pushes)
@@ -106,11 +107,19 @@ def run(setup: Setup, seed: int) -> Run:
 
 
 def _observed(setup: Setup, bench: Bench, seed: int) -> Observations:
-    virtual = virtual_recording(bench, seed=seed)
+    virtual = _axes_missed(virtual_recording(bench, seed=seed), seed)
     if setup.clock_sd != setup.clock_sd:
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
     return observe_quickly(virtual, clock_error=error, clock_sd=0.5 * setup.clock_sd)  # the fit doubles what is stated
+
+
+def _axes_missed(virtual: Virtual, seed: int) -> Virtual:
+    """With the force log in axes that are off by what hands miss."""
+    turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
+    cos, sin = np.cos(turn), np.sin(turn)
+    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
+    return replace(virtual, log=replace(virtual.log, force=force))
 
 
 def simulate(
