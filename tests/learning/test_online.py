@@ -198,7 +198,7 @@ def test_live_and_batch_agree(seed: int) -> None:
     assert 0.7 < np.median(live[1]) / np.median(batch[1]) < 2.0  # after 120 frames the scales are still on their way
     learner.settle()
     settled = learner.stiffness.log_at(S)
-    assert 0.75 < np.median(settled[1]) / np.median(batch[1]) < 1.35
+    assert 0.75 < np.median(settled[1]) / np.median(batch[1]) < 1.5
     assert np.sqrt(np.mean(np.expm1(live[0] - np.log(SOFT.stiffness(S))) ** 2)) < 0.05
 
 
