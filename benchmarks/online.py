@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies import ERRORS, S, bench_of, fit_from_nothing
+from benchmarks.studies import KINDS as BEAM_KINDS
 from benchmarks.truth import RECORDINGS, Truth, read_truth, stiffness_error
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
-from onebend.learning.frames import push_places
+from onebend.errors import LearningError, ObservationError
+from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.learn import learn
 from onebend.learning.online import OnlineLearner
 from onebend.learning.posterior import fit
-from onebend.learning.replay import playable, settings_for
+from onebend.learning.replay import live_frames, replay, settings_for
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 
@@ -42,11 +46,11 @@ def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
     mass = o.mass if np.isfinite(o.mass) else 0.0
     learner = OnlineLearner(o.length, o.marker_s, START, mass=mass, settings=settings_for(o))
-    places, wall, processor = push_places(o), [], []
-    for t in playable(o):
-        frame = (o.time[t], o.xy[t], o.angle[t], o.covariance[t], o.force[t], places[t])
+    wall, processor = [], []
+    for frame in live_frames(o):
+        given = vars(frame)
         began = time.perf_counter(), time.thread_time()
-        learner.update(*frame, loaded=bool(o.loaded[t]), gravity=o.gravity[t])
+        learner.update(**given)
         wall.append(time.perf_counter() - began[0])
         processor.append(time.thread_time() - began[1])
     return learner, np.array(wall), np.array(processor)
@@ -72,10 +76,66 @@ def row(name: str, o: Observations, batch: UncertainStiffness, truth: Truth) -> 
     return Row(name, both[0], both[1], both[2], float(np.sqrt(np.mean(apart**2))), wall, processor)
 
 
+@dataclass(frozen=True)
+class Case:
+    """One virtual recording with its truth, over s in [0.05, 0.9]; live at the end, live when settled, batch."""
+
+    inside: Array  # (3, S) whether the 95 % band holds the truth
+    ratio: tuple[float, float]  # sd of log k over the batch fit's, median over s
+    error: tuple[float, float, float]  # RMS of log k
+
+
+def case(seed: int, errors: str) -> Case:
+    """A drawn beam, pushed and filmed with errors of all kinds (`studies.bench_of`)."""
+    bench = bench_of(BEAM_KINDS[seed % len(BEAM_KINDS)], errors, seed)
+    seen = observe_virtual(virtual_recording(bench, seed=seed))
+    batch = fit_from_nothing(seen, gain_sd=bench.said.gain_sd).stiffness
+    truth = np.asarray(bench.beam.stiffness(S))
+    learner = replay(seen, START, gain_sd=bench.said.gain_sd)
+    end = learner.stiffness
+    learner.settle()
+    found = (end, learner.stiffness, batch)
+    inside = [(truth > band.low) & (truth < band.high) for band in (one.band(S) for one in found)]
+    sd = [one.log_at(S)[1] for one in found]
+    error = [float(np.sqrt(np.mean((one.log_at(S)[0] - np.log(truth)) ** 2))) for one in found]
+    ratio = float(np.median(sd[0] / sd[2])), float(np.median(sd[1] / sd[2]))
+    return Case(np.array(inside), ratio, (error[0], error[1], error[2]))
+
+
+def virtual(runs: int, errors: str) -> None:
+    """Coverage of the live band beside the batch fit's."""
+    found = []
+    for seed in range(runs):
+        try:
+            found.append(case(seed, errors))
+            print(f"\r{seed + 1} of {runs}", end="", file=sys.stderr, flush=True)
+        except (LearningError, ObservationError) as wrong:
+            print(f"seed {seed}: {wrong}")
+    print(
+        "| errors | runs | | truth inside 95 % band | band over the fit's: 10 % / median / 90 % | RMS error of log k |"
+    )
+    print("| --- " * 6 + "|")
+    for i, name in enumerate(("live, at the end", "live, settled", "fit")):
+        inside = 100.0 * np.mean([one.inside[i] for one in found])
+        ratio = (
+            "1"
+            if i == 2
+            else " / ".join(f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in found], (10, 50, 90)))
+        )
+        error = np.sqrt(np.mean([one.error[i] ** 2 for one in found]))
+        print(f"| {errors} | {len(found)} | {name} | {inside:.0f} % | {ratio} | {error:.3f} |")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=Path, default=RECORDINGS)
-    folder = parser.parse_args().recordings
+    parser.add_argument("--virtual", type=int, metavar="RUNS", help="virtual recordings with truth instead")
+    parser.add_argument("--errors", default="everything", choices=ERRORS, help="of the virtual recordings")
+    asked = parser.parse_args()
+    if asked.virtual is not None:
+        virtual(asked.virtual, asked.errors)
+        return
+    folder = asked.recordings
     found = []
     for beam in BEAMS:
         seen = {kind: observe(folder / f"{beam}_{kind}") for kind in KINDS}

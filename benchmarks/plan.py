@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies import KINDS as BEAM_KINDS
+from benchmarks.studies import PLACEMENT, bench_of, fit_from_nothing
 from benchmarks.truth import RECORDINGS
+from onebend.beam.model import Beam
 from onebend.beam.uncertain import UncertainStiffness
+from onebend.errors import LearningError, MechanicsError, ObservationError
+from onebend.lab.pushes import Push as VirtualPush
+from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.learn import learn
-from onebend.learning.planning import after_push
+from onebend.learning.planning import PlanSettings, after_push, plan
 from onebend.learning.posterior import fit
-from onebend.learning.proposals import PLACES
-from onebend.learning.workbench import bench_of, push_of
+from onebend.learning.proposals import PLACES, Proposal
+from onebend.learning.workbench import Bench, push_of
+from onebend.learning.workbench import bench_of as bench_of_fit
 from onebend.recording.observe import observe
-from onebend.records import Observations
+from onebend.records import Array, Observations
 
 BEAMS = ("linear", "quadratic", "cubic")
 OTHERS = ("s08", "s06")
@@ -46,7 +53,7 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
         seen: dict[str, Observations] = {k: observe(recordings / f"{beam}_{k}") for k in ("train", *OTHERS)}
         start = learn(seen["train"]).beam.stiffness
         alone = fit([seen["train"]], start)
-        bench = bench_of(alone)
+        bench = bench_of_fit(alone)
         for other in OTHERS:
             promised = widths(after_push(alone.stiffness, alone.beam, bench, push_of(seen[other])))
             both = widths(fit([seen["train"], seen[other]], start).stiffness)
@@ -56,13 +63,105 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
     return out
 
 
+@dataclass(frozen=True)
+class Case:
+    """One more push on a virtual beam, really made: mean widths of the band of log k."""
+
+    seed: int
+    before: float
+    best: tuple[float, float]  # of the first proposal with what there is: promised, delivered
+    middle: tuple[float, float]  # of the one in the middle of the ranking
+
+
+SETTINGS = PlanSettings(at_s=(0.5, 0.75, 1.0), directions_deg=(60.0, 120.0, -60.0, -120.0), sizes=(1.0, 0.5))
+
+
+def case(seed: int) -> Case:
+    """Push a drawn beam, learn it, plan, make the first proposal and the middle one, and learn from both pushes."""
+    bench = bench_of(BEAM_KINDS[seed % len(BEAM_KINDS)], "tags", seed)
+    first = observe_virtual(virtual_recording(bench, seed=seed))
+    alone = fit_from_nothing(first)
+    known = bench_of_fit(alone)
+    tried = ranked_pushes(alone.stiffness, alone.beam, known, SETTINGS)
+    before = float(np.mean(widths(alone.stiffness)))
+    told = []
+    for i, rank in enumerate((0, len(tried) // 2)):
+        push = tried[rank].push
+        promised = tried[rank].after.mean_width
+        made = replace(
+            bench,
+            push=VirtualPush(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s),
+            base=_elsewhere(bench.base, seed, i),
+        )
+        second = observe_virtual(virtual_recording(made, seed=1000 + 2 * seed + i))
+        both = fit([first, second], alone.beam.stiffness)
+        told.append((promised, float(np.mean(widths(both.stiffness)))))
+    return Case(seed, before, told[0], told[1])
+
+
+def ranked_pushes(known: UncertainStiffness, beam: Beam, bench: Bench, settings: PlanSettings) -> list[Proposal]:
+    """All new pushes with what there is, best first: `plan` tells only some of them."""
+    found = plan(known, beam, bench, replace(settings, count=10_000, apart=0.0)).proposals
+    return [one for one in found if not one.needs and not one.repeats]
+
+
+def _elsewhere(base: tuple[float, float, float], seed: int, number: int) -> tuple[float, float, float]:
+    """The base tag clamped anew, as far off as before."""
+    size = np.array([PLACEMENT, PLACEMENT, np.deg2rad(1.0)])
+    x, y, turn = size * np.random.default_rng([seed, number, 31]).standard_normal(3) if any(base) else np.zeros(3)
+    return float(x), float(y), float(turn)
+
+
+def virtual(runs: range) -> None:
+    """Promise and delivery on virtual beams."""
+    print("| seed | before | first proposal: promised / delivered | middle one | removed, promised over delivered |")
+    print("| --- " * 5 + "|")
+    found = []
+    for seed in runs:
+        try:
+            found.append(case(seed))
+        except (LearningError, MechanicsError, ObservationError) as wrong:
+            print(f"| {seed} | {wrong} | | | |", flush=True)
+            continue
+        one = found[-1]
+        print(
+            f"| {seed} | {one.before:.3f} | {one.best[0]:.3f} / {one.best[1]:.3f} "
+            f"| {one.middle[0]:.3f} / {one.middle[1]:.3f} | {removed(one.before, one.best):.2f} |",
+            flush=True,
+        )
+    ratios = np.array([[removed(one.before, pair) for pair in (one.best, one.middle)] for one in found])
+    left = np.array([pair[0] / pair[1] for one in found for pair in (one.best, one.middle)])
+    better = sum(one.best[1] < one.middle[1] for one in found)
+    print(
+        f"\n{len(found)} beams. Removed, promised over delivered: first proposal {spread(ratios[:, 0])}, middle one "
+        f"{spread(ratios[:, 1])}. Band left, promised over delivered: {spread(left)}. "
+        f"The first proposal left a narrower band than the middle one on {better}."
+    )
+
+
+def removed(before: float, pair: tuple[float, float]) -> float:
+    """What the promise removes of the band over what was removed."""
+    return (before - pair[0]) / (before - pair[1])
+
+
+def spread(values: Array) -> str:
+    """Median, and the tenth and ninetieth percentiles."""
+    low, middle, high = np.percentile(values, (10, 50, 90))
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser.add_argument("--virtual", type=int, nargs=2, metavar=("FROM", "TO"), help="seeds of virtual beams instead")
+    asked = parser.parse_args()
+    if asked.virtual is not None:
+        virtual(range(*asked.virtual))
+        return
     print("Mean width of the 95 % band of log k; of a push only place, mean direction and largest force are used.\n")
     print("| beam | added to train | before | predicted | obtained | ratio | at worst: predicted / obtained |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    for r in rows(parser.parse_args().recordings):
+    for r in rows(asked.recordings):
         print(
             f"| {r.beam} | {r.added} | {r.before:.3f} | {r.predicted:.3f} | {r.obtained:.3f} "
             f"| {r.predicted / r.obtained:.2f} | {r.worst[0]:.2f} / {r.worst[1]:.2f} |"

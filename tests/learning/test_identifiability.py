@@ -9,7 +9,7 @@ import pytest
 
 from onebend.beam.continuation import follow
 from onebend.beam.loads import push as load
-from onebend.beam.loads import weight
+from onebend.beam.loads import twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
 from onebend.beam.stiffness import LogSpline, Powers, Uniform
@@ -81,16 +81,20 @@ class Wrong:
     clamp: Array  # (1,)
     origin: Array  # (2,)
     scale: Array  # (1,)
+    place: Array  # (1,)
+    axes: Array  # (1,)
     force: Array  # (STEPS, 2)
 
     @staticmethod
     def of(vector: Array) -> Wrong:
-        sizes = [5, 3, 4, 3, 3, 3, 1, 2, 1]
-        k, q0, mass, along, across, turn, clamp, origin, scale, force = np.split(vector, np.cumsum(sizes))
-        return Wrong(k, q0, mass, along, across, turn, clamp, origin, scale, force.reshape(STEPS, 2))
+        sizes = [5, 3, 4, 3, 3, 3, 1, 2, 1, 1, 1]
+        parts = np.split(vector, np.cumsum(sizes))
+        k, q0, mass, along, across, turn, clamp, origin, scale, place, axes, force = parts
+        steps = force.reshape(STEPS, 2)
+        return Wrong(k, q0, mass, along, across, turn, clamp, origin, scale, place, axes, steps)
 
 
-SIZE = 25 + 2 * STEPS
+SIZE = 27 + 2 * STEPS
 
 
 def powers(states: Array) -> Powers:
@@ -110,12 +114,18 @@ def filmed(push: Push, vector: Array, gravity: tuple[float, float] = (0.0, 0.0))
     )
     size = push.largest * (np.arange(STEPS) + 0.5) / STEPS
     unit = np.array([np.cos(push.direction), np.sin(push.direction)])
-    loads = load(np.vstack([size[:, None] * unit + wrong.force, np.zeros(2)]), push.at_s) + weight(gravity)
+    turned = np.array([[np.cos(wrong.axes[0]), -np.sin(wrong.axes[0])], [np.sin(wrong.axes[0]), np.cos(wrong.axes[0])]])
+    force = np.vstack([size[:, None] * unit @ turned.T + wrong.force, np.zeros(2)])
+    loads = load(force, push.at_s) + weight(gravity)
+    if wrong.place[0] != 0.0:  # a force farther out, also where there is no beam: the same with its moment
+        here = follow(pose(bent, loads, Resolution(16, 0.5))).angle(np.array([push.at_s]))[:, 0]
+        loads = loads + twist(wrong.place[0] * (np.cos(here) * force[:, 1] - np.sin(here) * force[:, 0]), push.at_s)
     shape = follow(pose(bent, loads, Resolution(16, 0.5)))
-    s = np.asarray(TAGS)
-    angle = shape.angle(s)
-    x = shape.xy(s)[..., 0] + np.cos(angle) * wrong.along - np.sin(angle) * wrong.across
-    y = shape.xy(s)[..., 1] + np.sin(angle) * wrong.along + np.cos(angle) * wrong.across
+    places = np.asarray(TAGS) + wrong.along / 0.15
+    s = np.minimum(places, 1.0)
+    angle, over = shape.angle(s), 0.15 * (places - s)
+    x = shape.xy(s)[..., 0] + np.cos(angle) * over - np.sin(angle) * wrong.across
+    y = shape.xy(s)[..., 1] + np.sin(angle) * over + np.cos(angle) * wrong.across
     xy = (1.0 + wrong.scale) * np.stack([x, y], axis=-1) + wrong.origin
     return np.concatenate([xy, (angle + wrong.turn)[..., None]], axis=-1)
 
@@ -129,10 +139,10 @@ def prior_covariance(known: Bench, push: Push) -> Array:
         + [known.placement_sd] * 6
         + [known.turn_sd] * 3
     )
-    one += [known.clamp_sd] + [known.origin_sd] * 2 + [known.scale_sd]
+    one += [known.clamp_sd] + [known.origin_sd] * 2 + [known.scale_sd, known.place_sd, known.direction_sd]
     out = np.zeros((SIZE - 5, SIZE - 5))
-    out[:20, :20] = np.diag(np.square(one))
-    out[20:, 20:] = force_covariance(known, push)
+    out[:22, :22] = np.diag(np.square(one))
+    out[22:, 22:] = force_covariance(known, push)
     return out
 
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from onebend.beam.continuation import equilibrium
-from onebend.beam.loads import push
+from onebend.beam.loads import push, twist
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import LogSpline
@@ -22,11 +22,12 @@ from onebend.learning.key_frames import KeyFrames, Past, empty
 from onebend.learning.live_model import Inputs, Setting, linearise, live_layout, place_at
 from onebend.learning.live_solve import LiveScales, Start, gather, solve
 from onebend.learning.online import OnlineLearner, OnlineSettings
-from onebend.learning.parameters import Layout, Priors
+from onebend.learning.parameters import Layout, Priors, clamp_sd
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.replay import replay
 from onebend.learning.spline import Spline
-from onebend.records import Array, Observations
+from onebend.recording.frame import MOUNTING_SD
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.test_posterior import wrong_force
 
@@ -37,7 +38,9 @@ PLAIN = OnlineSettings(functions=8, adapt=False, bulk=np.inf, gate=np.inf, marke
 
 
 def test_every_derivative_matches_differences() -> None:
-    at = live_layout(Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False)
+    at = live_layout(
+        Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=0.02
+    )
     setting = Setting(0.15, MARKERS, 0.02, at)
     place = place_at(setting, 0.8)
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
@@ -53,8 +56,9 @@ def test_every_derivative_matches_differences() -> None:
         np.testing.assert_allclose(exact.j[..., i], difference, atol=1e-6 * max(1.0, float(np.max(abs(difference)))))
     for c in range(2):
         pushes = [force + sign * h * np.eye(2)[c] for sign in (1.0, -1.0)]
-        ends = [linearise(setting, place, x, replace(given, force=f), exact.q).pose for f in pushes]
-        np.testing.assert_allclose(exact.a[..., c], (ends[0] - ends[1]) / (2.0 * h), atol=1e-6)
+        there = [linearise(setting, place, x, replace(given, force=f), exact.q) for f in pushes]
+        np.testing.assert_allclose(exact.a[..., c], (there[0].pose - there[1].pose) / (2.0 * h), atol=1e-6)
+        np.testing.assert_allclose(exact.by_force[..., c], (there[0].q - there[1].q) / (2.0 * h), atol=1e-4)
 
 
 def test_covariance_of_averages_is_that_of_fine_samples() -> None:
@@ -69,6 +73,24 @@ def test_covariance_of_averages_is_that_of_fine_samples() -> None:
             assert found[i, k] == pytest.approx(np.mean(kernel) + (i == k) * 0.05**2 / frames[i], rel=1e-3)
 
 
+def tags_of(
+    beam: Beam, logged: Array, farther: float, turned: float, along: Array, across: Array
+) -> tuple[Array, Array]:
+    """Tags (T, 3, 2) and the beam's angle under them: the log's axes turned, the push and the tags off their places."""
+    axes = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
+    force = logged @ axes.T
+    shape = equilibrium(beam, push(force, 1.0), resolution=FINE)
+    for _ in range(4):  # a force beyond the tip is one at the tip and its moment
+        tip = shape.angle(np.ones(1))[:, 0]
+        moment = farther * (np.cos(tip) * force[:, 1] - np.sin(tip) * force[:, 0])
+        shape = equilibrium(beam, push(force, 1.0) + twist(moment, 1.0), resolution=FINE)
+    places = MARKERS + along / beam.length
+    s = np.minimum(places, 1.0)
+    angle, over = shape.angle(s), beam.length * (places - s)
+    ride = [np.cos(angle) * over - np.sin(angle) * across, np.sin(angle) * over + np.cos(angle) * across]
+    return shape.xy(s) + np.stack(ride, axis=-1), angle
+
+
 def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Array) -> Array:
     """-2 log posterior as a sum of squares, written out anew: v holds all parameters, then the force errors."""
     o, noise, level = made, settings.force_noise, 0.05 * float(np.max(np.linalg.norm(made.force[made.loaded], axis=1)))
@@ -78,17 +100,17 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     half = np.linalg.inv(np.linalg.cholesky(slow + fast))
     of_k, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
     along, across, turn, clamp, origin = v[p : p + 3], v[p + 3 : p + 6], v[p + 6 : p + 9], v[p + 9], v[p + 10 : p + 12]
-    error = v[p + 12 :].reshape(count, 2)
+    farther, turned, error = v[p + 12], v[p + 13], v[p + 14 :].reshape(count, 2)
     beam = Beam(o.length, LogSpline(tuple(spline.knots), tuple(v[:p])), clamp_angle=float(clamp))
-    shape = equilibrium(beam, push(np.where(at_rest[:, None], 0.0, o.force - error), 1.0), resolution=FINE)
-    angle, xy = shape.angle(MARKERS), shape.xy(MARKERS)
-    ride = [np.cos(angle) * along - np.sin(angle) * across, np.sin(angle) * along + np.cos(angle) * across]
-    pose = np.concatenate([xy + np.stack(ride, axis=-1) + origin, (angle + turn)[..., None]], axis=-1)
+    force = np.where(at_rest[:, None], 0.0, o.force - error)
+    xy, angle = tags_of(beam, force, farther, turned, along, across)
+    pose = np.concatenate([xy + origin, (angle + turn)[..., None]], axis=-1)
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     tags = np.einsum("tmab,tmb->tma", np.linalg.inv(np.linalg.cholesky(o.covariance)), seen - pose).ravel()
     log = ((o.force - error)[at_rest] / (0.05 * noise)).ravel()
-    sd = np.concatenate([np.full(6, 5e-4), np.full(3, settings.priors.mounting), [settings.priors.clamp], [5e-4] * 2])
-    return np.concatenate([tags, log, of_k @ (v[:p] - np.log(0.03)), v[p : p + 12] / sd, (half @ error).ravel()])
+    last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, PLACE_SD, DIRECTION_SD]
+    sd = np.concatenate([np.full(6, 5e-4), np.full(3, settings.priors.mounting), last])
+    return np.concatenate([tags, log, of_k @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
 
 
 def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
@@ -103,16 +125,16 @@ def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
     learner = replay(made, 0.03, settings=PLAIN)
     learner.settle(60)
     mean, found = learner.parameters
-    v = np.concatenate([mean, learner._state.keys.error[: len(force)].ravel()])
+    v = np.concatenate([mean, learner._state.solution.e.ravel()])
     scale = np.concatenate([np.sqrt(np.diag(found)), np.full(2 * len(force), 0.01)])
     steps = 1e-4 * np.diag(scale)
     ends = [[textbook(made, PLAIN, at_rest, v + sign * step) for step in steps] for sign in (1.0, -1.0)]
     rows = (np.array(ends[0]) - np.array(ends[1])).T / 2e-4
     away = np.linalg.lstsq(rows, -textbook(made, PLAIN, at_rest, v), rcond=None)[0]
-    assert np.max(np.abs(away)) < 1e-5
+    assert np.max(np.abs(away)) < 0.01  # of a sd: a tag's way along the beam is a circle in the learner
     n = len(mean)
     spread = np.linalg.inv(rows.T @ rows)[:n, :n]
-    np.testing.assert_allclose(found / np.outer(scale[:n], scale[:n]), spread, atol=1e-4)
+    np.testing.assert_allclose(found / np.outer(scale[:n], scale[:n]), spread, atol=5e-3)
 
 
 def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
@@ -134,9 +156,9 @@ def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
 
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
-    at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True)
+    at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True, mass=0.0)
     keys, start = linear_frames(1, at, 7), Start(at, 0.3 * np.ones(at.size), None)
-    scales = LiveScales(1.3, 0.02, 0.03, 0.02, 2.0, 0.2)
+    scales = LiveScales(1.3, 0.02, 0.03, 0.3, 0.02, 2.0, 0.2)
     process = ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02)
     never = Past(np.zeros((at.size + 2, at.size + 2)), np.zeros(at.size + 2), np.nan)
     found = solve(gather(keys, never), start, scales, process)
@@ -170,9 +192,13 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
 def test_live_and_batch_agree(seed: int) -> None:
     made = wrong_force(observed(SOFT, forces(120), noise=NOISE, seed=seed), seed, 0.005)
     batch = fit([made], 0.03, settings=FitSettings(functions=12)).stiffness.log_at(S)
-    live = replay(made, 0.06, settings=OnlineSettings(functions=12)).stiffness.log_at(S)
+    learner = replay(made, 0.06, settings=OnlineSettings(functions=12))
+    live = learner.stiffness.log_at(S)
     assert np.sqrt(np.mean(((live[0] - batch[0]) / batch[1]) ** 2)) < 1.0
-    assert 0.6 < np.median(live[1]) / np.median(batch[1]) < 1.4
+    assert 0.7 < np.median(live[1]) / np.median(batch[1]) < 2.0  # after 120 frames the scales are still on their way
+    learner.settle()
+    settled = learner.stiffness.log_at(S)
+    assert 0.75 < np.median(settled[1]) / np.median(batch[1]) < 1.5
     assert np.sqrt(np.mean(np.expm1(live[0] - np.log(SOFT.stiffness(S))) ** 2)) < 0.05
 
 
@@ -183,19 +209,18 @@ def drawn(seed: int, count: int) -> tuple[Observations, LogSpline]:
     places = np.array([np.mean(spline.knots[i + 1 : i + 4]) for i in range(8)])  # coefficients there: log k = s
     line = np.polynomial.Polynomial.fit(places, rough, 1)(places)  # level and slope, of broad prior, are tamed
     log_k = LogSpline(tuple(spline.knots), tuple(np.log(0.025) + rough - line + 0.3 * rng.normal()))
-    beam, force = Beam(0.15, log_k, clamp_angle=3e-3 * rng.normal()), forces(count)
-    shape = equilibrium(beam, push(force, 1.0), resolution=FINE)
-    made = observed(beam, force, xy=shape.xy(MARKERS), angle=shape.angle(MARKERS), noise=NOISE, seed=seed)
+    beam, force = Beam(0.15, log_k, clamp_angle=np.hypot(3e-3, MOUNTING_SD) * rng.normal()), forces(count)
     along, across, turn = 5e-4 * rng.normal(size=3), 5e-4 * rng.normal(size=3), np.deg2rad(1.5) * rng.normal(size=3)
-    cos, sin = np.cos(made.angle), np.sin(made.angle)
-    ride = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
+    farther, turned = PLACE_SD * rng.normal(), DIRECTION_SD * rng.normal()
+    xy, angle = tags_of(beam, force, farther, turned, along, across)
+    made = observed(beam, force, xy=xy, angle=angle, noise=NOISE, seed=seed)
     coloured = np.zeros((count, 2))
     keep = np.exp(-1.0 / 30.0 / 0.3)
     for t in range(count):
         before = coloured[t - 1] * keep if t else rng.normal(size=2) * 0.003
         coloured[t] = before + (0.003 * np.sqrt(1.0 - keep**2) * rng.normal(size=2) if t else 0.0)
-    error = coloured + 0.003 * rng.normal(size=2) + 0.001 * rng.normal(size=(count, 2))
-    seen = made.xy + ride + 5e-4 * rng.normal(size=2)
+    error = coloured + 0.05 * 0.35 * rng.normal(size=2) + 0.001 * rng.normal(size=(count, 2))
+    seen = made.xy + 5e-4 * rng.normal(size=2)
     return replace(made, xy=seen, angle=made.angle + turn, force=made.force + error, loaded=made.loaded), log_k
 
 

@@ -3,7 +3,8 @@
 Tags see the beam while the force grows evenly from nothing. With J the derivatives of the tags' poses and A those with
 each frame's force, the poses' covariance is `D + A E A'`: D the tags' noise, E the force's doubt over the frames, as
 the log's rests leave it. So the parameters' information is `J' (D + A E A')^-1 J`. What belongs to this push alone (the
-clamp, the origin, the camera's scale, a new tag's place) is taken out by a Schur complement with its prior.
+clamp, the origin, the camera's scale, the push's place, the force log's axes, a new tag's place) is taken out by a
+Schur complement with its prior.
 """
 
 from __future__ import annotations
@@ -18,7 +19,15 @@ from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
-from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
+from onebend.beam.sensitivity import (
+    of_clamp_angle,
+    of_force,
+    of_mass,
+    of_moment,
+    of_rest_curvature,
+    of_stiffness,
+    respond,
+)
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError, MechanicsError
@@ -43,6 +52,9 @@ class Seen:
     mass: Array  # (F, M, 3, 4) with the parts of the mass, in units of all of it
     clamp: Array  # (F, M, 3, 1) with the clamp's angle
     force: Array  # (F, M, 3, 2) per N, with each frame's force; zero at rest
+    place: Array  # (F, M, 3, 1) per metre that the push acts farther out
+    axes: Array  # (F, M, 3, 1) with the turn of the force log's axes
+    bend: Array  # (F, M) 1/m, the beam's curvature under the tags
     pose: Array  # (F, M, 3) m, m, rad
 
 
@@ -58,10 +70,7 @@ def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
     Raises:
         MechanicsError: the beam snaps through or buckles on the way.
     """
-    steps = (np.arange(STEPS) + 0.5) / STEPS
-    unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
-    forces = np.vstack([candidate.largest * steps[:, None] * unit, np.zeros(2)])
-    solved = follow(pose(beam, loads_of(bench, candidate.at_s, forces), RESOLUTION))
+    solved = follow(pose(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
     if not np.all(solved.stable & np.isnan(solved.buckled_at)):
         raise MechanicsError(
             f"pushed at s = {candidate.at_s:.2f} to {candidate.largest:.3g} N the beam buckles or snaps through; "
@@ -70,11 +79,16 @@ def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
     return solved
 
 
-def see(solved: Equilibrium, bench: Bench, mass: float, at_s: float, on_nodes: Array, tags: Array) -> Seen:
-    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C).
+def _forces(candidate: Push) -> Array:
+    """(F, 2) N in the steps of a push, and none at rest."""
+    steps = (np.arange(STEPS) + 0.5) / STEPS
+    unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
+    return np.vstack([candidate.largest * steps[:, None] * unit, np.zeros(2)])
 
-    `mass` [kg] is that of the beam.
-    """
+
+def see(solved: Equilibrium, bench: Bench, candidate: Push, mass: float, on_nodes: Array, tags: Array) -> Seen:
+    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C), and with
+    all else. `mass` [kg] is the beam's."""
     problem, nodes = solved.problem, solved.problem.grid.nodes
     per_length = mass / bench.length * MASS_MODES.curvature(nodes)
     change = (
@@ -82,14 +96,30 @@ def see(solved: Equilibrium, bench: Bench, mass: float, at_s: float, on_nodes: A
         + of_rest_curvature(problem, REST_MODES.curvature(nodes))
         + of_mass(problem, per_length, np.asarray(bench.gravity)[None])
         + of_clamp_angle(problem)
-        + of_force(problem, np.asarray(at_s))
+        + of_force(problem, np.asarray(candidate.at_s))
+        + of_moment(problem, np.asarray(candidate.at_s))
     )
     response = respond(solved, change)
     moved = np.concatenate([response.xy(tags), response.angle(tags)[:, :, None, :]], axis=2)
-    functions, curvature, weights, clamp, force = np.split(moved, np.cumsum([on_nodes.shape[1], 3, 4, 1]), axis=-1)
+    sizes = np.cumsum([on_nodes.shape[1], 3, 4, 1, 2])
+    functions, curvature, weights, clamp, force, moment = np.split(moved, sizes, axis=-1)
     force[-1] = 0.0  # at rest nothing pushes
     there = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
-    return Seen(tags, functions, curvature, weights, clamp, force, there)
+    pushed, here = _forces(candidate), solved.angle(np.array([candidate.at_s]))
+    lever = np.cos(here) * pushed[:, 1:] - np.sin(here) * pushed[:, :1]  # (F, 1) N: a metre farther out adds it
+    across = pushed[:, ::-1] * np.array([-1.0, 1.0])
+    return Seen(
+        tags=tags,
+        functions=functions,
+        curvature=curvature,
+        mass=weights,
+        clamp=clamp,
+        force=force,
+        place=moment * lever[:, :, None, None],
+        axes=force @ across[:, None, :, None],
+        bend=solved.q @ problem.grid.value_at(tags).T / bench.length,
+        pose=there,
+    )
 
 
 def mass_of(beam: Beam) -> float:
@@ -218,7 +248,7 @@ def with_better_sensor(bench: Bench, times: float) -> Bench:
 
 def _of_coefficients(solved: Equilibrium, beam: Beam, bench: Bench, candidate: Push, on_nodes: Array) -> Array:
     tags = np.asarray(bench.tags)
-    seen = see(solved, bench, mass_of(beam), candidate.at_s, on_nodes, tags)
+    seen = see(solved, bench, candidate, mass_of(beam), on_nodes, tags)
     joint = joint_information(seen, bench, candidate, np.arange(len(tags), dtype=np.int64))
     return eliminate(joint, bench.shared_size, alone(bench))
 
@@ -226,7 +256,9 @@ def _of_coefficients(solved: Equilibrium, beam: Beam, bench: Bench, candidate: P
 def _columns(seen: Seen, bench: Bench, chosen: IntArray) -> tuple[Array, Array]:
     """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
     there, own = seen.pose[:, chosen], len(bench.tags)
-    by_tag = {"along": _sideways(there, 0.0), "across": _sideways(there, 0.5 * np.pi), "turn": _turns(there)}
+    along = _sideways(there, 0.0)
+    along[:, np.arange(len(chosen)), 2, np.arange(len(chosen))] = seen.bend[:, chosen]
+    by_tag = {"along": along, "across": _sideways(there, 0.5 * np.pi), "turn": _turns(there)}
     shared = {name: part[..., :own] for name, part in by_tag.items()}
     shared |= {"curvature": seen.curvature[:, chosen], "mass": seen.mass[:, chosen]}
     parts = [seen.functions[:, chosen], *(shared[name] for name in bench.shared)]
@@ -236,6 +268,7 @@ def _columns(seen: Seen, bench: Bench, chosen: IntArray) -> tuple[Array, Array]:
     wanted = [(by_tag[name][..., own:], bench.placement_sd) for name in ("along", "across")]
     wanted += [(by_tag["turn"][..., own:], bench.turn_sd), (seen.clamp[:, chosen], bench.clamp_sd)]
     wanted += [(origin, bench.origin_sd), (scale, bench.scale_sd)]
+    wanted += [(seen.place[:, chosen], bench.place_sd), (seen.axes[:, chosen], bench.direction_sd)]
     free = [(part, np.full(part.shape[-1], sd)) for part, sd in wanted if sd > 0.0]
     sds = np.concatenate([np.zeros(0), *(sd for _, sd in free)])
     return np.concatenate([*parts, *(part for part, _ in free)], axis=-1), sds

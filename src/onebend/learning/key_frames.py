@@ -39,14 +39,15 @@ class KeyFrames:
     information: Array  # (K + 2, m, 3, 3) of `measured`; zero where a tag was not seen
     root: Array  # (K + 2, m, 3, 3) R with R' R = information
     weight: Array  # (K + 2, m) robust
-    error: Array  # (K + 2, 2) N, the force's, as last estimated
+    error: Array  # (K + 2, 2) N, the force's, at which it was linearised
     left: Array  # (K + 2, m, 3) measured less predicted, where it was linearised
     zeta: Array  # (K + 2, m, 3)
     j: Array  # (K + 2, m, 3, n)
     a: Array  # (K + 2, m, 3, 2)
     q: Array  # (K + 2, Q) rad, the shape to start from
     nodes: IntArray  # (K + 2,) how many of these are used
-    age: Array  # (K + 2,) updates since linearised; infinite where it must be done anew
+    by_force: Array  # (K + 2, Q, 2) of it with the logged force
+    stale: BoolArray  # (K + 2,) linearised at other parameters than the frames that came last
     rows_j: Array  # (K + 2, 3 m, n) whitened
     rows_a: Array  # (K + 2, 3 m, 2)
     rows_z: Array  # (K + 2, 3 m)
@@ -76,7 +77,7 @@ class KeyFrames:
         self.measured[i, :, 2] -= 2.0 * np.pi * turns
         a = a * ~self.rest[i][:, None, None, None]
         left = self.measured[i] - pose
-        self.j[i], self.a[i], self.left[i], self.age[i] = j, a, left, 0.0
+        self.j[i], self.a[i], self.left[i], self.stale[i] = j, a, left, False
         self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
         self.whiten(i)
 
@@ -151,7 +152,8 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         a=room(tags, 3, 2),
         q=room(nodes),
         nodes=np.zeros(count, dtype=np.int64),
-        age=room(),
+        by_force=room(nodes, 2),
+        stale=np.zeros(count, dtype=bool),
         rows_j=room(3 * tags, parameters),
         rows_a=room(3 * tags, 2),
         rows_z=room(3 * tags),
@@ -202,8 +204,9 @@ def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
     """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
     k = i + 1
     share = keys.frames[k] / keys.frames[at]
-    # An average counts as one frame: what tags are read wrong by hardly changes from frame to frame.
-    says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in ((i, 1.0 - share), (k, share))]
+    # At rest all frames are alike, and tags are read wrong in the same way: an average of them counts as one.
+    counts = (1.0 - share, share) if keys.rest[i] else (1.0, 1.0)
+    says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)]
     total = says[0] + says[1]
     seen = total[:, 0, 0] > 0.0
     inverse = np.linalg.inv(np.where(seen[:, None, None], total, np.eye(3))) * seen[:, None, None]

@@ -8,19 +8,18 @@ import numpy as np
 
 from onebend.beam.continuation import follow
 from onebend.beam.grid import Grid, make_grid
-from onebend.beam.modes import Modes
 from onebend.beam.newton import solve_batch
 from onebend.beam.problem import Problem
-from onebend.beam.statics import gradient, positive_definite, tangent
+from onebend.beam.statics import balance, positive_definite, tangent
+from onebend.learning.forward import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
-from onebend.records import Array, BoolArray
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray
 
 ORDER, WIDEST = 12, 0.5
-REST_MODES = Modes(3)
 _MOST = 8  # Newton iterations before the search from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
-_TOLERANCE = 3e-7  # rad, of the last update: the error is its square
+_TOLERANCE = 2e-5  # rad, of the last update: the error is about its square
 
 
 @dataclass(frozen=True)
@@ -32,6 +31,11 @@ class Setting:
     mass: float  # kg
     at: Layout
 
+    @property
+    def weighs(self) -> bool:
+        """Whether the mass is among the parameters."""
+        return self.mass > 0.0 and self.at.index["mass", -1].start >= 0
+
 
 @dataclass(frozen=True)
 class Place:
@@ -41,10 +45,12 @@ class Place:
     to_nodes: Array  # (Q, Q)
     weights: Array  # (Q,)
     beyond: Array  # (Q,) 1 where the push lies beyond the node
-    mass_beyond: Array  # (Q,) kg
+    farther: Array  # (Q,) 1/m: what is added to it per metre that the push lies farther out
+    mass_beyond: Array  # (Q, 4) kg, of an even mass and of its uneven parts
     on_nodes: Array  # (Q, p)
     rest_on_nodes: Array  # (Q, 3)
     rows: Array  # (m, Q): integrals up to the markers
+    bend: Array  # (m, Q) 1/m: turn of the beam under the markers per metre along it
 
 
 @dataclass(frozen=True)
@@ -62,21 +68,25 @@ class Linear:
 
     converged: BoolArray  # (B,)
     q: Array  # (B, Q) rad
+    by_force: Array  # (B, Q, 2) of q with the logged force: where to start from next time
     pose: Array  # (B, m, 3)
     j: Array  # (B, m, 3, n) with the parameters
-    a: Array  # (B, m, 3, 2) with the force, per N
+    a: Array  # (B, m, 3, 2) with the logged force, per N
 
 
 def live_layout(
-    spline: Spline, tags: int, priors: Priors, *, placement_sd: float, rest_unknown: bool, calibrated: bool
+    spline: Spline, tags: int, priors: Priors, *, placement_sd: float, rest_unknown: bool, calibrated: bool, mass: float
 ) -> Layout:
     """The parameters of one beam under one camera; the force's error is a process and not among them."""
     placement = placement_sd if priors.placement is None else priors.placement
     origin = placement_sd if priors.origin is None else priors.origin
+    pushed = PLACE_SD if priors.place is None else priors.place
+    turned = DIRECTION_SD if priors.direction is None else priors.direction
     numbers = range(1, tags + 1)
     wanted: list[tuple[str, str, float, tuple[str, ...]]] = [
         ("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", "rad", priors.curvature if rest_unknown else 0.0, ("q0 mean", "q0 slope", "q0 bow")),
+        ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
         ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
         ("turn", "rad", priors.mounting, tuple(f"tag {i} turn" for i in numbers)),
@@ -84,10 +94,15 @@ def live_layout(
         ("origin", "m", origin, ("origin x", "origin y")),
         ("scale", "1", 0.0 if calibrated else priors.scale, ("camera scale",)),
         ("clock", "s", priors.clock or 0.0, ("clock offset",)),
+        ("place", "m", pushed, ("push place",)),
+        ("direction", "rad", turned, ("force axes",)),
     ]
     blocks, start = [], 0
     for name, unit, sd, labels in wanted:
-        blocks.append(Block(name, -1, unit, np.full(len(labels), sd), labels, start if sd > 0.0 else -1))
+        sds = np.full(len(labels), sd)
+        if name == "mass":
+            sds[1:] = priors.mass_spread
+        blocks.append(Block(name, -1, unit, sds, labels, start if sd > 0.0 else -1))
         start += len(labels) if sd > 0.0 else 0
     return Layout(spline, tuple(blocks), start, {(b.name, -1): b for b in blocks})
 
@@ -95,46 +110,74 @@ def live_layout(
 def place_at(setting: Setting, push_s: float) -> Place:
     """The grid and what stands on it for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
-    nodes = grid.nodes
+    nodes, to_nodes, weights = grid.nodes, grid.integral_to_nodes, grid.weights
+    parts = MASS_MODES.curvature(nodes)
+    beyond = nodes < push_s
+    last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
     return Place(
         grid=grid,
-        to_nodes=grid.integral_to_nodes,
-        weights=grid.weights,
-        beyond=np.asarray(nodes < push_s, dtype=float),
-        mass_beyond=setting.mass * (1.0 - nodes),
+        to_nodes=to_nodes,
+        weights=weights,
+        beyond=np.asarray(beyond, dtype=float),
+        farther=np.asarray(last / (setting.length * weights)),
+        mass_beyond=setting.mass * (weights @ parts - to_nodes @ parts),
         on_nodes=setting.at.spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
         rows=grid.integral_to(setting.marker_s),
+        bend=grid.value_at(setting.marker_s) / setting.length,
     )
 
 
 def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Array | None) -> Linear:
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any."""
     at = setting.at
-    problem = _problem(setting, place, x, given)
+    axes = _axes(at, x)
+    force = (given.force + given.rate * at.get(x, "clock")) @ axes.T
+    problem, pushed = _problem(setting, place, x, force, given.gravity)
     q, converged, matrices = _shapes(problem, start)
     alpha = problem.alpha0 + q @ place.to_nodes.T
     cos, sin = np.cos(alpha), np.sin(alpha)
-    turned_nodes, turn = _response(place, problem, q, matrices, cos, sin)
+    weights = place.mass_beyond if setting.weighs else place.mass_beyond[:, :0]
+    bent = _response(place, problem, (q, matrices, cos, sin), (force, pushed, given.gravity, weights))
+    clamp, p = np.zeros(bent.shape[-1]), at.spline.count
+    clamp[p + 3] = 1.0
+    turned_nodes, turn = place.to_nodes @ bent + clamp, place.rows @ bent + clamp
     rows = setting.length * place.rows
     xy = np.stack([cos @ rows.T, sin @ rows.T], axis=-1)
     dxy = np.stack([rows @ (-sin[..., None] * turned_nodes), rows @ (cos[..., None] * turned_nodes)], axis=2)
-    angle = problem.alpha0 + q @ place.rows.T
+    angle, curved = problem.alpha0 + q @ place.rows.T, q @ place.bend.T
     along, across = at.get(x, "along"), at.get(x, "across")
-    c, s = np.cos(angle), np.sin(angle)
+    way, angle = angle + 0.5 * curved * along, angle + curved * along  # a circle to where the tag sits
+    u, v = _directions(way), _directions(angle)
     scale = 1.0 + float(at.get(x, "scale")[0])
-    swing = np.stack([-s * along - c * across, c * along - s * across], axis=-1)
-    beam_xy = xy + np.stack([swing[..., 1], -swing[..., 0]], axis=-1)
-    mechanics = np.concatenate([scale * (dxy + swing[..., None] * turn[:, :, None, :]), turn[:, :, None, :]], axis=2)
+    beam_xy = xy + along[:, None] * u[0] + across[:, None] * v[1]
+    more = along[:, None] * (place.bend @ bent)
+    dxy += (along[:, None] * u[1])[..., None] * (turn + 0.5 * more)[:, :, None, :]
+    turn = turn + more
+    dxy -= (across[:, None] * v[0])[..., None] * turn[:, :, None, :]
+    mechanics = np.concatenate([scale * dxy, turn[:, :, None, :]], axis=2)
     pose = np.concatenate([scale * beam_xy + at.get(x, "origin"), (angle + at.get(x, "turn"))[..., None]], axis=-1)
-    j, p = np.zeros((*pose.shape, at.size)), at.spline.count
-    a = mechanics[..., p + 4 :]
+    j, a = _by_parameters(at, mechanics, given.rate, force, axes)
+    stride = u[0] + (0.5 * curved * along)[..., None] * u[1] - (curved * across)[..., None] * v[0]
+    _put_tags(j, at, scale * stride, curved, scale * v[1], beam_xy)
+    return Linear(converged, q, bent[..., p + 4 : p + 6] @ axes, pose, j, a)
+
+
+def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes: Array) -> tuple[Array, Array]:
+    """Derivatives (B, m, 3, n) with the parameters, from those of `_response`; (B, m, 3, 2) with the log."""
+    p = at.spline.count
+    j = np.zeros((*mechanics.shape[:-1], at.size))
+    by_force = mechanics[..., p + 4 : p + 6]
+    a = by_force @ axes
     j[..., :p] = mechanics[..., :p]
     _put(j, at, "curvature", mechanics[..., p : p + 3])
     _put(j, at, "clamp", mechanics[..., p + 3 : p + 4])
-    _put(j, at, "clock", (a @ given.rate[:, None, :, None]))
-    _put_tags(j, at, c, s, scale, beam_xy)
-    return Linear(converged, q, pose, j, a)
+    _put(j, at, "place", mechanics[..., p + 6 : p + 7])
+    _put(j, at, "mass", mechanics[..., p + 7 :])
+    _put(j, at, "clock", a @ rate[:, None, :, None])
+    across = np.stack([-force[:, 1], force[:, 0]], axis=-1)
+    _put(j, at, "direction", by_force @ across[:, None, :, None])
+    return j, a
 
 
 def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Array]:
@@ -146,8 +189,8 @@ def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Ar
     if start is not None:
         q, moved = start.copy(), 0.0
         for _ in range(_MOST):
-            matrices = tangent(problem, q)
-            update = solve_batch(matrices, gradient(problem, q))
+            unbalanced, matrices = balance(problem, q)
+            update = solve_batch(matrices, unbalanced)
             q -= update
             turn = float(np.max(np.abs(update @ problem.to_nodes.T)))
             moved += turn
@@ -161,11 +204,13 @@ def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Ar
     return solved.q, solved.converged & solved.stable, tangent(problem, solved.q)
 
 
-def _problem(setting: Setting, place: Place, x: Array, given: Inputs) -> Problem:
-    at, size, nodes = setting.at, len(given.force), len(place.weights)
-    force = given.force + given.rate * at.get(x, "clock")
-    dead = place.beyond[:, None] * force[:, None, :] + place.mass_beyond[:, None] * given.gravity[:, None, :]
-    return Problem(
+def _problem(setting: Setting, place: Place, x: Array, force: Array, gravity: Array) -> tuple[Problem, Array]:
+    """The problem of B frames, and (Q,) the share of the push beyond each node."""
+    at, size, nodes = setting.at, len(force), len(place.weights)
+    pushed = place.beyond + float(at.get(x, "place")[0]) * place.farther
+    mass = place.mass_beyond[:, 0] + place.mass_beyond @ at.get(x, "mass")
+    dead = pushed[:, None] * force[:, None, :] + mass[:, None] * gravity[:, None, :]
+    problem = Problem(
         grid=place.grid,
         weights=place.weights,
         to_nodes=place.to_nodes,
@@ -179,28 +224,40 @@ def _problem(setting: Setting, place: Place, x: Array, given: Inputs) -> Problem
         follower_beyond=np.zeros((size, 0, nodes)),
         follower_rows=np.zeros((size, 0, nodes)),
     )
+    return problem, pushed
 
 
-def _response(place: Place, problem: Problem, q: Array, matrices: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
-    """Turn of the nodes (B, Q, P) and of the beam under the markers (B, m, P) by the implicit function theorem.
+def _response(
+    place: Place, problem: Problem, shape: tuple[Array, Array, Array, Array], load: tuple[Array, Array, Array, Array]
+) -> Array:
+    """(B, Q, P) of the curvature at the nodes, by the implicit function theorem.
 
-    Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force.
+    Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force, its place, the mass's parts
+    (`load`: forces, share of the push beyond the nodes, gravity, kg of each part beyond the nodes).
     """
+    (q, matrices, cos, sin), (force, pushed, gravity, weights) = shape, load
     p, b = place.on_nodes.shape[1], place.to_nodes
-    right = np.empty((*q.shape, p + 6))
+    right = np.empty((*q.shape, p + 7 + weights.shape[1]))
     stiff, pull = place.weights * problem.k, problem.length * place.weights
     right[..., :p] = -(stiff * (q - problem.q0))[..., None] * place.on_nodes
     right[..., p : p + 3] = stiff[:, None] * place.rest_on_nodes
-    right[..., p + 3] = -(pull * (problem.dead_force[..., 0] * cos + problem.dead_force[..., 1] * sin)) @ b
-    right[..., p + 4] = -(pull * place.beyond * sin) @ b
-    right[..., p + 5] = (pull * place.beyond * cos) @ b
+    lever = np.empty((*q.shape, 4 + weights.shape[1]))  # what turns the nodes, to be summed up
+    lever[..., 0] = -pull * (problem.dead_force[..., 0] * cos + problem.dead_force[..., 1] * sin)
+    lever[..., 1], lever[..., 2] = -pull * pushed * sin, pull * pushed * cos
+    lever[..., 3] = pull * place.farther * (force[:, 1:] * cos - force[:, :1] * sin)
+    lever[..., 4:] = (pull * (gravity[:, 1:] * cos - gravity[:, :1] * sin))[..., None] * weights
+    right[..., p + 3 :] = b.T @ lever
     try:
-        response = np.linalg.solve(matrices, right)
+        return np.asarray(np.linalg.solve(matrices, right))
     except np.linalg.LinAlgError:  # of a frame that was not found either
-        response = np.zeros_like(right)
-    clamp = np.zeros(p + 6)
-    clamp[p + 3] = 1.0
-    return b @ response + clamp, place.rows @ response + clamp
+        return np.zeros_like(right)
+
+
+def _axes(at: Layout, x: Array) -> Array:
+    """(2, 2) by which the logged force is turned."""
+    turn = float(at.get(x, "direction")[0])
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.array([[cos, -sin], [sin, cos]])
 
 
 def _put(j: Array, at: Layout, name: str, values: Array) -> None:
@@ -209,18 +266,30 @@ def _put(j: Array, at: Layout, name: str, values: Array) -> None:
         j[..., columns] = values
 
 
-def _put_tags(j: Array, at: Layout, c: Array, s: Array, scale: float, beam_xy: Array) -> None:
-    """Derivatives with each tag's place and turn, the origin and the camera's scale."""
-    tags = np.arange(c.shape[1])
+def _put_tags(j: Array, at: Layout, stride: Array, bend: Array, aside: Array, beam_xy: Array) -> None:
+    """Derivatives with each tag's place and turn, the origin and the camera's scale.
+
+    `stride` and `aside` (B, m, 2): how a tag moves per metre along and across; `bend` (B, m): how it turns per metre.
+    """
+    tags = np.arange(bend.shape[1])
     along, across, turn = at.columns("along"), at.columns("across"), at.columns("turn")
+    origin, size = at.columns("origin"), at.columns("scale")
+    for i in range(2):
+        if along is not None:
+            j[:, tags, i, along.start + tags] = stride[..., i]
+        if across is not None:
+            j[:, tags, i, across.start + tags] = aside[..., i]
+        if origin is not None:
+            j[:, :, i, origin.start + i] = 1.0
     if along is not None:
-        j[:, tags, 0, along.start + tags], j[:, tags, 1, along.start + tags] = scale * c, scale * s
-    if across is not None:
-        j[:, tags, 0, across.start + tags], j[:, tags, 1, across.start + tags] = -scale * s, scale * c
+        j[:, tags, 2, along.start + tags] = bend
     if turn is not None:
         j[:, tags, 2, turn.start + tags] = 1.0
-    origin, size = at.columns("origin"), at.columns("scale")
-    if origin is not None:
-        j[:, :, 0, origin.start] = j[:, :, 1, origin.start + 1] = 1.0
     if size is not None:
         j[:, :, :2, size.start] = beam_xy
+
+
+def _directions(angle: Array) -> tuple[Array, Array]:
+    """Units (..., 2) along an angle and to its left."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)

@@ -29,6 +29,7 @@ class LiveScales:
     marker: float  # noise of the tags over what their covariances say
     white: float  # N, force error of every frame
     coloured: float  # N, Ornstein-Uhlenbeck part
+    memory: float  # s, its correlation time
     walk: float  # N per root second
     tau: float  # roughness of log k
     rho: float  # its steps
@@ -82,28 +83,27 @@ class Sums:
 
 @dataclass(frozen=True)
 class Solution:
-    """The normal posterior of x and all e."""
+    """The normal posterior of all e and x."""
 
     x: Array  # (n,)
     e: Array  # (slots, 2) N
     spans: Spans
     process: ForceProcess
-    inverse: Array  # (slots, slots) of the force error's covariance
-    factor: Array  # lower Cholesky factor of the scaled information
-    unit: Array  # (n + 2 slots,) the scale: x = unit * scaled
+    inverse: Array  # (slots, slots) of the force error's covariance, the lower triangle
+    factor: Array  # lower Cholesky factor of the scaled information, the e before the x
+    unit: Array  # (2 slots + n,) the scale: e, x = unit * scaled
     minus_log: float  # -2 log evidence, but for a constant
 
     def spread(self, rows: Array) -> Array:
-        """(R, R) covariance of rows (R, n + 2 slots) times the unknowns."""
+        """(R, R) covariance of rows (R, 2 slots + n) times the unknowns."""
         half, _ = dtrtrs(self.factor, (rows * self.unit).T, lower=1)
         return np.asarray(half.T @ half)
 
     def covariance(self) -> Array:
         """(n, n) of the parameters."""
-        inverse, _ = dpotri(self.factor, lower=1)
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
         n = len(self.x)
-        return np.asarray(inverse[:n, :n] * np.outer(self.unit[:n], self.unit[:n]))
+        inverse, _ = dpotri(self.factor[-n:, -n:], lower=1)
+        return _symmetric(inverse) * np.outer(self.unit[-n:], self.unit[-n:])
 
     def error_at(self, time: float) -> tuple[Array, Array, float]:
         """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
@@ -111,7 +111,7 @@ class Solution:
             alone = Spans(np.array([time]), np.array([time]), np.ones(1), np.zeros(1))
             return np.zeros(2), np.zeros(0), float(covariance(self.process, alone)[0, 0])
         every = covariance(self.process, self.spans.then(time))
-        rows = self.inverse @ every[:-1, -1]
+        rows = _symmetric(self.inverse) @ every[:-1, -1]
         return rows @ self.e, rows, float(every[-1, -1] - rows @ every[:-1, -1])
 
 
@@ -148,32 +148,31 @@ def gather(keys: KeyFrames, past: Past) -> Sums:
 def solve(sums: Sums, start: Start, scales: LiveScales, process: ForceProcess) -> Solution:
     """The posterior under given scales. Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
     n, slots = len(sums.bx), len(sums.spans.begin)
-    weight = 1.0 / scales.marker**2
+    weight, known = 1.0 / scales.marker**2, 2 * slots
     precision, log_prior = start.precision(scales.tau, scales.rho)
-    h, b = np.zeros((n + 2 * slots, n + 2 * slots)), np.zeros(n + 2 * slots)
-    h[:n, :n] = weight * sums.xx + precision
-    b[:n] = weight * sums.bx + precision @ start.mean
+    h, b = np.zeros((known + n, known + n), order="F"), np.zeros(known + n)  # of h the lower triangle
+    h[known:, known:] = weight * sums.xx + precision
+    b[known:] = weight * sums.bx + precision @ start.mean
     inverse, log_process, log_rest, misfit = np.zeros((0, 0)), 0.0, 0.0, 0.0
     if slots:
-        c = covariance(process, sums.spans)
-        factor, info = dpotrf(c, lower=1)
-        if info:
-            raise np.linalg.LinAlgError("the force error's covariance is not positive definite")
-        inverse, _ = dpotri(factor, lower=1)
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        log_process = 4.0 * float(np.sum(np.log(np.diag(factor))))  # both axes
+        inverse, log_process = _inverse(covariance(process, sums.spans))
         certain = sums.rest * sums.spans.frames / (AT_REST * process.white) ** 2
-        h[:n, n:] = weight * sums.xe
-        h[n:, :n] = h[:n, n:].T
-        _force_part(h[n:, n:], inverse, weight * sums.ee, certain)
-        b[n:] = (weight * sums.be + certain[:, None] * sums.log).ravel()
+        h[known:, :known] = weight * sums.xe
+        _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
+        b[:known] = (weight * sums.be + certain[:, None] * sums.log).ravel()
         log_rest = -2.0 * float(np.sum(np.log(certain[certain > 0.0])))
         misfit = float(np.sum(certain[:, None] * sums.log**2))
         if np.isfinite(sums.past.time):
-            h[: n + 2, : n + 2] += sums.past.information
-            b[: n + 2] += sums.past.b
+            told, right = sums.past.information, sums.past.b
+            h[known:, known:] += told[:n, :n]
+            h[known:, :2] += told[:n, n:]
+            h[:2, :2] += told[n:, n:]
+            b[known:] += right[:n]
+            b[:2] += right[n:]
     unit = 1.0 / np.sqrt(np.diag(h))
-    factor, info = dpotrf(h * unit[:, None] * unit, lower=1)
+    h *= unit[:, None]
+    h *= unit
+    factor, info = dpotrf(h, lower=1, overwrite_a=1)
     if info:
         raise np.linalg.LinAlgError("the information is not positive definite")
     best, _ = dpotrs(factor, b * unit, lower=1)
@@ -181,7 +180,24 @@ def solve(sums: Sums, start: Start, scales: LiveScales, process: ForceProcess) -
     log_information = 2.0 * float(np.sum(np.log(np.diag(factor)) - np.log(unit)))
     total = weight * sums.c + misfit + float(start.mean @ precision @ start.mean) - float(b @ best)
     logs = log_information - log_prior + log_process + log_rest + 2.0 * sums.rows * np.log(scales.marker)
-    return Solution(best[:n], best[n:].reshape(-1, 2), sums.spans, process, inverse, factor, unit, total + logs)
+    e = best[:known].reshape(-1, 2)
+    return Solution(best[known:], e, sums.spans, process, inverse, factor, unit, total + logs)
+
+
+def _inverse(c: Array) -> tuple[Array, float]:
+    """Of the force error's covariance, the lower triangle, and its log determinant for both axes."""
+    factor, info = dpotrf(c, lower=1)
+    if info:
+        raise np.linalg.LinAlgError("the force error's covariance is not positive definite")
+    inverse, _ = dpotri(factor, lower=1)
+    return inverse, 4.0 * float(np.sum(np.log(np.diag(factor))))
+
+
+def _symmetric(lower: Array) -> Array:
+    """From the lower triangle, zero above it."""
+    out = lower + lower.T
+    out[np.diag_indices(len(out))] *= 0.5
+    return np.asarray(out)
 
 
 def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
@@ -206,34 +222,3 @@ def robust_weights(keys: KeyFrames, solution: Solution, marker: float, bulk: flo
     distance = np.sqrt(np.sum(left.reshape(used, -1, 3) ** 2, axis=-1)) / marker
     seen = keys.information[:used, :, 0, 0] > 0.0
     return np.asarray(seen * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)
-
-
-@dataclass
-class ScaleSearch:
-    """Climbs the evidence, one trial an update: one scale in turn is made larger or smaller, and kept if better."""
-
-    expected: LiveScales
-    freedom: LiveScales  # one sd of the log of each before the data
-    steps: Array  # (6,) of the logs
-    turn: int = 0
-
-    def proposal(self, now: LiveScales) -> LiveScales:
-        """The next trial."""
-        v = np.log(_vector(now))
-        v[self.turn] += self.steps[self.turn]
-        return LiveScales(*np.exp(v).tolist())
-
-    def cost(self, scales: LiveScales) -> float:
-        """-2 log prior of the scales."""
-        away = (np.log(_vector(scales)) - np.log(_vector(self.expected))) / _vector(self.freedom)
-        return float(away @ away)
-
-    def learn(self, kept: bool) -> None:
-        """Longer steps after a success; shorter, the other way round, after a failure."""
-        step = self.steps[self.turn] * (1.5 if kept else -0.6)
-        self.steps[self.turn] = np.sign(step) * np.clip(abs(step), 0.05, 0.7)
-        self.turn = (self.turn + 1) % len(self.steps)
-
-
-def _vector(scales: LiveScales) -> Array:
-    return np.array([scales.marker, scales.white, scales.coloured, scales.walk, scales.tau, scales.rho])

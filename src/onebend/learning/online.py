@@ -20,6 +20,7 @@ from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_model import Setting, live_layout
+from onebend.learning.live_scales import MEMORY_DOUBT
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import Nuisance
@@ -35,17 +36,20 @@ _WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noi
 class OnlineSettings:
     """How the live learner runs. Noise sizes are where it begins; it finds its own."""
 
-    functions: int = 16  # of the spline of log k
+    functions: int = 24  # of the spline of log k
     key_frames: int = 30
-    renewed: int = 2  # key frames linearised anew with every other update
+    renewed: int = 3  # key frames linearised anew with an update
     priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
     placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
     rest_unknown: bool = True  # the beam may be curved when free
     calibrated: bool = True  # False: all lengths have a common unknown scale
     marker_noise: float = 1.5  # over what the tags' covariances say
-    force_noise: float = 0.01  # N, sd of the log's error
+    force_noise: float = 0.01  # N, sd of the log's coloured error
+    force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
+    force_walk: float | None = None  # N per root second, of its drift; None: 0.3 of the coloured one a second
     force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
     force_memory: float = 0.3  # s, correlation time of the log's coloured error
+    memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
     roughness: float = TAU  # of log k
     steps: float = RHO  # of log k
     adapt: bool = True  # False: the sizes stay as they begin
@@ -99,13 +103,12 @@ class OnlineLearner:
             placement_sd=settings.placement_sd,
             rest_unknown=settings.rest_unknown,
             calibrated=settings.calibrated,
+            mass=mass,
         )
         self.settings = settings
         self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
         known, x = _start(at, start)
-        noise = settings.force_noise
-        scales = LiveScales(settings.marker_noise, noise, noise, _WALK * noise, settings.roughness, settings.steps)
-        self._state = Smoother(self._setting, known, x, scales, _habits(settings))
+        self._state = Smoother(self._setting, known, x, _scales(settings), _habits(settings))
         self._last: tuple[float, Array] | None = None
         self._frames = 0
 
@@ -156,15 +159,13 @@ class OnlineLearner:
             state.x[: self.settings.functions] += _STIFFER
             return Update(*nothing, solved=False)
         found = state.gate(frame)
-        state.renew()
+        state.advance()
         self._frames += 1
         return Update(*found, solved=True)
 
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
-        for _ in range(rounds):
-            self._state.linearise(list(range(self._state.keys.used)))
-            self._state.renew()
+        self._state.settle(rounds)
 
     @property
     def frames(self) -> int:
@@ -179,7 +180,8 @@ class OnlineLearner:
     @property
     def parameters(self) -> tuple[Array, Array]:
         """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
-        return self._state.x.copy(), self._state.solution.covariance()
+        self._state.catch_up()
+        return self._state.x.copy(), self._state.covariance()
 
     @property
     def stiffness(self) -> UncertainStiffness:
@@ -191,6 +193,7 @@ class OnlineLearner:
     @property
     def force_error(self) -> Array:
         """(2,) N: the log's error at the last frame, as far as it is known."""
+        self._state.catch_up()
         e = self._state.solution.e
         return e[-1].copy() if len(e) else np.zeros(2)
 
@@ -208,6 +211,7 @@ class OnlineLearner:
     @property
     def beam(self) -> Beam:
         """The beam as it is now."""
+        self._state.catch_up()
         theta0 = self._setting.at.get(self._state.x, "curvature")
         rest: Profile = Uniform(0.0)
         if np.any(theta0 != 0.0):
@@ -224,12 +228,26 @@ def _habits(settings: OnlineSettings) -> Habits:
         renewed=s.renewed,
         zero=s.force_zero,
         least_zero=s.force_noise,
-        memory=s.force_memory,
+        memory_doubt=s.memory_doubt,
         adapt=s.adapt,
         bulk=s.bulk,
         gate=s.gate,
         patience=s.patience,
         step=s.step,
+    )
+
+
+def _scales(settings: OnlineSettings) -> LiveScales:
+    """Where they begin."""
+    s = settings
+    return LiveScales(
+        marker=s.marker_noise,
+        white=s.force_noise if s.force_white is None else s.force_white,
+        coloured=s.force_noise,
+        memory=s.force_memory,
+        walk=_WALK * s.force_noise if s.force_walk is None else s.force_walk,
+        tau=s.roughness,
+        rho=s.steps,
     )
 
 
@@ -261,9 +279,11 @@ def _check(length: float, marker_s: Array, mass: float, settings: OnlineSettings
         raise LearningError(f"tags are at s in (0, 1], got {marker_s.tolist()}")
     if not mass >= 0.0:
         raise LearningError(f"a beam's mass cannot be negative, got {mass} kg")
-    for name in ("marker_noise", "force_noise", "force_memory", "roughness", "steps", "bulk", "gate", "step"):
-        if not getattr(settings, name) > 0.0:
-            raise LearningError(f"{name} must be positive, got {getattr(settings, name)}")
+    sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
+    for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
+        value = getattr(settings, name)
+        if value is not None and not value > 0.0:
+            raise LearningError(f"{name} must be positive, got {value}")
     for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
         if getattr(settings, name) < least:
             raise LearningError(f"{name} must be at least {least}, got {getattr(settings, name)}")

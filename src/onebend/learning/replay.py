@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
+from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.online import OnlineLearner, OnlineSettings
-from onebend.records import Observations
+from onebend.learning.parameters import Priors, layout
+from onebend.learning.spline import Spline
+from onebend.records import Array, BoolArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
+_REST_STEP = 0.05  # s, between two looks at the log where no film was made
+_LONGER, _LEAST_DOUBT = 1.5, 0.1  # a filter makes memories alike: how much, by trial
+_FAST = 0.2  # of the force error that lasts: what it is off by in every frame anew
 
 
 def replay(
@@ -38,38 +44,99 @@ def replay(
         gain_sd=gain_sd,
         settings=settings_for(o, settings),
     )
-    places = push_places(o)
-    for t in playable(o):
-        learner.update(
-            o.time[t],
-            o.xy[t],
-            o.angle[t],
-            o.covariance[t],
-            o.force[t],
-            places[t],
-            loaded=bool(o.loaded[t]),
-            gravity=o.gravity[t],
-        )
+    for frame in live_frames(o):
+        learner.update(**vars(frame))
     return learner
 
 
 def settings_for(observations: Observations, settings: OnlineSettings = OnlineSettings()) -> OnlineSettings:
     """Settings with what a recording says of placement, rest, camera, clock and force noise."""
     o = observations
-    clock = 0.0 if o.clock is None else float(o.clock.sd) if np.isfinite(o.clock.sd) else 1.0
-    noise = float(np.nanmean(o.force_sd)) if np.any(o.force_sd > 0.0) else settings.force_noise
+    known = replace(
+        settings, placement_sd=o.placement_sd, rest_unknown=o.rest == "unknown", priors=_priors(o, settings)
+    )
+    if o.view is not None:
+        known = replace(known, calibrated=o.view.calibrated)
+    largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0
+    if largest == 0.0 or not (np.any(o.force_sd > 0.0) or o.clean_force is not None):
+        return known  # nothing is said of the force's noise
+    error = force_error(o, o.time[usable_frames(o)])
+    memory, longer = _memory(error, 1.0), _memory(error, _LONGER)
     return replace(
-        settings,
-        placement_sd=o.placement_sd,
-        rest_unknown=o.rest == "unknown",
-        calibrated=o.view is None or o.view.calibrated,
-        force_noise=noise,
-        priors=settings.priors if settings.priors.clock is not None else replace(settings.priors, clock=clock),
+        known,
+        force_noise=error.size,
+        force_white=_FAST * error.size,
+        force_walk=error.noise.walk,
+        force_memory=memory,
+        memory_doubt=settings.memory_doubt * max(np.log(longer / memory) / np.log(_LONGER), _LEAST_DOUBT),
+        force_zero=error.level,
     )
 
 
-def playable(observations: Observations) -> list[int]:
-    """Frames that a live learner can use: those under load, and those at rest well away from contact."""
+def _priors(o: Observations, settings: OnlineSettings) -> Priors:
+    """What the fit takes as known before the data."""
+    at = layout(Spline(settings.functions), [o], [0], settings.priors)
+    sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
+    return replace(settings.priors, placement=float(at.index["along", -1].prior_sd[0]), **sd)
+
+
+def _memory(error: ForceError, times: float) -> float:
+    """s, of the exponential with the integral of the filtered covariance, the noise's own memory being longer."""
+    short = error.filtered.covariance(error.noise.coloured, times * error.noise.tau, error.white)
+    return float(np.trapezoid(np.maximum(short, 0.0), error.filtered.lag) / short[0])
+
+
+@dataclass(frozen=True)
+class LiveFrame:
+    """What `OnlineLearner.update` takes."""
+
+    time: float
+    xy: Array
+    angle: Array
+    covariance: Array
+    force: Array
+    push_s: float
+    loaded: bool
+    gravity: Array
+
+
+def live_frames(observations: Observations) -> list[LiveFrame]:
+    """What a live learner can use, in order of time: frames under load, frames at rest well away from contact, and the
+    force log in the rest before and after the film, where no tag is seen."""
+    o, places = observations, push_places(observations)
+    film = [
+        LiveFrame(
+            time=float(o.time[t]),
+            xy=o.xy[t],
+            angle=o.angle[t],
+            covariance=o.covariance[t],
+            force=o.force[t],
+            push_s=float(places[t]),
+            loaded=bool(o.loaded[t]),
+            gravity=o.gravity[t],
+        )
+        for t in _playable(o)
+    ]
+    if o.clean_force is None or not film:
+        return film
+    tags = len(o.marker_s)
+    nothing = np.full((tags, 2), np.nan), np.full(tags, np.nan), np.full((tags, 3, 3), np.nan)
+    time, force = o.clean_force.time, o.clean_force.force
+    known = np.all(np.isfinite(force), axis=1)
+    gap = max(_REST_STEP, float(np.median(np.diff(o.time))))
+
+    def alone(part: BoolArray, frame: LiveFrame) -> list[LiveFrame]:
+        rows = np.flatnonzero(part & known)
+        rows = rows[np.unique(np.floor((time[rows] - time[0]) / gap), return_index=True)[1]]
+        return [LiveFrame(float(time[i]), *nothing, force[i], 1.0, False, frame.gravity) for i in rows.tolist()]
+
+    before, after = time < o.time[0] - 0.5 * gap, time > o.time[-1] + 0.5 * gap
+    first = [] if o.loaded[0] else alone(before, film[0])
+    return [*first, *film, *([] if o.loaded[-1] else alone(after, film[-1]))]
+
+
+def _playable(observations: Observations) -> list[int]:
+    """Frames under load, and frames at rest well away from contact."""
     o = observations
     known = np.all(np.isfinite(o.force), axis=1)
     touched = o.time[o.loaded]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,11 +10,16 @@ from onebend.learning.force_process import ForceProcess, fast_variance
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
 from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
-from onebend.learning.live_solve import LiveScales, ScaleSearch, Solution, Start, Sums, gather, robust_weights, solve
+from onebend.learning.live_noise import Scatter
+from onebend.learning.live_scales import ScaleSearch
+from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, robust_weights, solve
 from onebend.records import Array, BoolArray
 
 _PLACES = 64  # of pushes, whose grids are kept
-_LEAST_MARKER = 10.0**-0.5  # noise of tags: an average is never worth more than ten independent frames
+_MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
+_FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
+_TRIALS = 2  # of other scales, after every other frame
+_NOISE_EVERY = 8  # solutions between two looks at the tags' noise
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
 
@@ -26,7 +31,7 @@ class Habits:
     renewed: int  # key frames linearised anew with every frame
     zero: float  # N, sd of the log's zero
     least_zero: float  # N
-    memory: float  # s, of the coloured force error
+    memory_doubt: float  # of the log of the force error's memory
     adapt: bool
     bulk: float  # sd
     gate: float  # sd
@@ -39,18 +44,24 @@ class Smoother:
 
     def __init__(self, setting: Setting, start: Start, x: Array, scales: LiveScales, habits: Habits) -> None:
         tags, n = len(setting.marker_s), setting.at.size
-        self.x = x  # (n,) the estimate, at which frames are linearised
+        self.x = x  # (n,) the estimate
+        self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
         self.scales = scales
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
         self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
         self._setting, self._start, self._habits = setting, start, habits
-        self._search = ScaleSearch(scales, LiveScales(0.7, 0.7, 0.7, 0.7, 1.2, 1.2), np.full(6, 0.3))
+        chosen: tuple[str, ...] = ("coloured", "memory", "walk", "white")
+        chosen = chosen if start.fixed is not None else (*chosen, "tau", "rho")
+        self._search = ScaleSearch(scales, chosen, habits.memory_doubt)
+        self._scatter = Scatter(tags, scales.marker)
+        self._solved = 0
+        self.pending = True  # a frame has come since the posterior was solved for
         self._places: dict[float, Place] = {}
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
-        self._turn = False  # key frames are linearised anew and scales tried in turn, to spread the work
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
-        self.solution: Solution = solve(gather(self.keys, self.past), start, scales, self._process(scales))
+        self._sums: Sums = gather(self.keys, self.past)
+        self.solution: Solution = solve(self._sums, start, scales, self._process(scales))
 
     def enter(self, frame: Frame, rate: Array) -> bool:
         """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
@@ -63,12 +74,9 @@ class Smoother:
         fresh = [i]
         if pair is not None:
             propose_average(keys, pair, keys.used)
-            fresh += [pair, pair + 1, keys.used]
-        keys.age[:i] += 1.0
-        here = self._push_s(i)
-        waiting = [k for k in np.argsort(-keys.age[:i], kind="stable").tolist() if k not in fresh]
-        waiting = waiting[: self._habits.renewed if pair is None or not self._turn else 0]
-        near = [k for k in waiting if self._push_s(k) == here]
+            fresh += [keys.used, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: self._habits.renewed]
+        near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
         solved = self.linearise([*fresh, *(near or waiting[:1])])
         if i not in solved:
             keys.used -= 1
@@ -76,7 +84,9 @@ class Smoother:
         if frame.loaded:
             self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
         if pair is not None and solved.issuperset(fresh):
-            accept_average(keys, pair, keys.used, self.x)
+            before = keys.left[[pair, pair + 1]]
+            accept_average(keys, pair, keys.used, self.point)
+            self._scatter.averaged(pair, before, keys.left[pair])
         elif keys.used > self._habits.key_frames:
             self._fold_oldest()
         return True
@@ -94,11 +104,12 @@ class Smoother:
         force = (keys.force[chosen] - keys.error[chosen]) * loaded
         given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen])
         start = keys.q[chosen][:, :nodes] if np.all(keys.nodes[chosen] == nodes) else None
-        there = linearise(self._setting, place, self.x, given, start)
+        there = linearise(self._setting, place, self.point, given, start)
         good = there.converged
         solved = np.asarray(chosen)[good]
         keys.q[solved, :nodes], keys.nodes[solved] = there.q[good], nodes
-        keys.set_linear(solved, self.x, there.pose[good], there.j[good], there.a[good])
+        keys.by_force[solved, :nodes] = there.by_force[good]
+        keys.set_linear(solved, self.point, there.pose[good], there.j[good], there.a[good])
         return set(solved.tolist())
 
     def _write(self, frame: Frame, rate: Array) -> int:
@@ -111,10 +122,11 @@ class Smoother:
         keys.measured[i], keys.weight[i] = frame.measured, frame.seen
         keys.set_information(i, frame.information)
         self._expected = self.solution.error_at(frame.time)
-        keys.error[i] = self._expected[0]
+        keys.error[i], keys.stale[i] = self._expected[0], False
         keys.nodes[i] = 0
         if i > 0:
-            keys.q[i], keys.nodes[i] = keys.q[i - 1], keys.nodes[i - 1]
+            pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
+            keys.q[i], keys.nodes[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.nodes[i - 1]
         keys.used += 1
         return i
 
@@ -129,8 +141,8 @@ class Smoother:
         j, a = keys.j[i].reshape(-1, n), keys.a[i].reshape(-1, 2)
         innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
         by_errors = -a[:, None, :] * rows[None, :, None]
-        expected = self.solution.spread(np.concatenate([j, by_errors.reshape(len(j), -1)], axis=1)) + own * a @ a.T
-        blocks = np.stack([expected[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(tags)])
+        expected = self.solution.spread(np.concatenate([by_errors.reshape(len(j), -1), j], axis=1)) + own * a @ a.T
+        blocks = expected.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
         solved = np.linalg.solve(blocks + self.scales.marker**2 * frame.covariance, innovation[..., None])[..., 0]
         distance = np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
         far = frame.seen & (distance > self._habits.gate)
@@ -140,35 +152,100 @@ class Smoother:
         if not np.array_equal(used, frame.seen):
             keys.set_information(i, keys.information[i] * used[:, None, None])
             keys.whiten(np.array([i]))
+        if frame.loaded:
+            self._scatter.add(i, keys.root[i])
         unseen = ~frame.seen
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
 
+    def advance(self) -> None:
+        """After a frame: every other time the posterior is solved for, in between other scales are tried on it."""
+        if self.pending:
+            self.renew()
+        elif self._habits.adapt:
+            for _ in range(_TRIALS):
+                self._try_scale()
+        self.pending = not self.pending
+
     def renew(self) -> None:
-        """Solve with what is linearised now, move the estimate, weigh the tags anew, every other time try a scale."""
+        """Solve with what is linearised now, move the estimate, weigh the tags anew."""
         keys, habits = self.keys, self._habits
-        sums = gather(keys, self.past)
-        self.solution = solution = solve(sums, self._start, self.scales, self._process(self.scales))
+        self._sums = gather(keys, self.past)
+        self.solution = solution = solve(self._sums, self._start, self.scales, self._process(self.scales))
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
-        keys.error[: keys.used] = solution.e[len(solution.e) - keys.used :]
         keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
-        if habits.adapt and self._turn:
-            self._try_scale(sums)
-        self._turn = not self._turn
+        moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
+        if moved > _FAR:
+            self._scatter.forget()
+        if moved > _MOVED:
+            self.move()
+        self._solved += 1
+        if habits.adapt and self._solved % _NOISE_EVERY == 0:
+            self._look_at_noise()
 
-    def _try_scale(self, sums: Sums) -> None:
-        tried = self._search.proposal(self.scales)
+    def catch_up(self) -> None:
+        """Solve now if a frame has come since the last time."""
+        if self.pending and self.keys.used:
+            self.renew()
+            self.pending = False
+
+    def settle(self, rounds: int) -> None:
+        """Linearise everything anew and solve, several times; then look about the scales once more."""
+        for _ in range(rounds):
+            self.move()
+            self.linearise(list(range(self.keys.used)))
+            self.renew()
+        if self._habits.adapt:
+            self._look_at_noise()
+            for _ in range(2 * self._search.round):
+                self._try_scale()
+        self.pending = False
+
+    def move(self) -> None:
+        """Linearise at the present estimate from now on."""
+        keys = self.keys
+        self.point = self.x
+        keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
+        keys.stale[: keys.used] = True
+
+    def _moved(self) -> float:
+        """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
+        keys, solution = self.keys, self.solution
+        away = solution.e - np.zeros(2)
+        away[len(away) - keys.used :] -= keys.error[: keys.used]
+        away[: len(away) - keys.used] = 0.0
+        every = np.concatenate([away.ravel(), self.x - self.point]) / solution.unit
+        return float(np.linalg.norm(solution.factor.T @ every))
+
+    def _try_scale(self) -> None:
+        """One trial of other scales on what the last solution was made from."""
+        search, here, now = self._search, self.solution, self.scales
+        tried = search.proposal(now)
         try:
-            there = solve(sums, self._start, tried, self._process(tried)).minus_log + self._search.cost(tried)
+            there = solve(self._sums, self._start, tried, self._process(tried))
         except np.linalg.LinAlgError:
-            there = np.inf
-        better = there < self.solution.minus_log + self._search.cost(self.scales)
-        kept = better and tried.marker >= _LEAST_MARKER
-        self._search.learn(kept)
-        if kept:
-            self.scales = tried
+            search.failed()
+            return
+        worse = there.minus_log + search.cost(tried) - here.minus_log - search.cost(now)
+        if not search.climbs:
+            search.looked(worse, there, here)
+            return
+        search.climbed(worse < 0.0)
+        if worse < 0.0:
+            self.scales, self.solution = tried, there
+
+    def _look_at_noise(self) -> None:
+        """The tags' noise from what is left of the last frames."""
+        prior, _ = self._start.precision(self.scales.tau, self.scales.rho)
+        spent = len(self.x) - float(np.sum(self.solution.covariance() * prior)) + 2.0 * self.keys.used
+        marker = self._scatter.noise(self.keys, self.solution, spent)
+        self.scales = self.scales if marker is None else replace(self.scales, marker=marker)
+
+    def covariance(self) -> Array:
+        """(n, n) of the parameters, averaged over what the scales may be."""
+        return self._search.averaged(self.solution.covariance())
 
     def _fold_oldest(self) -> None:
         """The oldest key frame becomes part of the past."""
@@ -176,6 +253,7 @@ class Smoother:
         information, b = keys.quadratic(0, self.scales.marker, process.white)
         fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
         self.past.add(information, b, float(keys.end[0]), walk=process.walk, fast=fast)
+        self._scatter.folded(keys.left[0])
         keys.drop(0)
 
     def _push_s(self, i: int) -> float:
@@ -192,4 +270,4 @@ class Smoother:
 
     def _process(self, scales: LiveScales) -> ForceProcess:
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
-        return ForceProcess(level, scales.walk, scales.coloured, self._habits.memory, scales.white)
+        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white)

@@ -13,7 +13,7 @@ from onebend.learning.forward import Film
 from onebend.learning.gauss_newton import Scales
 from onebend.learning.parameters import Layout
 from onebend.learning.posterior import Posterior
-from onebend.records import Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 
 SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
 
@@ -80,6 +80,8 @@ class Bench:
     shared: tuple[str, ...]  # which of `SHARED` are unknown, in that order
     shared_slope: Array  # (N, p) of their mean with the coefficients
     shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known
+    place_sd: float = PLACE_SD  # m, a push's place along the beam, anew in every push
+    direction_sd: float = DIRECTION_SD  # rad, the force log's axes against the beam's, likewise
 
     def __post_init__(self) -> None:
         m, count = len(self.tags), self.shared_size
@@ -161,6 +163,8 @@ def bench_of(posterior: Posterior) -> Bench:
         shared=names,
         shared_slope=slope,
         shared_covariance=left,
+        place_sd=_prior_sd(at, films, "place"),
+        direction_sd=_prior_sd(at, films, "direction"),
     )
 
 

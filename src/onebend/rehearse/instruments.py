@@ -88,6 +88,8 @@ def instruments(setup: Setup) -> Instruments:
         shared=shared,
         shared_slope=np.zeros((len(prior), FUNCTIONS)),
         shared_covariance=np.diag(prior**2),
+        place_sd=0.0,  # what a push is off by stands in `PushDoubt`
+        direction_sd=0.0,
     )
     return Instruments(bench, PushDoubt(load=_LOAD * setup.sensor.reversal))
 

@@ -126,7 +126,8 @@ def derivatives(setup: Setup, used: Instruments) -> tuple[Seen, ...]:
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
-        one = see(solved, bench, mass, push.at_s, SPLINE.basis(solved.problem.grid.nodes), np.asarray(bench.tags))
+        on_nodes = SPLINE.basis(solved.problem.grid.nodes)
+        one = see(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
         out.append(replace(one, functions=np.concatenate([one.functions, own_derivatives(solved, one, push)], axis=-1)))
     return tuple(out)
 
