@@ -66,7 +66,7 @@ def draw(seed: int, *, tau: float = TAU, rho: float = RHO, functions: int = 16, 
         if block.start >= 0 and block.name not in ("stiffness", "force"):
             x[block.where] = block.prior_sd * rng.standard_normal(len(block.prior_sd))
     x[: spline.count] = k
-    root = np.linalg.cholesky(seen.error.covariance(1.0, 1.0, 1.0))
+    root = np.linalg.cholesky(seen.error.covariance(1.0, 1.0, 1.0, 1.0))
     errors = root @ rng.standard_normal((len(root), 2))
     x[at.index["force", 0].where] = errors.ravel()
     log_error = spline_at(seen, clean.time) @ errors
@@ -77,7 +77,7 @@ def draw(seed: int, *, tau: float = TAU, rho: float = RHO, functions: int = 16, 
     template = replace(template, force=force, clean_force=logged)
     seen, at = prepared(template, spline)
     poses = noisy_poses(seen, at, x, WHITE * peak, rng)
-    scales = Scales(tau, rho, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
+    scales = Scales(tau, rho, 1.0, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
     return Drawn(with_poses(template, seen, poses), stiffness, seen, at, x, scales)
 
 

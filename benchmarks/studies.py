@@ -17,7 +17,7 @@ from onebend.beam.stiffness import Powers
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.camera import TagNoise
 from onebend.lab.pushes import Push
-from onebend.lab.sensors import ForceSensor
+from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
 from onebend.learning.posterior import RHO, TAU, FitSettings, Posterior, fit
@@ -25,7 +25,7 @@ from onebend.learning.scales import SPREAD
 from onebend.records import Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
-ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything")
+ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything", "stages", "franka")
 OWN = (
     "prior 3",
     "prior 8",
@@ -39,6 +39,7 @@ PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
 MOUNTING = np.deg2rad(1.5)  # one sd of a tag's turn
 GAIN = 0.05  # one sd, as stated
+REVERSAL = {"everything": 0.02, "stages": 0.1, "franka": 0.3}  # of the largest force
 S = np.linspace(0.05, 0.9, 35)
 LEVELS = (0.5, 0.8, 0.95)
 
@@ -91,7 +92,9 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     To that each of the next adds one thing: bias 30 %; gain 5 %, as declared; a written start of the film that is up to
     1.5 s off; tags and base off their places by 0.5 mm and 1.5 deg, as declared. everything: all of these, and noise of
     the tags that lasts, is stated too small and holds outliers, a force error of 2 % that changes when the load
-    reverses, and a natural curvature. Where tags are not displaced their places are stated to 0.02 mm.
+    reverses, and a natural curvature. stages: beside the correlated errors one of 10 % that is drawn anew when the load
+    begins and reverses. franka: the same of 30 %, a lag of 35 ms, a gain of 13 %, as declared, 80 samples a second,
+    and a written start of the film as under clock. Where tags are not displaced their places are stated to 0.02 mm.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind), 7])
     everything = errors == "everything"
@@ -108,6 +111,8 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     noise = TagNoise()
     if everything:
         noise = TagNoise(slow_xy=1e-5, slow_angle=5e-4, stated=0.7, outliers=0.005, missing=0.01)
+    franka = errors == "franka"
+    gain = GAIN * has("gain") + FRANKA.gain_sd * franka
     bias = 0.3 * peak * rng.standard_normal(2) * has("bias")
     return Bench(
         beam=beam,
@@ -118,15 +123,19 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
             white_sd=0.02 * peak,
             coloured_sd=0.0 if errors == "white" else 0.03 * peak,
             bias=(float(bias[0]), float(bias[1])),
-            gain_sd=GAIN * has("gain"),
-            reversal=0.02 * peak * everything,
+            gain_sd=gain,
+            reversal=REVERSAL.get(errors, 0.0) * peak,
+            lag=FRANKA.lag * franka,
+            rate=FRANKA.rate if franka else 200.0,
         ),
         camera=noise,
-        clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if has("clock") else Clock(250.0, 250.0, 0.01),
+        clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0)
+        if has("clock") or franka
+        else Clock(250.0, 250.0, 0.01),
         said=Said(
             placement_sd=PLACEMENT if has("tags") else PLACED,
             rest="unknown" if everything else "straight",
-            gain_sd=GAIN * has("gain"),
+            gain_sd=gain,
         ),
         name=f"{kind} {errors} {seed}",
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.errors import LearningError, ObservationError, ResultsError
+from onebend.learning.held_poses import stated_remarks
 from onebend.learning.learn import learn
 from onebend.learning.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
@@ -179,7 +180,7 @@ def _fit(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    remarks = fit_remarks(posterior) + mass_remarks(posterior.mass)
+    remarks = fit_remarks(posterior) + mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
     if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
         remarks += (Remark("note", text),)

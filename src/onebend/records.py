@@ -7,7 +7,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +19,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
+MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
+StiffnessAlong = Literal["unknown", "even"]
 
 PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
@@ -129,6 +131,8 @@ class CleanForce:
     cutoff: float  # Hz, of the zero-phase low-pass; infinity if none
     outliers: int  # rows replaced
     noise: ForceNoise | None = None  # of the log before the filter, where the clock search found it
+    zero_time: Array = field(default_factory=lambda: np.zeros(0))  # (r,) s, of each rest's zero
+    zero: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (r, 2) N, taken off: straight in time between them
     remarks: tuple[Remark, ...] = ()
 
 
@@ -195,7 +199,11 @@ class Observations:
     known: KnownLoads | None = None
     mass_sd: float = math.nan  # one sd of the mass over itself; NaN: as usual for one that was weighed
     mass_line: MassLine | None = None  # None: the mass is evenly spread
+    mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
+    stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
+    held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     remarks: tuple[Remark, ...] = ()
+    load_error_sd: float = math.nan  # N, of a force error that comes with the load, as declared; NaN: found by the fit
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

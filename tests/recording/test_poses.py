@@ -240,3 +240,27 @@ def test_one_coordinate_needs_a_level_or_upright_clamp(tmp_path: Path) -> None:
     gravity = "[gravity]\ndirection_deg = -90\nbase_angle_deg = 30\n"
     with pytest.raises(ObservationError, match="neither level nor upright"):
         seen(tmp_path, shown=hanging()[..., 1:], columns=("y_m",), gravity=gravity)
+
+
+def test_numbers_under_a_name_that_nobody_reads_are_refused(tmp_path: Path) -> None:
+    """Ignored, they would be a load that is missing, or one in another unit."""
+    with pytest.raises(RecordingError, match=r"weight_g, which is not known: did you mean weight_N\?"):
+        seen(tmp_path, loads=TIP_LOADS.replace("weight_N", "weight_g"))
+    remarked = TIP_LOADS.replace("weight_N\n", "weight_N,by\n").replace("0.05\n", "0.05,Ann\n")
+    assert len(seen(tmp_path, loads=remarked).time) == 6
+    folder = pose_folder(tmp_path / "rod", loads=TIP_LOADS, shown=hanging())
+    table = (folder / "poses.csv").read_text()
+    (folder / "poses.csv").write_text(table.replace("x_m", "x_mm"))
+    with pytest.raises(RecordingError, match=r"did you mean x_m\?"):
+        observe(folder)
+    (folder / "poses.csv").write_text(table.replace(",", ";"))
+    with pytest.raises(RecordingError, match="semicolons"):
+        observe(folder)
+
+
+def test_a_length_in_millimetres_is_seen(tmp_path: Path) -> None:
+    folder = pose_folder(tmp_path / "rod", loads=TIP_LOADS, shown=hanging())
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(text.replace(f"length_m = {ROD.length}", "length_m = 500.0"))
+    with pytest.raises(ObservationError, match="length_m = 500 in metres"):
+        observe(folder)

@@ -9,7 +9,7 @@ from onebend.beam.uncertain import UncertainStiffness
 from onebend.report import curves
 from onebend.report.cards import sureness_card
 from onebend.report.style import png_of
-from onebend.report.sureness import gain_words, identified_ranges, nuisance_rows, unidentified_words
+from onebend.report.sureness import gain_words, identified_ranges, load_error_words, nuisance_rows, unidentified_words
 from tests import made_up
 
 KNOTS = np.array([0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0])  # piecewise linear: the sd at a knot is its coefficient's
@@ -50,6 +50,13 @@ def test_the_gain_is_in_the_card_and_said_apart() -> None:
     assert "declared to 5 %" in gain_words(0.05)
     assert "not declared" in gain_words(0.0)
     assert "weight" in gain_words(0.0, forced=False)
+
+
+def test_an_error_that_comes_with_the_load_is_said_where_it_counts() -> None:
+    assert load_error_words((0.01, 0.02)) == []
+    (words,) = load_error_words((0.2, 0.25))
+    assert "0.2 N" in words
+    assert "25 %" in words
 
 
 def test_nuisances_are_shown_in_the_units_of_a_bench() -> None:

@@ -150,7 +150,7 @@ def _lowest(problem: Problem, goal: Array) -> Held:
     share, energy = np.full((4, len(goal)), -1.0), np.full((4, len(goal)), np.inf)
     for i, (frames, begin) in enumerate(_first_shapes(problem, goal)):
         part = problem.take(frames)
-        q[i, frames], wrench[i, frames], share[i, frames] = _release(part, begin, goal[frames])
+        q[i, frames], wrench[i, frames], share[i, frames] = release(part, begin, goal[frames])
         energy[i, frames] = np.where(share[i, frames] == 1.0, potential(part, q[i, frames]), np.inf)
     least = np.min(energy, axis=0)
     equal = 1e-9 * np.ravel(np.sum(problem.weights * problem.k, axis=-1))
@@ -192,7 +192,7 @@ def _bowed(problem: Problem, goal: Array, chord: Array, side: float) -> Array:
     return restore(problem, q + side * bow, goal)[0]
 
 
-def _release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, Array]:
+def release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, Array]:
     """From `begin` as a stress-free shape over to the true rest curvature and loads, the end held at `goal`."""
 
     def partly(frames: IntArray, share: Array) -> tuple[Problem, Array]:

@@ -4,8 +4,12 @@ The log's noise is known in kind and about in size from the clock search: a colo
 random walk (`records.ForceNoise`), beside white noise. After the zero-phase low-pass these keep what their spectra hold
 below the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
 coefficients is that process, its sizes and correlation time times factors that the data choose, and a level that a
-tare may have missed. What is faster than the knots counts as noise of each frame. In the rests the true force is zero,
-so there the log shows its error itself.
+tare may have missed. A robot's own estimate is also wrong in a way that comes with the load: by nearly as much while
+that grows or falls, and anew where it begins or reverses (`recording/load_stages.py`). That part is a process of one sd
+whose covariance is `exp(-|change of its own time|)`; that time runs on where the load changes and stands still else.
+Where the zero ran straight between two rests, what it took off is put back into what is expected: such an error often
+stays when the load has gone, and then the zero is wrong in between. What is faster than the knots counts as noise of
+each frame. In the rests the true force is zero, so there the log shows its error itself.
 """
 
 from __future__ import annotations
@@ -15,13 +19,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import toeplitz
 
-from onebend.recording.signals import low_pass_power
-from onebend.records import Array, ForceNoise, IntArray, Observations
+from onebend.recording.load_stages import displacement, load_changes
+from onebend.recording.signals import low_pass, low_pass_power
+from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when a rest is read
 _MOST_KNOTS = 100
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
+_FINE = 4  # steps between knots, where the load's error is filtered
+_LOAD = 0.03  # of the largest force: expected sd of what comes with the load
+_ANEW, _RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
@@ -65,6 +73,9 @@ class ForceError:
     noise: ForceNoise  # as expected before the fit
     filtered: Filtered
     level: float  # N, sd of what the tare may have missed: all of it where the log shows no rest
+    load: float  # N, expected sd of what comes with the load
+    stages: Array  # (K, K) of one sd of that, behind the filter
+    mean: Array  # (K, 2) N, expected: what a zero that runs straight between rests took off
 
     @property
     def size(self) -> float:
@@ -78,12 +89,13 @@ class ForceError:
         """N^2 / Hz, one-sided density of the log's white noise."""
         return 2.0 * self.noise.white**2 * self.noise.spacing
 
-    def covariance(self, coloured: float, memory: float, walk: float) -> Array:
-        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time and the walk as factors of what was
-        expected."""
+    def covariance(self, coloured: float, memory: float, walk: float, load: float) -> Array:
+        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time, the walk and what comes with the load
+        as factors of what was expected."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         since = self.knots - self.knots[0]
         out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
+        out += (load * self.load) ** 2 * (1.0 + self.stages)
         out[np.diag_indices(len(out))] += _GRAIN * short[0]
         return np.asarray(out)
 
@@ -107,7 +119,8 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
         empty = np.zeros(0)
         rest = np.zeros((0, 0)), np.zeros((0, 2))
-        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, filtered(empty, np.inf), 0.0)
+        no, alike = filtered(empty, np.inf), np.zeros((0, 0))
+        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, no, 0.0, 0.0, alike, np.zeros((0, 2)))
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
     if clean is not None:
@@ -137,7 +150,39 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
+        load=o_load if (o_load := observations.load_error_sd) > 0.0 else _LOAD * largest,
+        stages=_stages(observations, knots, cutoff),
+        mean=_ramp(clean, knots),
     )
+
+
+def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:
+    """(K, K) covariance of the coefficients of an error of one sd that comes with the load, behind the low-pass."""
+    step = float(knots[1] - knots[0])
+    fine = np.arange(knots[0] - 4.0 * step, knots[-1] + 4.0 * step, step / _FINE)
+    own = _own_time(observations, fine)
+    passed = low_pass(fine, np.exp(-np.abs(own[:, None] - own)), cutoff, longest_gap=np.inf)
+    passed = low_pass(fine, passed.T, cutoff, longest_gap=np.inf)
+    inside = (fine >= knots[1]) & (fine <= knots[-2])
+    to_knots = np.linalg.pinv(spline_weights(knots, fine[inside]))
+    return np.asarray(to_knots @ passed[np.ix_(inside, inside)] @ to_knots.T)
+
+
+def _own_time(observations: Observations, time: Array) -> Array:
+    """(N,) of the error that comes with the load at `time` (N,) [s]: its covariance is `exp(-|change of this|)`."""
+    o = observations
+    out = np.zeros(len(time))
+    for change in load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded):
+        out += (_RELEASED if change.release else _ANEW) * change.part(time)
+    return out
+
+
+def _ramp(clean: CleanForce | None, knots: Array) -> Array:
+    """(K, 2) N at the knots: the first rest's zero less the one that was taken off."""
+    if clean is None or len(clean.zero_time) < 2:
+        return np.zeros((len(knots), 2))
+    taken = np.stack([np.interp(knots, clean.zero_time, column) for column in clean.zero.T], axis=1)
+    return np.asarray(clean.zero[0] - taken)
 
 
 def spline_weights(knots: Array, time: Array) -> Array:

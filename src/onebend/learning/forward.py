@@ -14,8 +14,10 @@ from onebend.beam.modes import Modes
 from onebend.beam.problem import Problem, Resolution, pose
 from onebend.beam.sensitivity import (
     Change,
+    Changes,
     of_clamp_angle,
-    of_mass,
+    of_force,
+    of_moment,
     of_rest_curvature,
     of_stiffness,
     respond,
@@ -25,13 +27,18 @@ from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, push_places, whitening
+from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
+from onebend.learning.held_poses import HeldEnds, held_ends, is_held, moved, put_ends, solve, with_ends_held
+from onebend.learning.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.parameters import Layout
 from onebend.learning.spline import Spline
+from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations
 
 RESOLUTION = Resolution(order=12, widest=0.5)
 REST_MODES = Modes(3)
 MASS_MODES = Modes(4)
+_SLOW = 0.5  # of the cut-off, which is twice the bandwidth of the tags' motion
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,8 @@ class Film:
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
-    weight_modes: Change | None  # derivatives with the parts of the mass that are not; None where nothing weighs
+    ends: HeldEnds | None  # of frames whose end an unknown wrench holds
+    mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
 
@@ -89,9 +97,12 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     weighs = bool(np.any(gravity != 0.0))
     if weighs and not np.isfinite(o.mass):
         raise LearningError(f"{o.name}: gravity acts in the plane, so beam.mass_kg must be given")
-    mass = o.mass if weighs else 0.0
-    carrier = Beam(o.length, Uniform(1.0), mass_per_length=mass_profile(o) if weighs else Uniform(0.0))
-    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, RESOLUTION)
+    line = mass_profile(o)
+    written = line if weighs and o.mass_along not in POWERS else Uniform(0.0)
+    carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
+    fine = HELD_RESOLUTION if is_held(o) else RESOLUTION
+    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, fine)
+    ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     return Film(
         observations=o,
@@ -108,7 +119,8 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
         farther=_farther(problem, push_s),
         weight=problem.dead_force,
-        weight_modes=of_mass(problem, mass / o.length * MASS_MODES.curvature(nodes), gravity) if weighs else None,
+        ends=ends,
+        mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
     )
@@ -121,17 +133,21 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | 
     own = np.zeros_like(seen.force) if own is None else own
     errors = at.get(x, "force", r).reshape(-1, 2)
     force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T + own
+    k = np.exp(seen.on_nodes @ at.get(x, "stiffness"))
     weight_beyond = seen.weight
-    if seen.weight_modes is not None and seen.weight_modes.force is not None:
-        weight_beyond = weight_beyond + seen.weight_modes.force @ at.get(x, "mass")
+    if seen.mass is not None:
+        weight_beyond = weight_beyond + seen.mass.force(seen.problem, k, at.get(x, "mass"))
     problem = replace(
         seen.problem,
-        k=np.exp(seen.on_nodes @ at.get(x, "stiffness")),
+        k=k,
         q0=seen.rest_on_nodes @ at.get(x, "curvature"),
         alpha0=np.asarray(at.get(x, "clamp", r)[0]),
         dead_force=_pushed(seen, at, x)[..., None] * force[:, None, :] + weight_beyond,
     )
-    solved = follow(problem) if start is None else refine(problem, start)
+    if seen.ends is not None:
+        solved = solve(problem, seen.ends, moved(seen.ends, at, x, r), start)
+    else:
+        solved = follow(problem) if start is None else refine(problem, start)
     s, over = tag_places(seen, at, x)
     angle = solved.angle(s)
     across = at.get(x, "across")
@@ -145,33 +161,28 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     """Derivatives of the tags' poses: (F, m, 3, C) with the parameters `at.known_to`, (F, m, 3, 2) with the force."""
     r, solved = seen.number, now.solved
     s, over = tag_places(seen, at, x)
-    k = solved.problem.k
-    change = (
-        of_stiffness(solved, k[..., None] * seen.on_nodes)
-        + of_rest_curvature(solved.problem, seen.rest_on_nodes)
-        + of_clamp_angle(solved.problem)
-        + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
-        + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
-    )
-    if seen.weight_modes is not None:
-        change = change + seen.weight_modes
-    response = respond(solved, change).poses(s)
+    change = _changes(seen, at, x, now)
+    if seen.ends is None:
+        response = respond(solved, change).poses(s)
+    else:
+        change = change + of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
+        response, by_end = with_ends_held(respond(solved, change).poses(np.append(s, 1.0)), seen.ends)
     angle, across = solved.angle(s), at.get(x, "across")
     cos, sin = np.cos(angle), np.sin(angle)
     turned = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
-    turn = response[:, :, 2]
     scale = 1.0 + at.get(x, "scale", r)[0]
-    moved = scale * (response[:, :, :2] + turned[..., None] * turn[:, :, None, :])
-    mechanics = np.concatenate([moved, turn[:, :, None, :]], axis=2)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
+    mechanics = _ridden(response, turned, scale)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
     out = np.zeros((*now.pose.shape, len(at.known_to(r))))
     p = seen.on_nodes.shape[-1]
     by_force = mechanics[..., p + 4 : p + 6]
     _put(out, at.columns("stiffness"), mechanics[..., :p])
     _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
     _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
-    if seen.weight_modes is not None:
+    if seen.mass is not None:
         _put(out, at.columns("mass"), mechanics[..., p + 7 :])
     _put(out, at.columns("place", r), mechanics[..., p + 6 : p + 7])
+    if seen.ends is not None:
+        put_ends(out, seen.ends, at, r, _ridden(by_end, turned[seen.ends.frames], scale))
     across_force = np.stack([-now.force[:, 1], now.force[:, 0]], axis=-1)
     _put(out, at.columns("direction", r), np.einsum("tmad,td->tma", by_force, across_force)[..., None])
     by_log = by_force @ _axes(at, x, r)
@@ -189,11 +200,35 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     return out, by_force
 
 
+def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
+    """How the coefficients of log k, rest curvature, clamp angle, force, its place, and the mass where something weighs
+    enter the balance."""
+    solved, k = now.solved, now.solved.problem.k
+    by_k = of_stiffness(solved, k[..., None] * seen.on_nodes)
+    if seen.mass is not None:
+        by_k = replace(by_k, force=seen.mass.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
+    change = (
+        by_k
+        + of_rest_curvature(solved.problem, seen.rest_on_nodes)
+        + of_clamp_angle(solved.problem)
+        + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
+        + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
+    )
+    return change if seen.mass is None else change + seen.mass.by_mass(seen.problem, k)
+
+
 def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
     """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
     length = seen.observations.length
     s = seen.observations.marker_s + at.get(x, "along") / length
     return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
+
+
+def _ridden(response: Array, turned: Array, scale: float) -> Array:
+    """(F, m, 3, P) of tags in the picture, from that of the beam's places under them; `turned` (F, m, 2) m: their way
+    by a turn."""
+    moved = response[:, :, :2] + turned[..., None] * response[:, :, 2:]
+    return np.concatenate([scale * moved, response[:, :, 2:]], axis=2)
 
 
 def _put_tags(out: Array, at: Layout, turned: tuple[Array, Array], stride: Array, scale: float, bend: Array) -> None:
@@ -242,13 +277,17 @@ def _farther(problem: Problem, push_s: Array) -> Array:
 
 
 def _rate(o: Observations) -> Array:
-    """(T, 2) N/s: slope of the logged force at the frames."""
+    """(T, 2) N/s: slope of the force at the frames, from its slow part: the slope of the log's noise would tell the
+    clock that it is right as it is.
+    """
     if o.clean_force is None:
         return np.gradient(o.force, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(o.force)
     clean = o.clean_force
     known = np.all(np.isfinite(clean.force), axis=1)
-    slope = np.gradient(clean.force[known], clean.time[known], axis=0)
-    return np.stack([np.interp(o.time, clean.time[known], slope[:, c]) for c in range(2)], axis=1)
+    time = clean.time[known]
+    slow = low_pass(time, clean.force[known], _SLOW * clean.cutoff, longest_gap=np.inf)
+    slope = np.gradient(slow, time, axis=0)
+    return np.stack([np.interp(o.time, time, slope[:, c]) for c in range(2)], axis=1)
 
 
 def _rested(loads: Loads) -> Loads:

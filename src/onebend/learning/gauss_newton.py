@@ -41,6 +41,7 @@ class Scales:
     coloured: float  # of the sd that was expected of the force error's coloured part
     memory: float  # of its correlation time
     walk: float  # of the random walk that was expected
+    load: float  # of the sd that was expected of the force error that comes with the load
     films: tuple[FilmNoise, ...]
 
 
@@ -163,11 +164,13 @@ def prior(films: list[Film], at: Layout, level: float, scales: Scales) -> tuple[
             continue
         where = block.where
         if block.name == "stiffness":
-            precision[where, where] = at.spline.precision(scales.tau, scales.rho)
+            precision[where, where] = at.spline.precision(scales.tau, scales.rho) + at.evenness
             mean[where] = level
             log_det += float(np.linalg.slogdet(precision[where, where])[1])
         elif block.name == "force":  # x and y in turn, alike
-            covariance = films[block.recording].error.covariance(scales.coloured, scales.memory, scales.walk)
+            error = films[block.recording].error
+            covariance = error.covariance(scales.coloured, scales.memory, scales.walk, scales.load)
+            mean[where] = error.mean.ravel()
             inverse = np.linalg.inv(covariance)
             for axis in range(2):
                 alike = slice(where.start + axis, where.stop, 2)

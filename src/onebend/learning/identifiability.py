@@ -166,7 +166,7 @@ def _doubt_of_axis(doubt: ForceDoubt, seconds: float, before: float, after: floa
     """(STEPS, STEPS) N^2 of the mean error in each step of a push.
 
     A constant level, the coloured part and a random walk; where the log runs before and after the push it shows its
-    own error.
+    own error, but for what comes with the load: a constant while that grows.
     """
     apart = seconds / (STEPS * _INSTANTS)
     inside = apart * (np.arange(STEPS * _INSTANTS) + 0.5)
@@ -181,6 +181,7 @@ def _doubt_of_axis(doubt: ForceDoubt, seconds: float, before: float, after: floa
     if len(rests):
         seen = full[count:, count:] + _REST_SHARE**2 * doubt.covariance(np.zeros(1)) * np.eye(len(rests))
         left = left - full[:count, count:] @ np.linalg.solve(seen, full[count:, :count])
+    left = left + doubt.load**2
     mean = np.kron(np.eye(STEPS), np.full((1, _INSTANTS), 1.0 / _INSTANTS))
     return np.asarray(mean @ left @ mean.T)
 

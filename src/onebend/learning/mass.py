@@ -12,10 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.records import Observations, Remark
+from onebend.records import MassAlong, Observations, Remark
 
 FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowledge
 TOLD = 0.7  # of the prior's sd: a weighed mass that stays less sure than this was hardly learned
+_SPREAD = {  # what is stated of it
+    "even": "evenly spread",
+    "width": "per metre taken as the third root of k(s), as where only the width varies",
+    "thickness": "per metre taken as k(s), as where only the thickness varies",
+    "both": "per metre taken as the root of k(s), as where width and thickness vary together",
+    "table": "spread as in mass_file",
+}
 KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
 
 
@@ -29,6 +36,7 @@ class LearnedMass:
     even_sd: float  # kg
     written: float  # kg, as recording.toml says; NaN where it does not
     identified: bool  # the data said more of it than was known
+    along: MassAlong = "unknown"  # how it is spread, as stated
 
 
 def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
@@ -36,6 +44,8 @@ def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
     if mass is None:
         return ()
     size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
+    if mass.along != "unknown":
+        return (_stated(mass, size),)
     even = f"it pulls on the clamp like {1000 * mass.even:.4g} g (sd {1000 * mass.even_sd:.2g} g) evenly spread"
     if not np.isfinite(mass.written):
         if mass.identified:
@@ -48,9 +58,30 @@ def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
     return (Remark("note", text),)
 
 
+def _stated(mass: LearnedMass, size: str) -> Remark:
+    """Where recording.toml says how it is spread, so that one number was learned."""
+    spread = f'mass {_SPREAD[mass.along]}, as mass_along = "{mass.along}" says'
+    if np.isfinite(mass.written):
+        told = f"the data make it {size}" if mass.identified else "the data say no more of it: beside it, only k/mu"
+        return Remark("note", f"{spread}; {1000 * mass.written:.4g} g as written, {told}")
+    if mass.identified:
+        return Remark("note", f"{spread}; not written down, and learned with k(s): {size}")
+    text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
+    return Remark("warning", f"{text}. {spread.capitalize()}")
+
+
 def weighs(observations: Observations) -> bool:
     """Whether the beam's own weight bends it in the plane."""
     return bool(np.any(observations.gravity != 0.0))
+
+
+def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
+    """What one recording says of how the mass is spread holds for all."""
+    said = sorted({o.mass_along for o in recordings} - {"unknown"})
+    if len(said) > 1:
+        names = ", ".join(o.name for o in recordings)
+        raise LearningError(f"{names}: mass_along is {' and '.join(said)}. It is one beam: write the same in each")
+    return [replace(o, mass_along=said[0]) for o in recordings] if said else recordings
 
 
 def mass_is_open(recordings: Sequence[Observations]) -> bool:
@@ -77,6 +108,7 @@ def forced(observations: Observations) -> bool:
 
 def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
     """The recordings, those without a mass with that of the others; where none says it, with a `guess` [kg]."""
+    recordings = _alike(recordings)
     known = [o for o in recordings if np.isfinite(o.mass)]
     if known:
         first = known[0]

@@ -10,6 +10,9 @@ from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
 
+END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
+_EVEN = 0.01  # of k: what is left of its variation where it is one number
+_STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
 
@@ -55,6 +58,13 @@ class Layout:
     blocks: tuple[Block, ...]
     size: int
     index: dict[tuple[str, int], Block] = field(default_factory=dict)
+    even: bool = False  # k is one number, as somebody knows
+
+    @property
+    def evenness(self) -> Array:
+        """(p, p) precision of the differences between the coefficients of log k; zero unless `even`."""
+        count = self.spline.count
+        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN**2 if self.even else 0.0))
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
         """Values of a block; zeros (of the right length) where it is frozen."""
@@ -110,6 +120,8 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
             ("place", r, "m", _pushed(one, one.place_sd, priors.place), (f"{one.name}: push place",)),
             ("direction", r, "rad", _pushed(one, one.direction_sd, priors.direction), (f"{one.name}: force axes",)),
+            ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
+            ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
             ("force", r, "N", 1.0, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
     blocks, start = [], 0
@@ -117,10 +129,11 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         free = sd > 0.0 and len(labels) > 0
         sds = np.full(len(labels), sd)
         if name == "mass":
-            sds[1:] = priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
+            sds[1:] = _mass_spread(recordings, priors)
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
-    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks})
+    even = any(r.stiffness_along == "even" for r in recordings)
+    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, even)
 
 
 def clamp_sd(one: Observations, priors: Priors) -> float:
@@ -139,6 +152,18 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
         return float(np.hypot(priors.clamp, MOUNTING_SD))
     placement = one.placement_sd if priors.placement is None else priors.placement
     return float(np.hypot(priors.clamp, 2.0 * placement / np.linalg.norm(reach)))
+
+
+def _ends(one: Observations, *what: str) -> tuple[str, ...]:
+    """Labels of the ends that an unknown wrench holds, pose by pose."""
+    held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
+    return tuple(f"{one.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
+
+
+def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
+    if any(r.mass_along != "unknown" for r in recordings):
+        return _STATED
+    return priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
 
 
 def _clock_sd(one: Observations, priors: Priors) -> float:

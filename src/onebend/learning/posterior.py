@@ -16,7 +16,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.stiffness import Powers, Profile, Table, Uniform
+from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
 from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
@@ -25,6 +25,7 @@ from onebend.learning.forward import Film, Prediction, film, predict
 from onebend.learning.frames import mass_profile, usable_frames
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
+from onebend.learning.own_weight import following
 from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, search
@@ -95,6 +96,15 @@ class Posterior:
         """k(s) with its band."""
         return self.stiffness.band(s, level)
 
+    @property
+    def load_error(self) -> tuple[float, float]:
+        """N, one sd of the force error that comes with the load, as the data chose it, and its share of the largest
+        force; those of the recording where the share is largest, (0, 0) without a force."""
+        sizes = [self.optimum.scales.load * f.error.load for f in self.films if len(f.error.knots)]
+        forces = [float(np.max(np.linalg.norm(f.force, axis=1))) for f in self.films if len(f.error.knots)]
+        pairs = [(size, size / force) for size, force in zip(sizes, forces, strict=True)]
+        return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
+
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's and the force error's, before and after the data."""
         out = []
@@ -126,18 +136,21 @@ class Posterior:
         change, left = self.mean[block.where], self.covariance[block.where, block.where]
         written = np.nan if np.isfinite(weighed.mass_sd) else weighed.mass
         lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
-        s = np.linspace(0.0, 1.0, 2001)
-        pull = 2.0 * weighed.length * float(np.trapezoid(s * mass_profile(weighed)(s), s))
+        value, s = weighed.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
+        pull = 2.0 * weighed.length * float(np.trapezoid(s * self._mass_per_length()(s), s))
+        if weighed.mass_along != "unknown":
+            lever = np.array([pull / value, 0.0, 0.0, 0.0])
         gain = self.gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
         sd = np.sqrt(np.diag(left)[0] + gain**2)
-        even_sd = float(np.sqrt(lever @ left @ lever + gain**2))
+        even_sd = float(np.sqrt(lever @ left @ lever + (lever[0] * gain) ** 2))
         return LearnedMass(
-            value=weighed.mass * (1.0 + float(change[0])),
+            value=value,
             sd=float(weighed.mass * sd),
-            even=pull + weighed.mass * float(lever @ change),
+            even=pull,
             even_sd=weighed.mass * even_sd,
             written=written,
             identified=even_sd < self._told(written, block),
+            along=weighed.mass_along,
         )
 
     def _told(self, written: float, block: Block) -> float:
@@ -156,7 +169,12 @@ class Posterior:
         weighed, change = self._weighed(), self.at.get(self.mean, "mass")
         if weighed is None:
             return Uniform(0.0)
+        along = following(weighed, self.stiffness, weighed.mass * (1.0 + float(change[0])))
+        if along is not None:
+            return along
         even = weighed.mass / weighed.length
+        if weighed.mass_along == "table":
+            return Scaled(1.0 + float(change[0]), mass_profile(weighed))
         if weighed.mass_line is None:
             return _from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
         s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.mass_line.s]))
@@ -196,7 +214,7 @@ def fit(
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
     x, level = _start(at, start)
-    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
+    expected = Scales(TAU, RHO, 1.0, 1.0, 1.0, 1.0, tuple(noise_before(f) for f in films))
     end = replace(settings.effort, coarse_rounds=0, rounds=settings.last_rounds)
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
@@ -208,7 +226,9 @@ def fit(
         x[mass] = (x[mass] + np.array([1.0, 0.0, 0.0, 0.0])) / more - np.array([1.0, 0.0, 0.0, 0.0])
         near = replace(near, x=x)
         films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
-    optimum = search(films, at, near.x, level, near.scales, expected, end, progress)
+    same = all(np.array_equal(one.frames, other.frames) for one, other in zip(first, films, strict=True))
+    shapes = [p.solved.q for p in near.predictions] if same else None
+    optimum = search(films, at, near.x, level, near.scales, expected, end, progress, shapes)
     optimum = replace(optimum, steps=near.steps + optimum.steps)
     progress.done()
     precision, _, _ = prior(films, at, level, optimum.scales)

@@ -27,11 +27,11 @@ from onebend.learning.gauss_newton import (
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 
-CHOSEN = ("tau", "rho", "coloured", "memory", "walk")
+CHOSEN = ("tau", "rho", "coloured", "memory", "walk", "load")
 # One sd of their logs. Roughness and steps are known to a factor of three (from a ruler-drawn taper to a joint); the
 # coloured noise behind the filter to a factor of two in size and two and a half in correlation time (the clock search
 # takes part of the force for it); the walk, of which one push is one draw, to a factor of three.
-SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1])
+SPREAD = np.array([1.2, 1.2, 0.7, 0.9, 1.1, 1.2])
 _MOST = 4.0
 _GUESS_COUNTS = 3.0
 _CENTRE = 0.25  # share of the node in the middle
@@ -62,7 +62,7 @@ class Known:
         return best, float(0.5 * ratio - 0.5 * away - data.log_noise), factor
 
     def scaled(self, start: Scales, z: Array) -> Scales:
-        """Scales z (5,) sd from what was expected."""
+        """Scales z (6,) sd from what was expected."""
         logs = np.log(_chosen(self.expected)) + SPREAD * np.clip(z, -_MOST, _MOST)
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
@@ -78,7 +78,7 @@ class Known:
         return of
 
     def place(self, scales: Scales) -> Array:
-        """(5,) sd of scales from what was expected."""
+        """(6,) sd of scales from what was expected."""
         return np.asarray(np.log(_chosen(scales) / _chosen(self.expected)) / SPREAD)
 
 

@@ -79,7 +79,7 @@ def pulls(line: Linear) -> list[Score]:
     """
     out = []
     for block in line.at.blocks:
-        if block.start < 0 or block.name in ("stiffness", "force", "place", "direction"):
+        if block.start < 0 or block.name in ("stiffness", "force", "place", "direction", "end", "end turn"):
             continue
         whose = "" if block.recording < 0 else line.films[block.recording].observations.name
         tags = line.films[0].observations.tag_id.tolist() if block.name in ("along", "across", "turn") else [-1]

@@ -61,14 +61,17 @@ def search(
     expected: Scales,
     effort: Effort,
     progress: Progress,
+    shapes: list[Array] | None = None,
 ) -> Optimum:
-    """From parameters x and scales to the maximum a posteriori; `level`: prior mean of log k.
+    """From parameters x and scales to the maximum a posteriori; `level`: prior mean of log k; `shapes`: (F, Q) of each
+    film at x, where they are known.
 
     Raises:
         LearningError: the start has no equilibrium under the measured forces.
     """
     steps, converged = 0, False
-    now = [predict(seen, at, x, None) for seen in films]
+    begin: list[Array | None] = [None] * len(films) if shapes is None else [*shapes]
+    now = [predict(seen, at, x, q) for seen, q in zip(films, begin, strict=True)]
     if not all(np.all(p.solved.converged) for p in now):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"

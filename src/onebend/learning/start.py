@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from onebend.beam.continuation import follow
 from onebend.beam.model import Beam
 from onebend.beam.problem import pose
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import distances, loads_of, mass_profile, usable_frames
+from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
+from onebend.learning.held_poses import is_held, sets_no_scale, shapes_of
 from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass, weighs
 from onebend.learning.outcome import Learned
 from onebend.learning.validation import RESOLUTION
@@ -21,6 +22,7 @@ from onebend.records import BoolArray, Observations
 _FRAMES = 40  # of each recording
 _FEW = 12  # of each recording, to guess a mass
 _MASSES = np.geomspace(0.02, 20.0, 10)  # masses to try, in units of (largest load) / g
+_TRIED_HELD = np.geomspace(1e-4, 20.0, 16)  # the same with both ends held: it may hang like a rope
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
@@ -37,8 +39,11 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
         raise LearningError(
             f"{names}: gravity acts in the plane, so beam.mass_kg must be given (or guessed first, with `with_mass`)"
         )
+    if sets_no_scale(recordings):
+        return Uniform(1.0)  # as good as any
+    tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
-    beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in _TRIED]
+    beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in tried]
     beams += [] if learned is None else [learned.beam]
     distances = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
     return beams[int(np.argmin(distances))].stiffness  # the stiffest hardly bends: one at least is finite
@@ -83,7 +88,7 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = follow(pose(beam, loads_of(o, some), RESOLUTION))
+        solved = shapes_of(o, some, pose(beam, loads_of(o, some), HELD_RESOLUTION if is_held(o) else RESOLUTION))
         if not np.all(solved.converged):
             return float("inf")
         squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2

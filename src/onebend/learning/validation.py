@@ -13,6 +13,8 @@ from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frames import distances, loads_of, push_places, usable_frames
+from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
+from onebend.learning.held_poses import is_held, shapes_of
 from onebend.learning.outcome import Comparison
 from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
@@ -44,7 +46,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         raise LearningError(f"{observations.name}: no frame has a load, a force and a tag; nothing to compare")
     if np.any(observations.gravity != 0.0) and not np.any(beam.mass_per_length(_PLACES) > 0.0):
         raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
-    solved = simulate(beam, loads_of(observations, frames))
+    solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
     predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
     stable = np.concatenate([one.stable for one in solved])
@@ -65,6 +67,14 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
         static=observations.static,
     )
+
+
+def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
+    """Under the measured loads; an end held by an unknown one stands where it was seen."""
+    loads = loads_of(observations, frames)
+    if is_held(observations):
+        return [shapes_of(observations, frames, pose(beam, loads, HELD_RESOLUTION))]
+    return simulate(beam, loads)
 
 
 def mounting(beam: Beam, observations: Observations) -> Array:

@@ -110,6 +110,9 @@ def _noise(posterior: Posterior) -> list[Remark]:
                 f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
                 f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
             )
+            if seen.observations.static:
+                said = "as sd_m says" if seen.observations.sd_known else "as was guessed of the readings"
+                text = f"{whose}the points miss {noise.marker:.1f} times as far {said}; the band is that much wider"
             out.append(Remark("note", text))
     return out
 

@@ -37,10 +37,11 @@ class ForceDoubt:
     cutoff: float | None  # Hz, of the zero-phase low-pass; None: none
     walk: float  # N / sqrt(s)
     frame: float  # N, of each frame on its own
+    load: float = 0.0  # N, what comes with the load; no rest shows it
 
     def times(self, factor: float) -> ForceDoubt:
         """Of a sensor whose every error is `factor` times as large."""
-        sizes = {name: factor * float(getattr(self, name)) for name in ("level", "coloured", "walk", "frame")}
+        sizes = {name: factor * float(getattr(self, name)) for name in ("level", "coloured", "walk", "frame", "load")}
         return replace(self, **sizes)
 
     def covariance(self, lag: Array) -> Array:
@@ -207,6 +208,7 @@ def _force_doubt(films: tuple[Film, ...], scales: Scales) -> ForceDoubt:
         cutoff=float(np.median(cutoffs)) if cutoffs else None,
         walk=scales.walk * float(np.median([n.walk for n in noises])),
         frame=float(np.median([n.force for _, n in pushed])),
+        load=scales.load * float(np.median([f.error.load for f, _ in pushed])),
     )
 
 

@@ -31,6 +31,7 @@ LONG = 12.0  # s: offsets of a longer range are looked through roughly first
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that is not looked at again
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
+STEP_DOUBT = 0.05  # s, one sd: when exactly a log's error changes with the load nobody knows
 TOO_LITTLE = "Film and log share too little force and motion to match the clocks; the written start time is used."
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
@@ -45,6 +46,7 @@ class ClockSettings:
     most_rows: int = 250  # of the log, after averaging
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
+    steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
     hold: float = 2.0  # s, a beam that stands still in the first (last) frames is taken to stand still before (after)
 
 
@@ -107,18 +109,21 @@ def fit_clock(
     span = (markers.time[0] + low, markers.time[-1] + high)
     most = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
     rows = binned(log, max(8 * rate, settings.slowest), span, most)
-    ways = [
-        track
-        for track in tracks(markers, push_s, settings)
-        if len(rows.time) >= 10 and rows.largest > 0 and track.covered.sum() >= 10
-    ]
+    enough = len(rows.time) >= 10 and rows.largest > 0
+    ways = [track for track in tracks(markers, push_s, settings) if enough and track.covered.sum() >= 10]
     coarse = likely_offsets(ways[-1], rows, low, high, rate) if ways else np.empty(0)
     searches = [coarse_search(track, rows, coarse, prior) for track in ways]
+    if ways:  # the same with an error that changes with the load; the data say which it is
+        which = int(np.argmax([search.chance.max() for search in searches]))
+        stepped = tracks(markers, push_s, settings, settings.steps)[which]
+        searches.append(coarse_search(stepped, rows, coarse, prior))
     searches = [search for search in searches if np.isfinite(search.chance).any()]
     if not searches:
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
     best = max(searches, key=lambda search: float(search.chance.max()))
     offset, sd = refined(best, rows, coarse, prior)
+    if best is searches[-1] and len(searches) > len(ways):
+        sd = float(np.hypot(sd, STEP_DOUBT))
     if not sd < 0.5 * spread:
         text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); the written start time is used."
         return ClockFit(unsettled, best.noise, (Remark("warning", text),))
@@ -126,13 +131,11 @@ def fit_clock(
     return ClockFit(clock, best.noise, remarks_on(clock, uncertainty, low, high))
 
 
-def tracks(markers: Markers, push_s: float | None, settings: ClockSettings) -> list[Track]:
+def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:
     """The explanations to try: polynomials alone, and levers with small and larger polynomials to mend them."""
+    same = {"longest_gap": settings.longest_gap, "hold": settings.hold, "steps": steps}
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
-    made = [
-        make_track(markers, push_s=place, polynomials=scale, longest_gap=settings.longest_gap, hold=settings.hold)
-        for place, scale in ways
-    ]
+    made = [make_track(markers, push_s=place, polynomials=scale, **same) for place, scale in ways]
     return [track for track in made if track is not None]
 
 

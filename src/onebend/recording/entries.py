@@ -13,7 +13,7 @@ from typing import Literal
 
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
 from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
-from onebend.records import DIRECTION_SD, PLACE_SD, Remark, Rest
+from onebend.records import DIRECTION_SD, PLACE_SD, MassAlong, Remark, Rest, StiffnessAlong
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
 DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
@@ -32,6 +32,21 @@ class BeamEntry:
         "a table with columns s and kg_per_m: the mass per metre, where it is not even",
         example='"mass.csv"',
         default=None,
+    )
+    stiffness_along: StiffnessAlong = key(
+        "stiffness_along",
+        one_of("unknown", "even"),
+        'what is known of how k varies: "even" where it is one number (one section and material), or "unknown"',
+        example='"even"',
+        default="unknown",
+    )
+    mass_along: MassAlong = key(
+        "mass_along",
+        one_of("unknown", "even", "width", "thickness", "both", "table"),
+        'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
+        '"table" in mass_file, or "unknown"',
+        example='"even"',
+        default="unknown",
     )
     width: float = key(
         "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
@@ -202,7 +217,11 @@ class ForceEntry:
         "white_sd_N", number(least=0), "the sensor's noise of one sample (one sd), N", example="0.03", default=math.nan
     )
     bias_sd: float = key(
-        "bias_sd_N", number(least=0), "the sensor's constant error (one sd), N", example="0.2", default=math.nan
+        "bias_sd_N",
+        number(least=0),
+        "the sensor's error under load that no rest shows (one sd), N",
+        example="0.2",
+        default=math.nan,
     )
 
 

@@ -86,6 +86,8 @@ def clean_force(
         cutoff=cutoff,
         outliers=int(bad.sum()),
         noise=None if noise is None else _with_white(noise, log.time, force),
+        zero_time=zero.time,
+        zero=zero.value,
         remarks=(*log.remarks, *remarks),
     )
 

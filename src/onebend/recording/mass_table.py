@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from onebend.errors import RecordingError
 from onebend.recording.entries import Recording
 from onebend.recording.tables import read_columns
 from onebend.records import MassLine
@@ -19,8 +20,17 @@ def beam_mass(rec: Recording) -> tuple[float, MassLine | None]:
     RecordingError
         Fewer than two rows, places outside the beam or that do not rise, a mass that is not positive.
     """
+    if (rec.beam.mass_along == "table") > (rec.beam.mass_file is not None):
+        raise RecordingError(
+            f'{rec.folder}: mass_along = "table" needs the table. Give mass_file in [beam], columns s and kg_per_m.'
+        )
     if rec.beam.mass_file is None:
         return rec.beam.mass, None
+    if rec.beam.mass_along not in ("unknown", "table"):
+        raise RecordingError(
+            f'{rec.folder}: mass_file and mass_along = "{rec.beam.mass_along}" both say how the mass is spread. '
+            'Remove one, or write mass_along = "table".'
+        )
     table = read_columns(rec.beam.mass_file, ("s", "kg_per_m"), kind="table of the mass")
     s, value = table.get("s"), table.get("kg_per_m")
     table.refuse(~((s >= 0.0) & (s <= 1.0)), "s must be between 0 at the clamp and 1 at the tip.")

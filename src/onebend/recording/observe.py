@@ -13,12 +13,12 @@ from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent
 from onebend.recording.camera import measure_markers
 from onebend.recording.chords import with_angles
-from onebend.recording.clock import ClockSettings
-from onebend.recording.contact import ContactSettings, find_contact
+from onebend.recording.clock import ClockFit, ClockSettings
+from onebend.recording.contact import Contact, ContactSettings, find_contact
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import ForceSettings
-from onebend.recording.frame import rest_shape, to_beam_frame
+from onebend.recording.frame import RestShape, rest_shape, to_beam_frame
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
 from onebend.recording.marker_tracks import track_markers
 from onebend.recording.mass_table import beam_mass
@@ -27,7 +27,17 @@ from onebend.recording.photos import photo_observations
 from onebend.recording.pose_tables import pose_observations
 from onebend.recording.tags import detect_tags
 from onebend.recording.turns import check_turns
-from onebend.records import Detections, ForceLog, Markers, Observations
+from onebend.records import (
+    Array,
+    BoolArray,
+    CleanForce,
+    ClockOffset,
+    Detections,
+    ForceLog,
+    Markers,
+    Observations,
+    Remark,
+)
 
 FEWEST_FRAMES = 10
 
@@ -91,6 +101,19 @@ def observe(
     return assemble(rec, markers, log, base, settings)
 
 
+@dataclass(frozen=True)
+class _Acting:
+    """What acts on the beam in every frame, on the log's clock."""
+
+    time: Array  # (T,) s
+    gravity: Array  # (T, 2) m/s^2
+    force: Array  # (T, 2) N, NaN where the log has no row
+    push_s: Array  # (T,)
+    loaded: BoolArray  # (T,)
+    clean: CleanForce | None
+    clock: ClockOffset
+
+
 @one_blas_thread
 def assemble(
     rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ObserveSettings
@@ -103,56 +126,80 @@ def assemble(
         )
     reading = with_angles(markers)  # clocks and contact are read with angles; only measured ones are learned from
     fit = match_clocks(rec, reading, log, base, settings.clock)
-    at = markers.time + fit.clock.offset
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
-    gravity = gravity_in_frame(rec.gravity, base, markers, at)
+    gravity = gravity_in_frame(rec.gravity, base, markers, markers.time + fit.clock.offset)
     seen, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
-    clean = None if log is None else cleaned(rec, markers, log, contact, fit, settings.force)
+    acting = _acting(rec, markers, log, contact, fit, gravity, settings=settings)
+    angled, refuse = with_angles(seen), settings.check_force
+    bare = rest if angled is seen else rest_shape(angled, contact.still)
+    odd = check_direction(rec, angled, bare, acting.force, acting.push_s, acting.loaded, refuse=refuse)
+    kept, drop_remarks = usable(markers, acting.force)
+    of_log = ((), ()) if acting.clean is None else (contact.remarks, acting.clean.remarks)
+    said = (*rec.remarks, *markers.remarks, *fit.remarks, *of_log[0], *frame_remarks, *of_log[1], *odd, *drop_remarks)
+    return _observations(rec, seen, rest, acting, kept, said)
+
+
+def _acting(
+    rec: Recording,
+    markers: Markers,
+    log: ForceLog | None,
+    contact: Contact,
+    fit: ClockFit,
+    gravity: Array,
+    *,
+    settings: ObserveSettings,
+) -> _Acting:
+    """Weight, and the log, cleaned, at the frames' times."""
+    at, clean = markers.time + fit.clock.offset, None
+    if log is not None:
+        clean = cleaned(rec, markers, log, contact, fit, settings.force)
     force, push_s = pair(rec, clean, at, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
     loaded = contact.loaded if clean is not None else np.zeros(len(at), dtype=bool)
-    angled = with_angles(seen)
-    bare = rest if angled is seen else rest_shape(angled, contact.still)
-    odd = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
-    kept, drop_remarks = usable(markers, force)
+    return _Acting(at, gravity, force, push_s, loaded, clean, fit.clock)
+
+
+def _observations(
+    rec: Recording,
+    seen: Markers,
+    rest: RestShape,
+    acting: _Acting,
+    kept: BoolArray,
+    remarks: tuple[Remark, ...],
+) -> Observations:
+    """The frames `kept` (T,) of what was read, in one record."""
     mass, line = beam_mass(rec)
     return Observations(
         name=rec.name,
         length=rec.beam.length,
-        time=at[kept],
+        time=acting.time[kept],
         frame=np.flatnonzero(kept).astype(np.int64),
-        tag_id=markers.tag_id,
-        marker_s=markers.s,
+        tag_id=seen.tag_id,
+        marker_s=seen.s,
         xy=seen.xy[kept],
         angle=seen.angle[kept],
         covariance=seen.covariance[kept],
-        force=force[kept],
-        force_sd=np.zeros(2) if clean is None else clean.noise_sd,
-        push_s=push_s[kept],
-        loaded=loaded[kept],
+        force=acting.force[kept],
+        force_sd=np.zeros(2) if acting.clean is None else acting.clean.noise_sd,
+        push_s=acting.push_s[kept],
+        loaded=acting.loaded[kept],
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
-        gravity=gravity[kept],
+        gravity=acting.gravity[kept],
         mass=mass,
         placement_sd=rec.tags.placement_sd,
         rest=rec.beam.rest,
-        clock=fit.clock,
-        clean_force=clean,
+        clock=acting.clock,
+        clean_force=acting.clean,
         gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
+        load_error_sd=np.nan if rec.force is None else rec.force.bias_sd,
         view=seen.view,
         place_sd=rec.place_sd,
         direction_sd=rec.direction_sd,
         video=rec.video.file if rec.video else None,
         video_topic=rec.video.topic if rec.video else "",
         mass_line=line,
-        remarks=(
-            *rec.remarks,
-            *markers.remarks,
-            *fit.remarks,
-            *(contact.remarks if clean is not None else ()),
-            *frame_remarks,
-            *(() if clean is None else clean.remarks),
-            *odd,
-            *drop_remarks,
-        ),
+        mass_along=rec.beam.mass_along,
+        stiffness_along=rec.beam.stiffness_along,
+        remarks=remarks,
     )

@@ -12,9 +12,10 @@ from onebend.errors import RecordingError
 from onebend.recording.entries import Recording
 from onebend.recording.source_entries import Axes
 from onebend.recording.tables import Columns, read_columns
-from onebend.records import Array, KnownLoads
+from onebend.records import Array, BoolArray, KnownLoads
 
-AMOUNTS = ("weight_N", "mass_kg", "fx_N", "fy_N", "moment_N_m")
+WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
+AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class PoseLoads:
     force: Array  # (P, 2) N, the first force of each pose, beam's frame
     push_s: Array  # (P,) where it acts; the tip where there is none
     others: KnownLoads | None  # further forces, and moments
+    held: BoolArray  # (P,) the end s = 1 is held, nobody knows with what force and moment
 
 
 def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
@@ -37,8 +39,10 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
     RecordingError
         A load without a place, a weight or a room axis without the clamp's angle, angles that differ within a pose.
     """
-    table = read_columns(path, (), ("s", "clamp_deg", *AMOUNTS), labels=("pose",), kind="table of loads")
-    amounts = {name: table.get(name) for name in AMOUNTS}
+    columns = ("s", "clamp_deg", *AMOUNTS)
+    table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
+    held_rows = _held(table)
+    amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
     loaded = np.any([np.nan_to_num(values) != 0.0 for values in amounts.values()], axis=0)
     s = table.get("s")
     table.refuse(loaded & ~((s >= 0.0) & (s <= 1.0)), "a load needs its place: s between 0 at the clamp and 1.")
@@ -65,7 +69,8 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
             raise RecordingError(f"{path}: nothing says how the clamp is turned in pose {lost}. Give clamp_deg there.")
         gravity = rec.gravity.magnitude * np.stack([np.cos(fall), np.sin(fall)], axis=1)
     first, push_s, others = _shared(pose, len(names), force, moment, s)
-    return PoseLoads(names, clamp, gravity, first, push_s, others)
+    held = np.array([bool(np.any(held_rows[pose == i])) for i in range(len(names))])
+    return PoseLoads(names, clamp, gravity, first, push_s, others, held)
 
 
 def turned(vectors: Array, clamp: Array) -> Array:
@@ -79,6 +84,22 @@ def turned(vectors: Array, clamp: Array) -> Array:
 
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([times(cos, x) + times(sin, y), times(cos, y) - times(sin, x)], axis=-1)
+
+
+def _held(table: Columns) -> BoolArray:
+    """(N,) rows of an end that is held with an unknown force and moment."""
+    unknown = np.isinf(np.stack([table.get(name) for name in WRENCH]))
+    table.refuse(
+        np.any(unknown, axis=0) & ~np.all(unknown, axis=0),
+        f"a held end has an unknown force and moment: write unknown for all of {', '.join(WRENCH)}, or numbers.",
+    )
+    held = np.all(unknown, axis=0)
+    table.refuse(held & (table.get("s") != 1.0), "only the end can be held with an unknown load: give s = 1 there.")
+    table.refuse(
+        held & (np.isfinite(table.get("weight_N")) | np.isfinite(table.get("mass_kg"))),
+        "a load that is unknown and a weight: give the weight a row of its own.",
+    )
+    return np.asarray(held)
 
 
 def _magnitude(rec: Recording) -> float:

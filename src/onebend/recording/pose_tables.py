@@ -16,6 +16,8 @@ from onebend.records import UNKNOWN_ANGLE_SD, Array, Observations, Remark, View
 
 GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
 ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
+NEAR = 0.02  # of the beam up to it: no beam is curled so tightly that all its points are nearer to the clamp
+FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
 FAR = 1.05  # of the beam up to a point: its distance from the clamp is never more
 
 
@@ -50,9 +52,10 @@ def pose_observations(rec: Recording) -> Observations:
 def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float) -> Observations:
     """Poses and loads as observations: every pose is a frame, a bare beam too."""
     check_reach(rec, loads, points)
+    _check_held(rec, loads, points)
     mass, line = beam_mass(rec)
     count, m = points.angle.shape
-    nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None)
+    nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
     return Observations(
@@ -83,7 +86,10 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         static=True,
         sd_known=points.sd_known,
         known=loads.others,
+        held=loads.held if np.any(loads.held) else None,
         mass_line=line,
+        mass_along=rec.beam.mass_along,
+        stiffness_along=rec.beam.stiffness_along,
         clamp_sd=points.clamp_sd,
     )
 
@@ -93,7 +99,7 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     entry = rec.poses
     assert entry is not None
     known = ("x_m", "angle_deg", "sd_m")
-    table = read_columns(entry.file, ("id", "y_m"), known, labels=("pose",), kind="table of poses")
+    table = read_columns(entry.file, ("id", "y_m"), known, labels=("pose",), kind="table of poses", strict=True)
     ids = [tag.id for tag in rec.tags.on_beam]
     strange = np.array([name not in loads.names for name in table.labels["pose"]])
     table.refuse(strange, f"the pose is not in {entry.loads.name}. Name it there, without a load if it has none.")
@@ -134,9 +140,27 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     return PosePoints(xy, angle, covariance, said, entry.clamp_sd, remarks=remarks)
 
 
+def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
+    """An error where a held pose shows too little of its shape."""
+    whole = np.sum(np.isfinite(points.xy).all(axis=2), axis=1)
+    poor = loads.held & (whole < FEWEST_HELD)
+    if poor.any():
+        raise ObservationError(
+            f"{rec.name}: pose {loads.names[int(np.argmax(poor))]} has {int(whole[np.argmax(poor)])} points with both "
+            f"coordinates. Where an unknown force and moment hold the end, give {FEWEST_HELD} or more: they say which "
+            "way the beam goes."
+        )
+
+
 def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     """An error where a point is farther from the clamp than the beam up to it is long: millimetres for metres."""
     away = np.linalg.norm(np.nan_to_num(points.xy), axis=-1)
+    near = away / np.array([max(tag.s, 1e-9) * rec.beam.length for tag in rec.tags.on_beam])
+    if np.any(away > 0.0) and np.max(near) < NEAR:
+        raise ObservationError(
+            f"{rec.name}: every point is within {100 * np.max(near):.2g} % of the beam's length of the clamp. Is "
+            f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?"
+        )
     reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd
     if np.any(away > reach):
         pose, i = np.argwhere(away > reach)[0].tolist()

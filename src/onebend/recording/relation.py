@@ -18,6 +18,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
+from onebend.recording.load_stages import displacement, load_changes
 from onebend.recording.signals import bridged, runs
 from onebend.records import Array, BoolArray, Markers
 
@@ -26,6 +27,8 @@ RIDGE = 0.01  # of the longest lever squared
 PLACE = 1.0  # prior sd of the change with a span's lever, per largest force
 SHORTEST_SPAN = 0.05  # of the beam: what is left between a tag and the push must be longer to count
 TERMS = (2.0, 0.5, 0.25)  # prior sd of a polynomial's coefficient by degree, per largest force
+TOUCHED = 0.02  # of the largest displacement: less is taken for rest
+PARTS = 5  # of a change of the load: in any of them a log's error may change
 COMPONENTS = 3  # principal components
 
 
@@ -60,12 +63,13 @@ class Track:
 
 
 def make_track(
-    markers: Markers, *, push_s: float | None, polynomials: float, longest_gap: float, hold: float
+    markers: Markers, *, push_s: float | None, polynomials: float, longest_gap: float, hold: float, steps: float = 0.0
 ) -> Track | None:
     """Features of the markers that are hardly ever missing; None where levers are asked for and there are none.
 
     `push_s`: the place of the push for levers, None for polynomials alone; `polynomials` scales their prior;
     `longest_gap` [s] may be interpolated; a beam that stands still at an end of the film does so for `hold` [s] more.
+    `steps`: prior sd, per largest force, of an error of the log that changes where the load begins, reverses and ends.
     """
     kept, covered = lasting(markers, longest_gap)
     if not kept.any():
@@ -79,11 +83,22 @@ def make_track(
         if not turns.shape[-1]:
             return None
         columns.append(FREE * turns)
+    if steps > 0.0:
+        for part in _load_steps(markers.time, xy).T:
+            columns.append(steps * part[:, None, None] * np.eye(2))
     features = np.concatenate(columns, axis=2)
     flat = xy.reshape(len(xy), -1)
     before, after = (hold if is_still(flat, rows) else 0.0 for rows in (slice(0, 10), slice(-10, None)))
     spline = CubicSpline(markers.time, features, axis=0)
     return Track(spline.antiderivative(), covered, markers.time, before, after)
+
+
+def _load_steps(time: Array, xy: Array) -> Array:
+    """(T, n) ramps from 0 to 1 that follow each other over each change of the load, together of unit variance."""
+    size = displacement(time, xy, np.median(xy[:10], axis=0))
+    changes = load_changes(time, size, size > TOUCHED * size.max())
+    ramps = [np.clip(PARTS * change.part(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
+    return np.asarray(np.stack([np.zeros(len(time)), *ramps], axis=1)[:, 1:] / np.sqrt(PARTS))
 
 
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:

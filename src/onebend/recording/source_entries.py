@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from onebend.recording.schema import degrees, flag, key, number, one_of, several, text
+from onebend.recording.schema import flag, key, number, one_of, several, text
 
 Axes = Literal["beam", "room"]
 
@@ -103,7 +103,7 @@ class PosesEntry:
     )
     clamp_sd: float = key(
         "clamp_sd_deg",
-        degrees(),
+        number(least=0, scale=math.pi / 180),
         "how exactly the clamp's angle is known (one sd), degrees",
         example="1.0",
         default=math.radians(0.2),
@@ -136,7 +136,7 @@ class PhotosEntry:
     )
     clamp_sd: float = key(
         "clamp_sd_deg",
-        degrees(),
+        number(least=0, scale=math.pi / 180),
         "how exactly the clamp's angle is known (one sd), degrees",
         example="1.0",
         default=math.nan,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
 
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
+UNKNOWN = "unknown"  # a cell for something that acts, nobody knows how strongly
 
 
 @dataclass(frozen=True)
@@ -38,16 +40,25 @@ class Columns:
 
 
 def read_columns(
-    path: Path, needed: Sequence[str], known: Sequence[str] = (), *, labels: Sequence[str] = (), kind: str = "table"
+    path: Path,
+    needed: Sequence[str],
+    known: Sequence[str] = (),
+    *,
+    labels: Sequence[str] = (),
+    kind: str = "table",
+    unknown: Sequence[str] = (),
+    strict: bool = False,
 ) -> Columns:
     """The columns `needed`, those of `known` that are there, and the text columns `labels` (needed, too).
 
-    Other columns are ignored. `kind` names the table in messages.
+    Other columns are ignored; where `strict`, only those without a number. `kind` names the table in messages. In the
+    columns `unknown` that word may stand for a number, and becomes infinity.
 
     Raises
     ------
     RecordingError
-        Unreadable, a missing column (those found are listed), text where a number belongs, no rows.
+        Unreadable, a missing column (those found are listed), text where a number belongs, no rows, or numbers in a
+        column that is not known.
     """
     cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     missing = [name for name in (*labels, *needed) if name not in cells]
@@ -59,10 +70,31 @@ def read_columns(
     count = len(next(iter(cells.values())))
     if count == 0:
         raise RecordingError(f"{path}: the {kind} has no rows. Was it cut short?")
+    if strict:
+        _refuse_others(path, cells, (*labels, *needed, *known), kind)
     rows = np.arange(first, first + count)
     wanted = [name for name in (*needed, *known) if name in cells]
-    numbers = {name: _numbers(path, name, cells[name], rows) for name in wanted}
+    numbers = {name: _numbers(path, name, cells[name], rows, name in unknown) for name in wanted}
     return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
+
+
+def _refuse_others(path: Path, cells: dict[str, list[object]], known: Sequence[str], kind: str) -> None:
+    """A number under a name that nobody reads is more likely misnamed, or in another unit, than meant to be ignored."""
+    for name in (name for name in cells if name not in known):
+        if any(_is_number(cell) for cell in cells[name]):
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise RecordingError(
+                f"{path}: the {kind} has numbers in a column {name}, which is not known: {hint}Known are "
+                f"{', '.join(known)}, in these units. Rename it, or take it out."
+            )
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        return bool(float(cell) == float(cell))  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
 
 
 def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
@@ -75,6 +107,8 @@ def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
     except (UnicodeDecodeError, csv.Error):
         raise RecordingError(f"{path} is not a CSV text file. Export the table as CSV with a header.") from None
     header = [name.strip() for name in lines[0]] if lines else []
+    if len(header) == 1 and header[0].count(";") > 0:
+        raise RecordingError(f"{path}: columns are parted by semicolons. Use commas, and a dot in the numbers.")
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:
         raise RecordingError(f"{path}: the column {twice[0]} is there twice. Remove one.")
@@ -90,10 +124,13 @@ def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
     return {name: table[name].to_pylist() for name in table.column_names}, 1
 
 
-def _numbers(path: Path, name: str, cells: list[object], rows: IntArray) -> Array:
+def _numbers(path: Path, name: str, cells: list[object], rows: IntArray, unknown: bool) -> Array:
     out = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
+            continue
+        if unknown and isinstance(cell, str) and cell.strip().lower() == UNKNOWN:
+            out[i] = np.inf
             continue
         try:
             out[i] = float(cell)  # type: ignore[arg-type]

@@ -58,13 +58,17 @@ POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
 def poor_fit(one: Comparison) -> list[Remark]:
     """A warning where the simulated beam misses a marker by a large part of what the marker moves."""
     motion = np.linalg.norm(np.fmax.reduce(one.measured) - np.fmin.reduce(one.measured), axis=-1)
-    worst = int(np.argmax(np.nan_to_num(one.rms / motion)))
+    if one.static:  # poses may be few, or alike: counted from the straight beam
+        motion = np.maximum(motion, np.nanmax(np.abs(one.measured[..., 1])))
+    worst = int(np.argmax(np.nan_to_num(np.divide(one.rms, motion, out=np.zeros_like(motion), where=motion > 0.0))))
     if not one.rms[worst] > POOR * motion[worst]:
         return []
+    check = "the force, its clock, the tags' size and places, and that the push was slow"
+    if one.static:
+        check = "the loads' and the points' units, the directions of axes and gravity, and the clamp's angle"
     text = (
         f"the simulated beam misses M{worst + 1} by {1000 * one.rms[worst]:.1f} mm RMS where it moves by "
-        f"{1000 * motion[worst]:.0f} mm: this is no good fit. Check the force, its clock, the tags' "
-        "size and places, and that the push was slow"
+        f"{1000 * motion[worst]:.0f} mm: this is no good fit. Check {check}"
     )
     return [Remark("warning", text)]
 

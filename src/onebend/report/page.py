@@ -16,6 +16,7 @@ from onebend.report.cards import cards
 from onebend.report.findings import Findings, all_remarks, name_of
 from onebend.report.sureness import (
     gain_words,
+    load_error_words,
     nuisance_rows,
     stop_words,
     supposed_rows,
@@ -86,7 +87,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "tests": supposed_rows(posterior),
         "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
-        "gain": gain_words(posterior.gain_sd, forced=forced),
+        "gain": " ".join([gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]),
         "stopped": stop_words(posterior),
         "nuisances": nuisance_rows(posterior.nuisances()),
         "tradeoffs": tradeoff_words(posterior),

@@ -7,7 +7,8 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError
 from onebend.learning.outcome import Comparison
-from onebend.records import Array, Observations
+from onebend.learning.validation import solved_frames
+from onebend.records import Array, BoolArray, Observations
 
 
 def largest_push(one: Comparison) -> int:
@@ -32,11 +33,12 @@ def same_frame(one: Comparison, other: Comparison, t: int) -> int:
 
 
 def centreline(beam: Beam, one: Comparison, seen: Observations, t: int, places: int = 121) -> Array | None:
-    """(places, 2) m, the beam simulated under the measured force of the comparison's frame t; None if it cannot be."""
-    here = np.flatnonzero(seen.frame == one.frame[t])
-    gravity = seen.gravity[here[0]] if here.size else np.zeros(2)
+    """(places, 2) m, the beam simulated under the measured loads of the comparison's frame t; None if it cannot be."""
+    here: BoolArray = np.asarray(seen.frame == one.frame[t])
+    if not np.any(here):
+        return None
     try:
-        shape = beam.equilibrium(one.force[t], float(one.push_s[t]), gravity=gravity if gravity.any() else None)
+        solved = solved_frames(beam, seen, here)[0]
     except MechanicsError:
         return None
-    return shape.xy(np.linspace(0.0, 1.0, places))
+    return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None

@@ -15,6 +15,7 @@ from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
 from onebend.report.wording import millimetres, significant
 
 FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
+SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
 _PLACES = 401
 _SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms"), "1": (1e2, "%")}
 
@@ -69,6 +70,19 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
         "The force's scale error is not declared (gain_sd in [force]) and not in the band: a sensor that reads 1 % too "
         "much makes all of k(s) 1 % too stiff."
     )
+
+
+def load_error_words(load_error: tuple[float, float]) -> list[str]:
+    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); nothing of a small
+    one."""
+    size, share = load_error
+    if share < SMALL_SHARE:
+        return []
+    return [
+        f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
+        "another amount while it grows than while it falls, which no rest shows: the fit has taken that off, and what "
+        "is left of it is in the band. Push harder, or more than once, for a narrower one."
+    ]
 
 
 def stop_words(posterior: Posterior) -> str:

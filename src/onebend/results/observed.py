@@ -39,7 +39,7 @@ _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
 _SCALARS = (
     *("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd"),
-    *("place_sd", "direction_sd"),
+    *("place_sd", "direction_sd", "load_error_sd", "mass_along", "stiffness_along"),
 )
 _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "gain_sd": 0.0,
@@ -50,8 +50,11 @@ _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "clamp_sd": math.nan,
     "place_sd": PLACE_SD,
     "direction_sd": DIRECTION_SD,
+    "load_error_sd": math.nan,
     "known": None,
     "mass_line": None,
+    "mass_along": "unknown",
+    "stiffness_along": "unknown",
 }
 
 
@@ -68,6 +71,8 @@ def save_observations(path: Path, observations: Observations) -> None:
         "gravity_x_m_s2": o.gravity[:, 0],
         "gravity_y_m_s2": o.gravity[:, 1],
     }
+    if o.held is not None:
+        columns["held"] = o.held
     for i, tag in enumerate(o.tag_id):
         columns[f"tag_{tag}_x_m"] = o.xy[:, i, 0]
         columns[f"tag_{tag}_y_m"] = o.xy[:, i, 1]
@@ -146,6 +151,7 @@ def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
         clock=None if rest["clock"] is None else ClockOffset(**rest["clock"]),
         clean_force=_clean_force(rest["clean_force"]),
         view=_view(rest["view"]),
+        held=np.asarray(table["held"].to_numpy(), dtype=bool) if "held" in table.column_names else None,
         known=None if rest["known"] is None else _known(rest["known"], table.num_rows),
         mass_line=None if rest["mass_line"] is None else MassLine(*map(np.asarray, rest["mass_line"].values())),
         video=None if rest["video"] is None else Path(rest["video"]),
@@ -175,6 +181,8 @@ def _force_of(clean: CleanForce) -> dict[str, Any]:
         "noise_sd": clean.noise_sd.tolist(),
         "tare": clean.tare.tolist(),
         "drift": clean.drift.tolist(),
+        "zero_time": clean.zero_time.tolist(),
+        "zero": clean.zero.tolist(),
         "cutoff": clean.cutoff,
         "outliers": clean.outliers,
         "noise": None if clean.noise is None else asdict(clean.noise),
@@ -189,6 +197,8 @@ def _clean_force(data: dict[str, Any] | None) -> CleanForce | None:
     return CleanForce(
         **arrays,
         push_s=None if data["push_s"] is None else np.asarray(data["push_s"], dtype=float),
+        zero_time=np.asarray(data.get("zero_time", []), dtype=float),
+        zero=np.asarray(data.get("zero", []), dtype=float).reshape(-1, 2),
         cutoff=float(data["cutoff"]),
         outliers=int(data["outliers"]),
         noise=None if data["noise"] is None else ForceNoise(**data["noise"]),

@@ -19,7 +19,7 @@ from onebend.records import Observations
 from onebend.report.cards import sureness_card
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
-from onebend.report.sureness import gain_words, stop_words, tradeoff_words, unidentified_words
+from onebend.report.sureness import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words
@@ -80,7 +80,8 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     forced = any(one.clean_force is not None for one in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [band_plot(uncertain), estimate_table(uncertain, run.learned)]
-    found.append(_sentences([*blind, gain_words(posterior.gain_sd, forced=forced)]))
+    force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
+    found.append(_sentences([*blind, *force]))
     found.append(nuisance_table(posterior.nuisances()))
     words = tradeoff_words(posterior)
     return [*found, _sentences(["Hardly told apart:", *words])] if words else found

@@ -1,0 +1,77 @@
+"""When a load begins, reverses and ends, as the tags show it: a sensor's error may change with that.
+
+Robots that estimate forces from the torques of their joints have friction there: the error of the estimate is nearly
+constant while the load grows or falls, and another one as soon as it begins or reverses. The tags say when that is; the
+log itself would show its error too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.recording.signals import bridged, runs
+from onebend.records import Array, BoolArray
+
+TURN = 0.05  # of the largest displacement: a beam that comes back by less has not reversed
+_CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
+_BEFORE = 0.03  # of the same: nearer to a turning point than this the load may be turning
+_EARLY = 0.1  # s, of a contact that the tags do not show yet
+
+
+@dataclass(frozen=True)
+class Change:
+    """A stretch of time in which the load begins, reverses or ends."""
+
+    begin: float  # s
+    end: float  # s
+    release: bool  # it ends
+
+    def part(self, time: Array) -> Array:
+        """(N,) 0 before it, 1 after it, evenly between."""
+        return np.clip((time - self.begin) / max(self.end - self.begin, 1e-9), 0.0, 1.0)
+
+
+def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[Change]:
+    """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,)."""
+    largest = float(np.max(size, initial=0.0))
+    out: list[Change] = []
+    for first, last in runs(loaded) if largest > 0.0 else ():
+        part, when = size[first:last], time[first:last]
+        moved = np.flatnonzero(part > _CLEAR * largest)
+        if not len(moved):
+            continue
+        turns = turning_points(part, TURN * largest)
+        out.append(Change(float(when[0]) - _EARLY, float(when[moved[0]]), release=False))
+        ends = [0, *turns, len(part) - 1]
+        for before, at, after in zip(ends, ends[1:], ends[2:], strict=False):
+            away = np.abs(part - part[at])
+            earlier, later = away[before : at + 1][::-1] > _BEFORE * largest, away[at : after + 1] > _CLEAR * largest
+            low = at - int(np.argmax(earlier))
+            high = at + int(np.argmax(later)) if later.any() else after
+            out.append(Change(float(when[low]), float(when[high]), release=False))
+        if last < len(time):
+            out.append(Change(float(when[moved[-1]]), float(when[-1]) + _EARLY, release=True))
+    return out
+
+
+def turning_points(size: Array, margin: float) -> list[int]:
+    """Indices at which `size` (T,) stops growing or falling, and then goes back by more than `margin`."""
+    out: list[int] = []
+    rising, extreme = True, 0
+    for i, now in enumerate(size):
+        if (now >= size[extreme]) if rising else (now <= size[extreme]):
+            extreme = i
+        elif abs(now - size[extreme]) > margin:
+            out.append(extreme)
+            rising, extreme = not rising, i
+    return out
+
+
+def displacement(time: Array, xy: Array, rest: Array) -> Array:
+    """(T,) m, root mean square way of tags (T, m, 2) from where they rest (m, 2); from the first frame where that is
+    not known."""
+    filled = bridged(time, xy.reshape(len(time), -1))
+    start = np.where(np.isfinite(rest).ravel(), rest.ravel(), filled[0])
+    return np.asarray(np.sqrt(np.mean((filled - start) ** 2, axis=1)))
