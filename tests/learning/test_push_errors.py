@@ -104,7 +104,8 @@ def test_what_the_push_is_off_by_widens_the_band() -> None:
     known, free = learned(place_sd=0.0, direction_sd=0.0), learned()
     assert not any(n.name.endswith(("push place", "force axes")) for n in known.nuisances())
     width = [np.log(one.band(s).high / one.band(s).low) for one in (known, free)]
-    assert np.all(width[1] > 0.999 * width[0])
+    assert np.all(width[1] > 0.95 * width[0])  # sizes of log k's prior are sampled: a few per cent
+    assert np.mean(width[1]) > np.mean(width[0])
     assert width[1][-1] > 1.02 * width[0][-1]
     assert fit_remarks(free) == ()
 
