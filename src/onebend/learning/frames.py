@@ -6,7 +6,13 @@ import numpy as np
 
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.stiffness import Profile, Table, Uniform
+from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations
+
+_BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
+_SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
+_MEMORY = 0.5  # of a period of the cut-off: so far a change reaches through the filter
+_LEAST_LEFT = 0.5  # of the usable frames: where fewer would be left, all are used
 
 
 def usable_frames(observations: Observations) -> BoolArray:
@@ -15,6 +21,31 @@ def usable_frames(observations: Observations) -> BoolArray:
     forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(push_places(observations))
     weighed = np.any(observations.gravity != 0.0, axis=1)
     return np.asarray(seen & forced & (observations.loaded | weighed))
+
+
+def learnable_frames(observations: Observations) -> BoolArray:
+    """(T,) usable frames whose force the low-pass has not bent: a sudden release is smeared over what it remembers.
+
+    The tags are not filtered. Frames beside a change that is faster than the filter would make every force look too
+    large or too small there. What the filter takes off a second time tells where that is.
+    """
+    usable, clean = usable_frames(observations), observations.clean_force
+    if clean is None or not np.isfinite(clean.cutoff) or not usable.any():
+        return usable
+    known = np.all(np.isfinite(clean.force), axis=1)
+    time, force = clean.time[known], clean.force[known]
+    bent = distances(low_pass(time, force, clean.cutoff, longest_gap=np.inf) - force)
+    used = observations.time[usable]
+    inside = (time >= used[0]) & (time <= used[-1])
+    typical = float(np.median(bent[inside])) if inside.any() else 0.0
+    largest = float(np.max(distances(observations.force[usable])))
+    wrong = time[bent > max(_BENT * typical, _SLIGHT * largest)]
+    reach = _MEMORY / clean.cutoff
+    after = np.searchsorted(wrong, observations.time)
+    padded = np.concatenate([[-np.inf], wrong, [np.inf]])
+    near = np.minimum(observations.time - padded[after], padded[after + 1] - observations.time) < reach
+    kept = usable & ~near
+    return np.asarray(kept if kept.sum() >= _LEAST_LEFT * usable.sum() else usable)
 
 
 def push_places(observations: Observations) -> Array:

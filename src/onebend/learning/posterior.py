@@ -22,7 +22,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.forward import Film, Prediction, film, predict
-from onebend.learning.frames import mass_profile, usable_frames
+from onebend.learning.frames import learnable_frames, mass_profile
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.own_weight import following
@@ -254,7 +254,7 @@ def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
 
 def _frames(o: Observations, most: int) -> BoolArray:
     """At most `most` usable frames, evenly spread."""
-    usable = np.flatnonzero(usable_frames(o))
+    usable = np.flatnonzero(learnable_frames(o))
     least = 1 if o.static else _FEWEST
     if len(usable) < least:
         raise LearningError(
