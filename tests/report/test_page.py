@@ -203,3 +203,14 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     assert "this band is not to be trusted" in text
     assert "NOT TO BE TRUSTED" in text
     assert "1 in 1 000 000 000 or less" in text
+    assert "the recording contradicts the model of the fit" in text
+    far = replace(found.posterior, films=tuple(_moved(film, 1.0) for film in found.posterior.films))
+    text = Links(page(replace(found, posterior=far), {}, version="1")).text
+    assert "the fit misses tag" in text
+    assert "these tests say nothing" in text
+    assert "known to±" not in text.replace(" ", "")
+
+
+def _moved(film: Film, away: float) -> Film:
+    """Its tags seen `away` [m] from where they were."""
+    return replace(film, measured=film.measured + away)

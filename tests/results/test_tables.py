@@ -48,6 +48,19 @@ def test_stiffness_with_a_band_says_where_it_is_identified(tmp_path: Path) -> No
     assert [row["identified"] for row in table] == ["yes" if known else "no" for known in band.identified]
 
 
+def test_a_fit_that_is_in_doubt_identifies_nothing_in_any_file(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    lost = replace(fit, optimum=replace(fit.optimum, converged=False))
+    assert fit.band(np.linspace(0, 1, 11)).identified.any()
+    write_stiffness(tmp_path / "k.csv", lost.beam, lost.stiffness)
+    assert {row["identified"] for row in rows(tmp_path / "k.csv")} == {"no"}
+    summary = plain(summary_of(replace(made_up.findings(0), posterior=lost), written_by="a test"))
+    assert summary["fit"]["trusted"] is False
+    assert summary["fit"]["doubts"] == ["the fit did not converge"]
+    assert summary["fit"]["identified"] == []
+    assert not any(summary["stiffness"]["identified"])
+
+
 def test_nuisances_come_with_their_unit_and_both_sds(tmp_path: Path) -> None:
     fit = made_up.posterior()
     write_nuisances(tmp_path / "n.csv", fit.nuisances())

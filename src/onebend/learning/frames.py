@@ -37,9 +37,9 @@ def learnable_frames(observations: Observations) -> BoolArray:
     bent = distances(low_pass(time, force, clean.cutoff, longest_gap=np.inf) - force)
     used = observations.time[usable]
     inside = (time >= used[0]) & (time <= used[-1])
-    typical = float(np.median(bent[inside])) if inside.any() else 0.0
+    usual = float(np.median(bent[inside])) if inside.any() else 0.0
     largest = float(np.max(distances(observations.force[usable])))
-    wrong = time[bent > max(_BENT * typical, _SLIGHT * largest)]
+    wrong = time[bent > max(_BENT * usual, _SLIGHT * largest)]
     reach = _MEMORY / clean.cutoff
     after = np.searchsorted(wrong, observations.time)
     padded = np.concatenate([[-np.inf], wrong, [np.inf]])
@@ -94,3 +94,9 @@ def distances(difference: Array) -> Array:
     there = np.isfinite(difference)
     length = np.sqrt(np.sum(np.where(there, difference, 0.0) ** 2, axis=-1))
     return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
+
+
+def typical(values: Array) -> Array:
+    """Median over the first axis of what is known there; NaN where nothing is."""
+    known = np.any(np.isfinite(values), axis=0)
+    return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)

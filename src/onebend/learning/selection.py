@@ -141,7 +141,8 @@ def _try(observations: Observations, rows: regression.Rows, use: BoolArray, m: i
         return Candidate(replace(trial, why_out=str(error)), None, None)
     snapped = not np.all(np.isfinite(comparison.predicted))
     observed = int(np.sum(np.isfinite(comparison.measured)))
-    bic = np.inf if snapped else information_criterion(comparison.rms, observed, n + m, settings.bic)
+    seen = np.isfinite(comparison.rms)
+    bic = np.inf if snapped else information_criterion(comparison.rms[seen], observed, n + m, settings.bic)
     why = "the learned beam snaps through under the measured forces" if snapped else ""
     return Candidate(replace(trial, rms=comparison.rms, bic=bic, why_out=why), beam, comparison)
 

@@ -206,4 +206,4 @@ def check_direction(
                 " Or start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched."
             )
         raise ObservationError(f"{rec.name}: {text}")
-    return (Remark("warning", text),)
+    return (Remark("warning", text, doubt=True),)
