@@ -71,13 +71,13 @@ def reach(
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             within = None
-            if max_force is not None:
+            if settings.max_force is not None:
                 within = reachable(
                     stored.beam,
                     push_s=push_at,
                     point_s=point,
-                    max_force=max_force,
-                    max_curvature=max_curvature,
+                    max_force=settings.max_force,
+                    max_curvature=settings.max_curvature,
                     gravity=gravity,
                 )
             with workplace(output, REACH_FORMAT, overwrite) as place:

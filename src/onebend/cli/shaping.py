@@ -46,6 +46,8 @@ from onebend.terminal.shaping import (
     show_shape,
 )
 
+FAR = 0.5  # of the length, rms from the targets: no shape to be of use
+
 
 def shape(
     model: Model,
@@ -75,6 +77,11 @@ def shape(
             uncertain=stored.uncertain,
             settings=ShapeSettings(arm=arm),
         )
+        if found.rms > FAR * stored.beam.length:
+            raise ControlError(
+                f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
+                f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
+            )
         summary = shape_summary(str(model), found, written_by=BY)
         if output is not None:
             with workplace(output, SHAPE_FORMAT, overwrite) as place:

@@ -14,8 +14,8 @@ PLACES = 201
 def columns(beam: Beam, uncertain: UncertainStiffness | None = None) -> dict[str, Array]:
     """Name, with unit, to (201,) values: s, k and its 95 % band, EI and its band, curvature at rest, mass per metre.
 
-    The band is NaN where none was learned; `identified` is then 0, as it is where the data did not tell, or the band is not
-    to be trusted.
+    The band is NaN where none was learned; `identified` is then 0, as it is where the data did not tell or the band
+    is not to be trusted.
     """
     s = np.linspace(0.0, 1.0, PLACES)
     k = np.asarray(beam.stiffness(s))

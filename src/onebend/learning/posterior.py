@@ -102,9 +102,9 @@ class Posterior:
             found.append("the fit did not converge")
         if not self.criticism.trusted:
             found.append("the recording contradicts the model of the fit")
-        for film in self.films:
-            if any(remark.doubt for remark in film.observations.remarks):
-                found.append(f"{film.observations.name}: {CONTRADICTED}" if several else CONTRADICTED)
+        for o in (one.observations for one in self.films):
+            if any(remark.doubt for remark in o.remarks):
+                found.append(f"{o.name}: {CONTRADICTED}" if several else CONTRADICTED)
         return tuple(found)
 
     @property

@@ -67,8 +67,8 @@ def poor_fit(one: Comparison) -> list[Remark]:
     if one.static:
         check = "the loads' and the points' units, the directions of axes and gravity, and the clamp's angle"
     text = (
-        f"the simulated beam misses M{worst + 1} by {1000 * one.rms[worst]:.1f} mm RMS where it moves by "
-        f"{1000 * motion[worst]:.0f} mm: this is no good fit. Check {check}"
+        f"the simulated beam misses M{worst + 1} by {1000 * one.rms[worst]:.3g} mm RMS where it moves by "
+        f"{1000 * motion[worst]:.3g} mm: this is no good fit. Check {check}"
     )
     return [Remark("warning", text)]
 

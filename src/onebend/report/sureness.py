@@ -124,7 +124,7 @@ class SupposedRow:
 
 
 def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
-    """The most striking tests; none where the fit misses the tags hopelessly, as these tests are small changes of it."""
+    """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
     if any(one.hopeless for one in posterior.misses):
         return []
     critic = posterior.criticism
