@@ -73,9 +73,8 @@ def check_metres(xy: Array, length: float) -> None:
     away = np.nan_to_num(np.linalg.norm(xy, axis=-1)).ravel()
     if away.size and np.max(away) > BEYOND * length:
         worst = np.reshape(xy, (-1, 2))[int(np.argmax(away))]
-        raise ControlError(
-            f"the position {numbers(worst)} m is {np.max(away):.4g} m from the clamp, the beam {length:.4g} m long. {METRES}"
-        )
+        where = f"the position {numbers(worst)} m is {np.max(away):.4g} m from the clamp"
+        raise ControlError(f"{where}, the beam {length:.4g} m long. {METRES}")
 
 
 def points(s: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
