@@ -13,6 +13,7 @@ from onebend import pipeline
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
+from onebend.learning.frames import nothing_moves
 from onebend.learning.learn import learn
 from onebend.learning.parameters import Priors
 from onebend.learning.posterior import FitSettings, Posterior, fit
@@ -57,6 +58,14 @@ def test_a_recording_without_a_load_gives_no_start() -> None:
     idle = replace(made(), loaded=np.zeros(30, dtype=bool))
     with pytest.raises(LearningError, match="made: no frame has a load"):
         start_of([idle], None)
+    still = replace(made(), xy=np.broadcast_to(made().rest_xy, (30, 3, 2)))
+    for one in (still, replace(still, loaded=np.zeros(30, dtype=bool))):
+        with pytest.raises(LearningError, match=r"made: nothing moves in the film: .* within 0 mm"):
+            start_of([one], None)
+        with pytest.raises(LearningError, match="nothing moves"):
+            learn(one, Settings(n=4, m=3))
+    assert nothing_moves(replace(still, gravity=np.full((30, 2), -9.81))) == ""
+    assert nothing_moves(replace(still, xy=np.add(still.xy, 1e-3))) == ""
     heavy = replace(made(), gravity=np.full((30, 2), -9.81))
     with pytest.raises(LearningError, match="mass_kg"):
         start_of([heavy], None)

@@ -124,6 +124,8 @@ def test_observations_come_back_to_the_last_bit(tmp_path: Path, bare: bool) -> N
     before = replace(before, gain_sd=0.02, force_sd=np.array([np.inf, 1 / 3]), video=tmp_path / "video.mp4")
     if bare:
         before = replace(before, view=None, clock=None, video=None, remarks=())
+    else:
+        before = replace(before, remarks=(*before.remarks, Remark("warning", "the force contradicts", doubt=True)))
     save_observations(tmp_path / "observations.parquet", before)
     after = load_observations(tmp_path)
     for field in fields(Observations):
