@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,15 @@ def test_targets_that_no_shape_comes_near_are_an_error(model: Path, tmp_path: Pa
     assert done.exit_code == 2
     assert words in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_model_in_doubt_is_warned_of(model: Path, targets: Path, tmp_path: Path) -> None:
+    doubted = replace(KNOWN, doubts=("the fit did not converge",))
+    save_model(tmp_path / "doubted.json", BEAM, written_by="a test", uncertain=doubted)
+    done = run("shape", tmp_path / "doubted.json", "--targets", targets, "--json")
+    assert "NOT TO BE TRUSTED: the fit did not converge" in done.stderr
+    assert json.loads(done.stdout)
+    assert "TRUSTED" not in run("shape", model, "--targets", targets, "--json").stderr
 
 
 def test_a_value_out_of_range_is_named_with_its_option(model: Path, goals: Path) -> None:

@@ -138,10 +138,14 @@ def test_a_force_that_contradicts_the_bending_puts_k_in_doubt() -> None:
 
 def test_a_tag_that_was_never_seen_is_no_hindrance() -> None:
     there = np.arange(3)[:, None] != 1
-    hidden = {name: np.where(there, getattr(made(), name), np.nan) for name in ("xy", "rest_xy")}
-    angles = {name: np.where(there[:, 0], getattr(made(), name), np.nan) for name in ("angle", "rest_angle")}
-    covariance = np.where(there[..., None], made().covariance, np.nan)
-    seen = replace(made(), **hidden, **angles, covariance=covariance)
+    seen = replace(
+        made(),
+        xy=np.where(there, made().xy, np.nan),
+        rest_xy=np.where(there, made().rest_xy, np.nan),
+        angle=np.where(there[:, 0], made().angle, np.nan),
+        rest_angle=np.where(there[:, 0], made().rest_angle, np.nan),
+        covariance=np.where(there[..., None], made().covariance, np.nan),
+    )
     learned = learn(seen, Settings(n=4, m=3))
     found = fit([seen], learned.beam.stiffness, settings=FitSettings(functions=8))
     assert found.doubts == ()
