@@ -55,7 +55,8 @@ def headline(run: Findings) -> Panel:
             rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
             logged = f"{millimetres(rms)} mm RMS in the fit; {logged}, whose slow error the fit takes off"
         lines.append(f"[bold]{escape(one.name)}[/] worst marker {logged}")
-    return Panel("\n".join(lines), expand=False, border_style="green")
+    doubted = run.posterior is not None and bool(run.posterior.doubts)
+    return Panel("\n".join(lines), expand=False, border_style="red" if doubted else "green")
 
 
 def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out: Path) -> None:
