@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,32 @@ def test_a_path_too_fast_is_refused(model: Path, goals: Path) -> None:
     done = run("path", model, "--goals", goals, *asked)
     assert done.exit_code == 2
     assert "its limit 0.2" in done.stderr.replace("\n", " ")
+
+
+@pytest.mark.parametrize(("row", "words"), [("1,140,50", "in millimetres"), ("1,-0.2,0.1", "nothing near the targets")])
+def test_targets_that_no_shape_comes_near_are_an_error(model: Path, tmp_path: Path, row: str, words: str) -> None:
+    file = tmp_path / "far.csv"
+    file.write_text(f"s,x_m,y_m\n{row}\n0.5,0.2,0\n", encoding="utf-8")
+    done = run("shape", model, "--targets", file, "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_model_in_doubt_is_warned_of(model: Path, targets: Path, tmp_path: Path) -> None:
+    doubted = replace(KNOWN, doubts=("the fit did not converge",))
+    save_model(tmp_path / "doubted.json", BEAM, written_by="a test", uncertain=doubted)
+    done = run("shape", tmp_path / "doubted.json", "--targets", targets, "--json")
+    assert "NOT TO BE TRUSTED: the fit did not converge" in done.stderr
+    assert json.loads(done.stdout)
+    assert "TRUSTED" not in run("shape", model, "--targets", targets, "--json").stderr
+
+
+def test_a_value_out_of_range_is_named_with_its_option(model: Path, goals: Path) -> None:
+    for option, value in (("--push-at", "0"), ("--push-at", "nan"), ("--rate-Hz", "0"), ("--max-force-N", "-1")):
+        done = run("path", model, "--goals", goals, option, value)
+        assert done.exit_code == 2, option
+        assert option in done.stderr
 
 
 def test_a_bad_file_is_named_with_its_line(model: Path, goals: Path) -> None:

@@ -23,7 +23,7 @@ from onebend.learning.selection import Settings
 from onebend.learning.selection import pairs as trials
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
-from onebend.learning.verdict import fit_remarks, missed
+from onebend.learning.verdict import fit_remarks
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
@@ -173,9 +173,8 @@ def _fit(
             f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
             "`onebend learn --method regression`"
         ) from error
-    wrong = missed(posterior)
-    if len(seen) > 1 and wrong:
-        reasons = "; ".join(f"{name}: {text}" for name, text in wrong)
+    if len(seen) > 1 and posterior.misses:
+        reasons = "; ".join(f"{one.name}: {one.words}" for one in posterior.misses)
         raise LearningError(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"

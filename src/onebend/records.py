@@ -33,6 +33,7 @@ class Remark:
 
     level: Literal["note", "warning"]
     text: str
+    doubt: bool = False  # what is learned from the recording is then not to be relied on
 
 
 @dataclass(frozen=True)

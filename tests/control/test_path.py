@@ -145,5 +145,7 @@ def test_what_is_no_path() -> None:
     both = points(1.0, two[0]) + angles(0.5, 0.1)
     with pytest.raises(ControlError, match="other things"):
         Goals(np.array([0.0, 1.0]), both, np.array([both.xy, both.xy]), np.array([[np.nan, 0.1], [0.2, 0.1]]))
+    with pytest.raises(ControlError, match="in millimetres"):
+        follow_goals(SOFT, of(np.array([0.0, 1.0]), 1e3 * two), pushes=(Push(),))
     with pytest.raises(ControlError, match="rate of samples"):
         follow_goals(SOFT, circle(), pushes=(Push(),), settings=PathSettings(rate=0.0))

@@ -103,6 +103,24 @@ def test_goal_beyond_the_length_says_what_can_be_had() -> None:
     np.testing.assert_allclose(found.nearest.point if found.nearest else 0.0, (0.15, 0.0), atol=1e-6)
 
 
+def test_goal_in_millimetres_is_guessed() -> None:
+    assert "in metres: is this in millimetres?" in reach(BEAM, (133.0, 63.0)).reason
+    assert "metres" not in reach(BEAM, (0.2, 0.0)).reason
+
+
+def test_point_that_is_at_its_goal_already_needs_no_force() -> None:
+    found = reach(BEAM, (LENGTH, 0.0))
+    assert found.converged
+    np.testing.assert_array_equal(found.force, 0.0)
+    assert reach(BEAM, (LENGTH, 0.0), settings=ReachSettings(max_force=0.1)).converged
+    assert not reach(BEAM, (LENGTH + 1e-5, 0.0)).converged
+
+
+def test_infinite_bounds_are_none() -> None:
+    settings = ReachSettings(max_force=np.inf, max_curvature=np.inf)
+    assert settings == ReachSettings()
+
+
 def test_bound_on_force_is_kept_and_named() -> None:
     goal = BEAM.equilibrium((0.0, 0.4)).xy(1.0)
     free = reach(BEAM, goal)
@@ -191,7 +209,7 @@ def test_start_leads_on_from_an_earlier_result() -> None:
 @pytest.mark.parametrize(
     ("goal", "options", "says"),
     [
-        ((0.1, float("nan")), {}, "goal is a place"),
+        ((0.1, float("nan")), {}, r"goal is a place .* got \(0\.1, nan\)"),
         ((0.1, 0.0, 0.0, 0.0), {}, "goal is a place"),
         ((0.1, 0.0, 1.0), {}, "cannot hold a point at an angle"),
         ((0.1, 0.05), {"push_s": 0.0}, "push_s lies in"),

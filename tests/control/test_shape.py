@@ -170,6 +170,8 @@ def test_what_cannot_be_asked() -> None:
         points(1.5, [0.1, 0.0])
     with pytest.raises(ControlError, match="neither"):
         points(1.0, [np.nan, np.nan])
+    with pytest.raises(ControlError, match=r"\(100, 60\) m is 116.6 m .* in millimetres\?"):
+        shape(SOFT, points(1.0, [100.0, 60.0]), pushes=[Push(1.0)])
     with pytest.raises(ControlError, match="positive"):
         Push(1.0, max_force=-1.0)
 

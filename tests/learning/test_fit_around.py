@@ -13,15 +13,17 @@ from onebend import pipeline
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
+from onebend.learning.frames import nothing_moves
 from onebend.learning.learn import learn
 from onebend.learning.parameters import Priors
 from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.selection import Settings
 from onebend.learning.start import start_of
 from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
 from onebend.learning.validation import mounting, validate
-from onebend.learning.verdict import fit_remarks, fitted_rms, missed
+from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.recording.folder import read_recording
-from onebend.records import Observations
+from onebend.records import Observations, Remark
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 
 NOISE = (2e-5, 1e-3)
@@ -56,6 +58,14 @@ def test_a_recording_without_a_load_gives_no_start() -> None:
     idle = replace(made(), loaded=np.zeros(30, dtype=bool))
     with pytest.raises(LearningError, match="made: no frame has a load"):
         start_of([idle], None)
+    still = replace(made(), xy=np.broadcast_to(made().rest_xy, (30, 3, 2)))
+    for one in (still, replace(still, loaded=np.zeros(30, dtype=bool))):
+        with pytest.raises(LearningError, match=r"made: nothing moves in the film: .* within 0 mm"):
+            start_of([one], None)
+        with pytest.raises(LearningError, match="nothing moves"):
+            learn(one, Settings(n=4, m=3))
+    assert nothing_moves(replace(still, gravity=np.full((30, 2), -9.81))) == ""
+    assert nothing_moves(replace(still, xy=np.add(still.xy, 1e-3))) == ""
     heavy = replace(made(), gravity=np.full((30, 2), -9.81))
     with pytest.raises(LearningError, match="mass_kg"):
         start_of([heavy], None)
@@ -99,10 +109,48 @@ def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -
     one = fitted()
     unfinished = replace(one, optimum=replace(one.optimum, converged=False))
     assert "did not converge" in fit_remarks(unfinished)[0].text
+    assert unfinished.doubts == ("the fit did not converge",)
+    assert one.doubts == ()
     away = np.array([[0.0, 0.0], [4e-3, 0.0], [0.0, 0.0]])
     moved = replace(made(), xy=np.add(made().xy, away), rest_xy=np.add(made().rest_xy, away))
     texts = [remark.text for remark in fit_remarks(fit([moved], 0.02, settings=FitSettings(functions=8)))]
     assert any("not to be trusted" in text and "tag 2 sits" in text for text in texts)
+
+
+def test_a_fit_that_misses_hopelessly_says_so_once_and_nothing_else() -> None:
+    one = fitted()
+    (film,) = one.films
+    far = replace(one, films=(replace(film, measured=film.measured + 1.0),))
+    (said,) = fit_remarks(far)
+    assert said.level == "warning"
+    assert "not to be relied on" in said.text
+    near = replace(one, films=(replace(film, measured=film.measured + 0.003),))
+    assert [miss.hopeless for miss in (*far.misses, *near.misses)] == [True, False]
+    assert not near.band(np.linspace(0, 1, 11)).identified.any()
+
+
+def test_a_force_that_contradicts_the_bending_puts_k_in_doubt() -> None:
+    one = fitted()
+    (film,) = one.films
+    odd = replace(film.observations, remarks=(Remark("warning", "turned", doubt=True), Remark("warning", "other")))
+    assert replace(one, films=(replace(film, observations=odd),)).doubts == ("the force contradicts the bending",)
+
+
+def test_a_tag_that_was_never_seen_is_no_hindrance() -> None:
+    there = np.arange(3)[:, None] != 1
+    seen = replace(
+        made(),
+        xy=np.where(there, made().xy, np.nan),
+        rest_xy=np.where(there, made().rest_xy, np.nan),
+        angle=np.where(there[:, 0], made().angle, np.nan),
+        rest_angle=np.where(there[:, 0], made().rest_angle, np.nan),
+        covariance=np.where(there[..., None], made().covariance, np.nan),
+    )
+    learned = learn(seen, Settings(n=4, m=3))
+    found = fit([seen], learned.beam.stiffness, settings=FitSettings(functions=8))
+    assert found.doubts == ()
+    s = np.linspace(0.1, 0.8, 8)
+    assert np.all((found.band(s, 0.999).low < SOFT.stiffness(s)) & (SOFT.stiffness(s) < found.band(s, 0.999).high))
 
 
 def test_the_fit_comes_as_near_to_the_tags_as_their_noise() -> None:
@@ -175,7 +223,7 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
 
 def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     other = replace(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
-    assert missed(fitted()) == ()
+    assert fitted().misses == ()
     seen = iter([made(), other])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
     with pytest.raises(LearningError, match=r"do not agree on one beam\. .*misses tag"):

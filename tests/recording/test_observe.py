@@ -90,8 +90,16 @@ def test_opposite_and_swapped_forces_are_named() -> None:
     with pytest.raises(ObservationError, match=r"swapped|turned"):
         observed(replace(log, force=log.force[:, ::-1].copy()))
     found = observed(replace(log, force=-log.force), check_force=False)
-    assert any("opposite sign" in r.text and r.level == "warning" for r in found.remarks)
-    assert not any("force looks" in r.text for r in plain().remarks)
+    assert any("opposite sign" in r.text and r.level == "warning" and r.doubt for r in found.remarks)
+    assert not any("force looks" in r.text or r.doubt for r in plain().remarks)
+
+
+def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
+    slow = replace(PUSHED.markers(), time=3.0 * PUSHED.markers().time)
+    with pytest.raises(
+        ObservationError, match=r"fits the bending far better .* frame rate is wrong \(with 10 a second"
+    ):
+        assemble(recording(), slow, PUSHED.log(), None, ObserveSettings())
 
 
 def test_a_swap_is_named_in_the_axes_of_the_log() -> None:

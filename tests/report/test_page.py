@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend.learning.forward import Film
 from onebend.records import ClockOffset, Remark
 from onebend.report.drawing import draw_all, fit
-from onebend.report.findings import all_remarks, poor_fit
+from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
 from onebend.report.page import page
 from onebend.report.sureness import tradeoff_words, unidentified_words
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
@@ -144,8 +145,25 @@ def test_a_poor_fit_is_a_warning() -> None:
     far = made_up.comparison(error_m=0.02)
     assert [remark.level for remark in poor_fit(far)] == ["warning"]
     assert "M1" in poor_fit(far)[0].text  # which moves least
+    assert "the beam that was learned" not in poor_fit(far)[0].text
+    assert "the beam that was learned" in pair_remarks(far, made_up.observations())[-1].text
     unseen = replace(good, measured=np.full_like(good.measured, np.nan), rms=np.full(3, np.nan))
     assert poor_fit(unseen) == []
+    assert another_beam(unseen) == []
+
+
+def test_a_validation_far_beyond_the_noise_is_a_warning() -> None:
+    noisy = replace(made_up.comparison(error_m=0.0006), sensor_rms=np.array([0.0003, 0.004, np.nan]))
+    assert another_beam(noisy) == []
+    quiet = replace(noisy, sensor_rms=np.array([0.00005, 0.004, np.nan]))
+    (said,) = another_beam(quiet)
+    assert said.level == "warning"
+    assert "M1 is missed by 10 times" in said.text
+    assert another_beam(made_up.comparison(error_m=1e-6)) == []  # next to nothing, whatever explains it
+    other = replace(made_up.findings(1), validations=(quiet,))
+    assert any("another beam" in remark.text for _, remark in all_remarks(other))
+    alone = replace(made_up.findings(0), trainings=(quiet,))
+    assert not any("another beam" in remark.text for _, remark in all_remarks(alone))
 
 
 @pytest.mark.parametrize(
@@ -203,3 +221,14 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     assert "this band is not to be trusted" in text
     assert "NOT TO BE TRUSTED" in text
     assert "1 in 1 000 000 000 or less" in text
+    assert "the recording contradicts the model of the fit" in text
+    far = replace(found.posterior, films=tuple(_moved(film, 1.0) for film in found.posterior.films))
+    text = Links(page(replace(found, posterior=far), {}, version="1")).text
+    assert "the fit misses tag" in text
+    assert "these tests say nothing" in text
+    assert "known to±" not in text.replace(" ", "")
+
+
+def _moved(film: Film, away: float) -> Film:
+    """Its tags seen `away` [m] from where they were."""
+    return replace(film, measured=film.measured + away)

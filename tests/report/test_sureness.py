@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,20 @@ def test_the_gain_is_in_the_card_and_said_apart() -> None:
     assert "declared to 5 %" in gain_words(0.05)
     assert "not declared" in gain_words(0.0)
     assert "weight" in gain_words(0.0, forced=False)
+
+
+def test_nothing_counts_as_identified_where_k_is_in_doubt() -> None:
+    one = replace(uncertain(*[0.01] * 5), doubts=("the fit did not converge",))
+    assert not one.band(np.linspace(0.0, 1.0, 11)).identified.any()
+    assert identified_ranges(one) == []
+    assert sureness_card(one) == {
+        "what": "k(s) is known to",
+        "value": "NOT TO BE TRUSTED",
+        "note": "the fit did not converge",
+    }
+    (words,) = unidentified_words(one)
+    assert "NOT TO BE TRUSTED: the fit did not converge" in words
+    png_of(curves.stiffness(made_up.BEAM, uncertain=one))
 
 
 def test_an_error_that_comes_with_the_load_is_said_where_it_counts() -> None:

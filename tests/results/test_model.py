@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,17 @@ def test_the_band_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     for name in ("k", "low", "high", "identified"):
         np.testing.assert_array_equal(getattr(again, name), getattr(before, name))
     assert load_model(tmp_path) == fit.beam
+
+
+def test_what_speaks_against_a_band_comes_back_and_may_be_missing_in_old_files(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    doubted = replace(fit.stiffness, doubts=("the fit did not converge", "the force contradicts the bending"))
+    save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=doubted)
+    assert load_uncertain(tmp_path).doubts == doubted.doubts
+    data = json.loads((tmp_path / "model.json").read_text(encoding="utf-8"))
+    del data["uncertain"]["doubts"]
+    (tmp_path / "model.json").write_text(json.dumps(data), encoding="utf-8")
+    assert load_uncertain(tmp_path).doubts == ()
 
 
 def test_a_model_of_the_first_version_still_loads(tmp_path: Path) -> None:

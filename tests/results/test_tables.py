@@ -48,6 +48,19 @@ def test_stiffness_with_a_band_says_where_it_is_identified(tmp_path: Path) -> No
     assert [row["identified"] for row in table] == ["yes" if known else "no" for known in band.identified]
 
 
+def test_a_fit_that_is_in_doubt_identifies_nothing_in_any_file(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    lost = replace(fit, optimum=replace(fit.optimum, converged=False))
+    assert fit.band(np.linspace(0, 1, 11)).identified.any()
+    write_stiffness(tmp_path / "k.csv", lost.beam, lost.stiffness)
+    assert {row["identified"] for row in rows(tmp_path / "k.csv")} == {"no"}
+    summary = plain(summary_of(replace(made_up.findings(0), posterior=lost), written_by="a test"))
+    assert summary["fit"]["trusted"] is False
+    assert summary["fit"]["doubts"] == ["the fit did not converge"]
+    assert summary["fit"]["identified"] == []
+    assert not any(summary["stiffness"]["identified"])
+
+
 def test_nuisances_come_with_their_unit_and_both_sds(tmp_path: Path) -> None:
     fit = made_up.posterior()
     write_nuisances(tmp_path / "n.csv", fit.nuisances())
@@ -111,6 +124,8 @@ def test_observations_come_back_to_the_last_bit(tmp_path: Path, bare: bool) -> N
     before = replace(before, gain_sd=0.02, force_sd=np.array([np.inf, 1 / 3]), video=tmp_path / "video.mp4")
     if bare:
         before = replace(before, view=None, clock=None, video=None, remarks=())
+    else:
+        before = replace(before, remarks=(*before.remarks, Remark("warning", "the force contradicts", doubt=True)))
     save_observations(tmp_path / "observations.parquet", before)
     after = load_observations(tmp_path)
     for field in fields(Observations):

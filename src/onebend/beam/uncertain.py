@@ -24,7 +24,7 @@ class Band:
     k: Array  # N m
     low: Array  # N m
     high: Array  # N m
-    identified: BoolArray  # False where the prior rather than the data sets the band
+    identified: BoolArray  # False where the prior rather than the data sets the band, or k(s) is in doubt as a whole
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class UncertainStiffness:
     covariance: Array  # (p, p)
     gain_sd: float = 0.0  # what an uncertain force gain does to all of k alike
     degree: int = 3
+    doubts: tuple[str, ...] = ()  # why none of it is to be relied on: then no place counts as identified
 
     def __post_init__(self) -> None:
         count = len(self.mean)
@@ -59,7 +60,7 @@ class UncertainStiffness:
         """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
         mean, sd = self.log_at(s)
         wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(sd, self.gain_sd)
-        return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), sd < IDENTIFIED_SD)
+        return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
 
     def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
         """Stiffness distributions as probable as this one says."""
@@ -83,6 +84,7 @@ class UncertainStiffness:
             "covariance": self.covariance.tolist(),
             "gain_sd": self.gain_sd,
             "degree": self.degree,
+            "doubts": list(self.doubts),
         }
 
     @staticmethod
@@ -91,4 +93,5 @@ class UncertainStiffness:
         arrays = [np.asarray(data[key], dtype=float) for key in ("knots", "mean", "covariance")]
         if not all(np.all(np.isfinite(one)) for one in arrays) or not float(data["gain_sd"]) >= 0.0:
             raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
-        return UncertainStiffness(arrays[0], arrays[1], arrays[2], float(data["gain_sd"]), int(data["degree"]))
+        doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before
+        return UncertainStiffness(arrays[0], arrays[1], arrays[2], float(data["gain_sd"]), int(data["degree"]), doubts)

@@ -15,6 +15,7 @@ import onebend
 from onebend.errors import OnebendError
 from onebend.progress import Progress, Silent
 from onebend.results.folder import Workplace, abandon, prepare
+from onebend.results.model import StoredModel, read_model
 from onebend.results.summary import to_json
 from onebend.terminal.bars import Bars
 
@@ -66,6 +67,15 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
         return
     with Bars(Console(stderr=True)) as bars:
         yield bars
+
+
+def read_trusted(model: Path) -> StoredModel:
+    """The model; a warning on standard error where its k(s) is in doubt."""
+    stored = read_model(model)
+    doubts = () if stored.uncertain is None else stored.uncertain.doubts
+    if doubts:
+        typer.echo(f"onebend: warning: k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", err=True)
+    return stored
 
 
 def print_json(data: object) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_summary, workplace
+from onebend.cli.common import BY, clean_errors, print_summary, read_trusted, workplace
 from onebend.control.reach import ReachSettings
 from onebend.control.reach import reach as solve_reach
 from onebend.control.reachable import reachable
@@ -16,7 +16,6 @@ from onebend.errors import ControlError
 from onebend.report.reaching import reaching
 from onebend.report.style import png_of
 from onebend.results.folder import publish
-from onebend.results.model import read_model
 from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
 from onebend.terminal.options import Json, Model, Output, Overwrite
 from onebend.terminal.reaching import (
@@ -54,7 +53,7 @@ def reach(
 ) -> None:
     """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
     with clean_errors():
-        stored = read_model(model)
+        stored = read_trusted(model)
         settings = ReachSettings(
             method=method,
             max_force=max_force,
@@ -71,13 +70,13 @@ def reach(
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             within = None
-            if max_force is not None:
+            if settings.max_force is not None:
                 within = reachable(
                     stored.beam,
                     push_s=push_at,
                     point_s=point,
-                    max_force=max_force,
-                    max_curvature=max_curvature,
+                    max_force=settings.max_force,
+                    max_curvature=settings.max_curvature,
                     gravity=gravity,
                 )
             with workplace(output, REACH_FORMAT, overwrite) as place:

@@ -6,7 +6,7 @@ import math
 
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_summary, workplace
+from onebend.cli.common import BY, clean_errors, print_summary, read_trusted, workplace
 from onebend.control.feedback import ControllerSettings, controller
 from onebend.control.loop import Eye
 from onebend.control.margins import Timing
@@ -16,7 +16,6 @@ from onebend.report.looping import looping
 from onebend.report.style import png_of
 from onebend.results.folder import publish
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
-from onebend.results.model import read_model
 from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, say_written, show_loop
 from onebend.terminal.options import Json, Model, Output, Overwrite
 from onebend.terminal.reaching import Goal, Gravity, Point, PushAt, weight_of
@@ -40,7 +39,7 @@ def loop(
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
     with clean_errors():
-        beam = read_model(model).beam
+        beam = read_trusted(model).beam
         delay = 1e-3 * delay_ms
         settings = ControllerSettings(
             timing=Timing(fps=fps, delay=delay),

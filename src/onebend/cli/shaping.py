@@ -7,7 +7,7 @@ import math
 from rich.console import Console
 
 from onebend.beam.model import Beam
-from onebend.cli.common import BY, clean_errors, print_summary, workplace
+from onebend.cli.common import BY, clean_errors, print_summary, read_trusted, workplace
 from onebend.control.force_way import by_force
 from onebend.control.goals import Goals
 from onebend.control.grip import Grip, Push
@@ -22,7 +22,6 @@ from onebend.errors import ControlError
 from onebend.report.shaping import path_figure, shaping
 from onebend.report.style import png_of
 from onebend.results.folder import publish
-from onebend.results.model import read_model
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
 from onebend.terminal.options import Json, Model, Output, Overwrite
 from onebend.terminal.reaching import Gravity, weight_of
@@ -46,6 +45,8 @@ from onebend.terminal.shaping import (
     show_shape,
 )
 
+FAR = 0.5  # of the length, rms from the targets: no shape to be of use
+
 
 def shape(
     model: Model,
@@ -63,7 +64,7 @@ def shape(
 ) -> None:
     """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
     with clean_errors():
-        stored = read_model(model)
+        stored = read_trusted(model)
         pushes, holding = _hands(grip, push_at, max_force, max_moment)
         wanted = read_targets(targets, stored.beam.length)
         found = solve_shape(
@@ -75,6 +76,11 @@ def shape(
             uncertain=stored.uncertain,
             settings=ShapeSettings(arm=arm),
         )
+        if found.rms > FAR * stored.beam.length:
+            raise ControlError(
+                f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
+                f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
+            )
         summary = shape_summary(str(model), found, written_by=BY)
         if output is not None:
             with workplace(output, SHAPE_FORMAT, overwrite) as place:
@@ -109,7 +115,7 @@ def path(
 ) -> None:
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
     with clean_errors():
-        stored = read_model(model)
+        stored = read_trusted(model)
         pushes, holding = _hands(grip, push_at, max_force, max_moment)
         limits = Rates(
             force=_limit(max_force_rate),

@@ -41,9 +41,9 @@ class Push:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.at_s <= 1.0:
-            raise ControlError(f"a push acts at s in (0, 1], got {self.at_s}")
+            raise ControlError(f"a push acts at s in (0, 1], got {self.at_s:g}")
         if not self.max_force > 0.0:
-            raise ControlError(f"the largest force must be positive, got {self.max_force} N")
+            raise ControlError(f"the largest force must be positive, got {self.max_force:g} N")
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Grip:
 
     def __post_init__(self) -> None:
         if not (self.max_force > 0.0 and self.max_moment > 0.0):
-            raise ControlError(f"a grip's limits must be positive, got {self.max_force} N and {self.max_moment} N m")
+            raise ControlError(f"a grip's limits must be positive, got {self.max_force:g} N, {self.max_moment:g} N m")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,8 @@ class Timing:
         known = np.isfinite([self.fps, self.delay, self.lag])
         if not np.all(known) or not (self.fps > 0.0 and self.delay >= 0.0 and self.lag >= 0.0):
             raise ControlError(
-                f"a loop needs a frame rate above zero, a delay and a lag that are not negative, got {self}"
+                f"a loop needs a frame rate above zero, a delay and a lag that are not negative, got "
+                f"{self.fps:g} 1/s, {self.delay:g} s and {self.lag:g} s"
             )
 
 
@@ -54,7 +55,7 @@ class Gains:
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.rate, self.corner]).all() and self.rate > 0.0 and self.corner > 0.0):
-            raise ControlError(f"gains must be finite and positive, got {self}")
+            raise ControlError(f"gains must be finite and positive, got {self.rate:g} and {self.corner:g}")
 
 
 @dataclass(frozen=True)

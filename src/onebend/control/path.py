@@ -21,7 +21,7 @@ from onebend.control.grip import Grip, Hands, Push, Stand
 from onebend.control.march import knots_of, march
 from onebend.control.shape import ShapeSettings
 from onebend.control.steps import multipliers
-from onebend.control.targets import misses, misses_along
+from onebend.control.targets import check_metres, misses, misses_along
 from onebend.control.timing import Moving, Rates, refuse, stretched
 from onebend.control.track import Frames, settle
 from onebend.errors import ControlError
@@ -102,7 +102,8 @@ def follow_goals(
         MechanicsError: k(s) not positive.
     """
     if not settings.rate > 0.0:
-        raise ControlError(f"a rate of samples must be positive, got {settings.rate} Hz")
+        raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")
+    check_metres(goals.xy, float(beam.length))
     knots = knots_of(goals, float(beam.length))
     arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
     resolution = settings.shape.resolution

@@ -26,6 +26,7 @@ from onebend.control.reach_paper import paper_force
 from onebend.control.reach_search import Found, from_rest, resolved, sampled, search
 from onebend.control.reach_settings import ReachSettings, checked_goal
 from onebend.control.reachable import Nearest, ReachableSet
+from onebend.control.targets import BEYOND, METRES
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -169,7 +170,8 @@ def _too_far(on: PushedBeam, goal: Array) -> str:
     """Why no shape whatever brings the point to the goal; empty where that is not so plain."""
     arm, away = float(on.problem.length) * on.point_s, float(np.hypot(*goal[:2]))
     if away >= arm:
-        return f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
+        text = f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
+        return f"{text}. {METRES}" if away > BEYOND * float(on.problem.length) else text
     return ""
 
 
@@ -179,7 +181,7 @@ def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str,
     last = nearest.states[-1]
     trail = from_rest(on, last)
     states = nearest.states if trail is None else trail.states
-    there = not known and nearest.distance <= settings.tolerance and len(goal) == 2
+    there = nearest.distance <= settings.tolerance and len(goal) == 2
     why = "" if there else _why(on, goal, settings, known, nearest)
     return _result(Found(on, states, len(states) - 1), goal, settings, why, None if there else nearest)
 
@@ -192,10 +194,11 @@ def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, neare
         bent = "" if settings.max_curvature is None else f" within {settings.max_curvature:.3g} 1/m"
         known = f"no force{most}{way} has a stable shape{bent} there to which the beam comes from rest"
     by = "a force and a moment" if settings.moment else "a force"
+    known += "" if known.endswith("?") else "."
     at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
     return (
         f"the point s = {on.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm by {by} at "
-        f"s = {on.push_s:.4g}: {known}. The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, "
+        f"s = {on.push_s:.4g}: {known} The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, "
         f"{1e3 * nearest.distance:.3g} mm away; it needs {nearest.size:.3g} N at {turn:.4g} deg"
     )
 

@@ -44,7 +44,7 @@ class PushedBeam:
         """Raises `ControlError` for a place outside (0, 1], `MechanicsError` where no shape carries the weight."""
         for name, place in (("push_s", push_s), ("point_s", point_s)):
             if not 0.0 < place <= 1.0:
-                raise ControlError(f"{name} lies in (0, 1], 1 the tip; got {place}")
+                raise ControlError(f"{name} lies in (0, 1], 1 the tip; got {place:g}")
         self._heavy = heavy = bool(np.any(np.asarray(gravity, dtype=float) != 0.0))
         loads = weight(gravity) + push((0.0, 0.0), push_s) + twist(0.0, push_s)
         self.problem: Problem = pose(beam, loads, resolution)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from onebend.control.reach_beam import PushedBeam, State
 from onebend.control.reach_paper import PaperSettings
+from onebend.control.targets import numbers
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -20,7 +21,7 @@ class ReachSettings:
     """How a force is sought, and within which bounds."""
 
     method: Literal["newton", "paper"] = "newton"
-    max_force: float | None = None  # N
+    max_force: float | None = None  # N; infinite is none, as it is below
     max_curvature: float | None = None  # 1/m beyond that at rest, anywhere along the beam
     direction: float | None = None  # rad: the force can only push this way
     moment: bool = False  # whether the gripper gives a moment too
@@ -32,15 +33,17 @@ class ReachSettings:
     def __post_init__(self) -> None:
         if self.direction is not None and (self.moment or not math.isfinite(self.direction)):
             raise ControlError("a force in one direction is one finite angle [rad], and goes without a moment")
-        for name in ("max_force", "max_curvature"):
+        for name, words in (("max_force", "the largest force"), ("max_curvature", "the largest curvature")):
             value = getattr(self, name)
-            if value is not None and not (value > 0.0 and math.isfinite(value)):
-                raise ControlError(f"{name} must be positive, got {value}")
+            if value is not None and not value > 0.0:
+                raise ControlError(f"{words} must be positive, got {value:g}")
+            if value == math.inf:
+                object.__setattr__(self, name, None)
         if not self.tolerance > 0.0 or self.steps < 1:
             raise ControlError("the tolerance must be positive, and the path needs at least one step")
         bound = self.max_force is not None or self.max_curvature is not None or self.direction is not None
         if self.method == "paper" and (bound or self.moment or any(self.gravity)):
-            raise ControlError("the paper's iteration knows no bounds, moment or weight; take method='newton'")
+            raise ControlError("the paper's iteration knows no bounds, moment or weight; take the method newton")
 
     @property
     def loads(self) -> int:
@@ -52,7 +55,7 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
     """The goal as an array (2,) or (3,). Raises `ControlError` where it has no meaning."""
     wanted = np.asarray(goal, dtype=float)
     if wanted.shape not in ((2,), (3,)) or not np.all(np.isfinite(wanted)):
-        raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {goal!r}")
+        raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {numbers(wanted)}")
     if len(wanted) == 3 and not settings.moment:
         raise ControlError("a force alone cannot hold a point at an angle: allow a moment, or leave the angle out")
     return wanted

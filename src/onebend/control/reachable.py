@@ -19,6 +19,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, pose
 from onebend.control.reach_beam import PushedBeam, State, prepared
 from onebend.control.reach_follow import trace
+from onebend.control.targets import numbers
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
@@ -67,7 +68,7 @@ class ReachableSet:
         """
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
-            raise ControlError(f"a goal has two finite coordinates [m], got {goal!r}")
+            raise ControlError(f"a goal has two finite coordinates [m], got {numbers(wanted)}")
         trails = [trace(self.on, one.load) for one in self.samples_near(wanted, _STARTS)]
         ways = [(self.on.start,), *(one.states for one in trails if one.arrived)]
         return min((self._refine(way, wanted) for way in ways), key=lambda one: one.distance)
@@ -137,9 +138,9 @@ def reachable(
         ControlError: a place or bound without meaning.
     """
     if not (max_force > 0.0 and np.isfinite(max_force)):
-        raise ControlError(f"the largest force must be positive, got {max_force} N")
+        raise ControlError(f"the largest force must be positive, got {max_force:g} N")
     if max_curvature is not None and not max_curvature > 0.0:
-        raise ControlError(f"the largest curvature must be positive, got {max_curvature} 1/m")
+        raise ControlError(f"the largest curvature must be positive, got {max_curvature:g} 1/m")
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()

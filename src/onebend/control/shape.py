@@ -15,7 +15,7 @@ from onebend.control.descent import Descent, Found, descend
 from onebend.control.grip import Grip, Hands, Push, Stand, refined, rest
 from onebend.control.spread import Spread, spread
 from onebend.control.steps import model_of
-from onebend.control.targets import Targets, misses
+from onebend.control.targets import Targets, check_metres, misses
 from onebend.records import Array
 
 _FINEST = 1.0 / 16.0  # widest panel at the end of refinement
@@ -118,6 +118,7 @@ def shape(
         MechanicsError: k(s) not positive.
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
+    check_metres(targets.xy, float(beam.length))
     resting = rest(beam, tuple(pushes), grip, gravity, settings.resolution)
     begin = resting if start is None else start
     found = descend(begin, targets, arm, settings.descent)

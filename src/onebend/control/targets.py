@@ -11,6 +11,9 @@ from onebend.beam.statics import Equilibrium
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
+BEYOND = 2.0  # of the length, from the clamp: nobody wants a beam there
+METRES = "Positions are in metres: is this in millimetres?"
+
 
 @dataclass(frozen=True)
 class Targets:
@@ -60,6 +63,20 @@ class Targets:
         )
 
 
+def numbers(values: ArrayLike) -> str:
+    """Plain numbers in brackets, as a message shows them."""
+    return f"({', '.join(f'{one:g}' for one in np.ravel(np.asarray(values, dtype=float)))})"
+
+
+def check_metres(xy: Array, length: float) -> None:
+    """Raises `ControlError` where positions (N, 2) lie so far from the clamp that they cannot be meant in metres."""
+    away = np.nan_to_num(np.linalg.norm(xy, axis=-1)).ravel()
+    if away.size and np.max(away) > BEYOND * length:
+        worst = np.reshape(xy, (-1, 2))[int(np.argmax(away))]
+        where = f"the position {numbers(worst)} m is {np.max(away):.4g} m from the clamp"
+        raise ControlError(f"{where}, the beam {length:.4g} m long. {METRES}")
+
+
 def points(s: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
     """Wanted positions xy (N, 2) or (2,) m at places s (N,) or a number."""
     places = np.atleast_1d(np.asarray(s, dtype=float))
@@ -106,6 +123,10 @@ def curve_of_length(xy: ArrayLike, length: float) -> Targets:
 
 def _spread(weight: ArrayLike, count: int) -> Array:
     return np.array(np.broadcast_to(np.asarray(weight, dtype=float), (count,)))
+
+
+BEYOND = 2.0  # of the length, from the clamp: nobody wants a beam there
+METRES = "Positions are in metres: is this in millimetres?"
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ class Rates:
 
     def __post_init__(self) -> None:
         if not min(self.force, self.speed, self.turning) > 0.0:
-            raise ControlError(f"limits on rates must be positive, got {self.force}, {self.speed}, {self.turning}")
+            got = f"{self.force:g} N/s, {self.speed:g} m/s, {self.turning:g} rad/s"
+            raise ControlError(f"limits on rates must be positive, got {got}")
 
 
 @dataclass(frozen=True)

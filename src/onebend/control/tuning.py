@@ -27,7 +27,7 @@ class Wanted:
         if not (self.gain > 1.0 and 0.0 < self.phase < 0.5 * np.pi and 0.0 <= self.k_error < 1.0):
             raise ControlError(
                 "wanted margins are a gain above 1, a phase between 0 and a right angle, and an error of k below 1, "
-                f"got {self}"
+                f"got {self.gain:g}, {np.rad2deg(self.phase):g} deg and {self.k_error:g}"
             )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.beam.uncertain import UncertainStiffness
 from onebend.records import Array
 
 PLACES = 201
@@ -14,7 +14,8 @@ PLACES = 201
 def columns(beam: Beam, uncertain: UncertainStiffness | None = None) -> dict[str, Array]:
     """Name, with unit, to (201,) values: s, k and its 95 % band, EI and its band, curvature at rest, mass per metre.
 
-    The band is NaN where none was learned; `identified` is then 0, as it is where the data did not tell.
+    The band is NaN where none was learned; `identified` is then 0, as it is where the data did not tell or the band
+    is not to be trusted.
     """
     s = np.linspace(0.0, 1.0, PLACES)
     k = np.asarray(beam.stiffness(s))
@@ -22,7 +23,7 @@ def columns(beam: Beam, uncertain: UncertainStiffness | None = None) -> dict[str
     identified = np.zeros(PLACES)
     if uncertain is not None:
         band = uncertain.band(s)
-        low, high, identified = band.low, band.high, (uncertain.log_at(s)[1] < IDENTIFIED_SD).astype(float)
+        low, high, identified = band.low, band.high, band.identified.astype(float)
     return {
         "s": s,
         "s_m": beam.length * s,

@@ -12,6 +12,7 @@ from onebend.records import Array, Remark
 
 _SLIP = 1e-3  # m, by which the push may act beside where it is said to
 _OUT = 1.2  # s: a push farther out than that is no place
+_LINEAR = 1.0  # change of log k: what the tests say of it is to first order, and says nothing beyond
 _Words = tuple[str, str]  # what it would be, and what to do
 
 
@@ -48,6 +49,8 @@ def _verdict(posterior: Posterior) -> Remark:
 
 def _effect(critic: Criticism) -> str:
     best = critic.causes[0]
+    if best.shift > _LINEAR:
+        return "With the likeliest one taken into account k(s) would be another altogether"
     change = 100.0 * float(np.expm1(best.shift))
     return (
         f"With the likeliest one taken into account k(s) would change by up to {change:.2g} %; a band "

@@ -26,7 +26,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import known_loads, mass_profile, push_places, whitening
+from onebend.learning.frames import known_loads, mass_profile, push_places, typical, whitening
 from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
 from onebend.learning.held_poses import HeldEnds, held_ends, is_held, moved, put_ends, solve, with_ends_held
 from onebend.learning.own_weight import POWERS, OwnWeight, own_weight
@@ -88,8 +88,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     if np.any(np.isfinite(o.rest_xy)):  # the beam at rest is one more frame, of no force and no force error
         rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
         measured = np.concatenate([measured, rest[None]])
-        typical = np.nanmedian(o.covariance, axis=0)
-        covariance = np.concatenate([covariance, np.maximum(typical, 0.0)[None] * np.eye(3)])
+        covariance = np.concatenate([covariance, np.maximum(typical(o.covariance), 0.0)[None] * np.eye(3)])
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])

@@ -12,6 +12,8 @@ from onebend.records import Array, BoolArray, Observations
 _BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
 _SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
 _MEMORY = 0.5  # of a period of the cut-off: so far a change reaches through the filter
+_STILL = 4.0  # times a tag's noise from its place: farther than this, or than the next, it moves
+_NO_PUSH = 3e-3  # of the length
 _LEAST_LEFT = 0.5  # of the usable frames: where fewer would be left, all are used
 
 
@@ -21,6 +23,26 @@ def usable_frames(observations: Observations) -> BoolArray:
     forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(push_places(observations))
     weighed = np.any(observations.gravity != 0.0, axis=1)
     return np.asarray(seen & forced & (observations.loaded | weighed))
+
+
+def nothing_moves(observations: Observations) -> str:
+    """What is wrong with a film of a beam at rest; empty where a tag leaves its place by more than noise.
+
+    The place is that at rest, or, where no rest was seen, that on a straight beam.
+    """
+    o = observations
+    if o.static or o.held is not None or np.any(o.gravity != 0.0):
+        return ""
+    straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+    away = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight))
+    seen = np.any(np.isfinite(away), axis=0)
+    if not seen.any():
+        return ""
+    usual = np.sqrt(np.trace(typical(o.covariance[:, seen, :2, :2]), axis1=1, axis2=2))
+    farthest = np.nanpercentile(away[:, seen], 95.0, axis=0)
+    if np.any(farthest > _STILL * usual) or np.any(farthest > _NO_PUSH * o.length):
+        return ""
+    return f"nothing moves in the film: the tags stay within {1e3 * float(np.max(farthest)):.2g} mm of where they rest"
 
 
 def learnable_frames(observations: Observations) -> BoolArray:
@@ -37,9 +59,9 @@ def learnable_frames(observations: Observations) -> BoolArray:
     bent = distances(low_pass(time, force, clean.cutoff, longest_gap=np.inf) - force)
     used = observations.time[usable]
     inside = (time >= used[0]) & (time <= used[-1])
-    typical = float(np.median(bent[inside])) if inside.any() else 0.0
+    usual = float(np.median(bent[inside])) if inside.any() else 0.0
     largest = float(np.max(distances(observations.force[usable])))
-    wrong = time[bent > max(_BENT * typical, _SLIGHT * largest)]
+    wrong = time[bent > max(_BENT * usual, _SLIGHT * largest)]
     reach = _MEMORY / clean.cutoff
     after = np.searchsorted(wrong, observations.time)
     padded = np.concatenate([[-np.inf], wrong, [np.inf]])
@@ -94,3 +116,9 @@ def distances(difference: Array) -> Array:
     there = np.isfinite(difference)
     length = np.sqrt(np.sum(np.where(there, difference, 0.0) ** 2, axis=-1))
     return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
+
+
+def typical(values: Array) -> Array:
+    """Median over the first axis of what is known there; NaN where nothing is."""
+    known = np.any(np.isfinite(values), axis=0)
+    return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)

@@ -25,6 +25,7 @@ from onebend.learning.forward import Film, Prediction, film, predict
 from onebend.learning.frames import learnable_frames, mass_profile
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
+from onebend.learning.misses import Miss, misses
 from onebend.learning.own_weight import following
 from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.scales import noise_before
@@ -33,6 +34,7 @@ from onebend.learning.spline import RHO, TAU, Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
+CONTRADICTED = "the force contradicts the bending"
 _FEWEST = 5  # frames of a recording
 
 
@@ -86,10 +88,29 @@ class Posterior:
         every = zip(self.films, self.optimum.predictions, strict=True)
         return tuple(predict(film, self.at, self.mean, found.solved.q) for film, found in every)
 
+    @cached_property
+    def misses(self) -> tuple[Miss, ...]:
+        """The recordings that the fit cannot explain; empty as a rule."""
+        return misses(self.films, self.slow)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why k(s) and its band are not to be relied on; empty as a rule."""
+        several = len(self.films) > 1
+        found = [f"{one.name}: {one.words}" if several else one.words for one in self.misses]
+        if not self.optimum.converged:
+            found.append("the fit did not converge")
+        if not self.criticism.trusted:
+            found.append("the recording contradicts the model of the fit")
+        for o in (one.observations for one in self.films):
+            if any(remark.doubt for remark in o.remarks):
+                found.append(f"{o.name}: {CONTRADICTED}" if several else CONTRADICTED)
+        return tuple(found)
+
     @property
     def stiffness(self) -> UncertainStiffness:
-        """k(s) and its band; the force's declared gain widens all of it alike."""
-        return stiffness_of(self.at, self.optimum, self.gain_sd)
+        """k(s) and its band, with what speaks against both; the force's declared gain widens all of it alike."""
+        return replace(stiffness_of(self.at, self.optimum, self.gain_sd), doubts=self.doubts)
 
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) with its band."""

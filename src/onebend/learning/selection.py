@@ -12,7 +12,7 @@ from onebend.beam.modes import Modes
 from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning import regression
-from onebend.learning.frames import usable_frames
+from onebend.learning.frames import nothing_moves, usable_frames
 from onebend.learning.outcome import Comparison, Trial
 from onebend.learning.regression import Family
 from onebend.learning.rest import AtRest
@@ -90,6 +90,8 @@ def table(observations: Observations, rest: AtRest, settings: Settings, progress
     frames = usable_frames(observations)
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
+    if still := nothing_moves(observations):
+        raise LearningError(f"{observations.name}: {still}. Film a push, and let the force log cover it")
     if np.sum(frames) < needed:
         raise LearningError(
             f"{observations.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be found; "
@@ -141,7 +143,8 @@ def _try(observations: Observations, rows: regression.Rows, use: BoolArray, m: i
         return Candidate(replace(trial, why_out=str(error)), None, None)
     snapped = not np.all(np.isfinite(comparison.predicted))
     observed = int(np.sum(np.isfinite(comparison.measured)))
-    bic = np.inf if snapped else information_criterion(comparison.rms, observed, n + m, settings.bic)
+    seen = np.isfinite(comparison.rms)
+    bic = np.inf if snapped else information_criterion(comparison.rms[seen], observed, n + m, settings.bic)
     why = "the learned beam snaps through under the measured forces" if snapped else ""
     return Candidate(replace(trial, rms=comparison.rms, bic=bic, why_out=why), beam, comparison)
 

@@ -11,7 +11,7 @@ from onebend.beam.problem import pose
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import distances, loads_of, mass_profile, usable_frames
+from onebend.learning.frames import distances, loads_of, mass_profile, nothing_moves, usable_frames
 from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
 from onebend.learning.held_poses import is_held, sets_no_scale, shapes_of
 from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass, weighs
@@ -73,11 +73,11 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
 
 def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
     """A few of the usable frames, evenly spread."""
-    usable = np.flatnonzero(usable_frames(o))
-    if len(usable) == 0:
+    usable, still = np.flatnonzero(usable_frames(o)), nothing_moves(o)
+    if len(usable) == 0 or still:
         raise LearningError(
-            f"{o.name}: no frame has a load, a force and a tag, so nothing can be learned from it. Film a push (or a "
-            "beam that its weight bends), with the tags in view, and let the force log cover it"
+            f"{o.name}: {still or 'no frame has a load, a force and a tag'}, so nothing can be learned from it. Film a "
+            "push (or a beam that its weight bends), with the tags in view, and let the force log cover it"
         )
     out = np.zeros(len(o.time), dtype=bool)
     out[usable[np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int)]] = True

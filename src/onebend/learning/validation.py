@@ -12,7 +12,7 @@ from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import distances, loads_of, push_places, usable_frames
+from onebend.learning.frames import distances, loads_of, nothing_moves, push_places, usable_frames
 from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
 from onebend.learning.held_poses import is_held, shapes_of
 from onebend.learning.outcome import Comparison
@@ -43,7 +43,8 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     """
     frames = usable_frames(observations)
     if not np.any(frames):
-        raise LearningError(f"{observations.name}: no frame has a load, a force and a tag; nothing to compare")
+        why = nothing_moves(observations) or "no frame has a load, a force and a tag"
+        raise LearningError(f"{observations.name}: {why}; nothing to compare")
     if np.any(observations.gravity != 0.0) and not np.any(beam.mass_per_length(_PLACES) > 0.0):
         raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
     solved = solved_frames(beam, observations, frames)

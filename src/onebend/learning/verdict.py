@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.learning.criticism_words import criticism_remarks
-from onebend.learning.frames import distances
+from onebend.learning.misses import film_rms
 from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
 
 _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
-_MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
-_SEEN = 3.0  # times the tags' own noise: less is no miss, however little they move
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -22,42 +20,17 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
 
     NaN for a tag that was never seen. Unlike the RMS of a `Comparison`, errors of the force log are taken off here.
     """
-    out = []
-    for seen, fitted in zip(posterior.films, posterior.slow, strict=True):
-        squared = distances((seen.measured - fitted.pose)[..., :2]) ** 2
-        count = np.sum(np.isfinite(squared), axis=0)
-        total = np.nansum(squared, axis=0)
-        out.append(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
-    return tuple(out)
-
-
-def missed(posterior: Posterior) -> tuple[tuple[str, str], ...]:
-    """Name and reason of each recording that the fit cannot explain, its nuisances applied; empty as a rule."""
-    out = []
-    for seen, rms in zip(posterior.films, fitted_rms(posterior), strict=True):
-        xy = seen.measured[..., :2]
-        motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
-        if seen.observations.static:  # points near the clamp hardly move, and a ruler reads them no better
-            straight = seen.observations.length * seen.observations.marker_s[:, None] * np.array([1.0, 0.0])
-            motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
-        variance = np.trace(seen.observations.covariance[..., :2, :2], axis1=2, axis2=3)
-        missing = np.where(rms > _SEEN * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
-        worst = int(np.argmax(missing))
-        if missing[worst] > _MISS:
-            text = (
-                f"the fit misses tag {seen.observations.tag_id[worst]} by {1000 * rms[worst]:.2g} mm RMS where it "
-                f"moves by {1000 * motion[worst]:.2g} mm"
-            )
-            out.append((seen.observations.name, text))
-    return tuple(out)
+    return tuple(film_rms(film, fitted) for film, fitted in zip(posterior.films, posterior.slow, strict=True))
 
 
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
-    """Warnings and notes on the fit itself."""
+    """Warnings and notes on the fit itself. Where it misses hopelessly, only that: no value that came out counts."""
     wrong = [
-        Remark("warning", f"{_whose(posterior, name)}{text}: k(s) and its band are not to be relied on")
-        for name, text in missed(posterior)
+        Remark("warning", f"{_whose(posterior, one.name)}{one.words}: k(s) and its band are not to be relied on")
+        for one in posterior.misses
     ]
+    if any(one.hopeless for one in posterior.misses):
+        return (*wrong, *_search(posterior))
     told = criticism_remarks(posterior)
     return (*wrong, *_search(posterior), *told, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
 

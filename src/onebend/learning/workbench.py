@@ -10,6 +10,7 @@ import numpy as np
 from onebend.errors import LearningError
 from onebend.learning.force_error import expected_noise, filtered
 from onebend.learning.forward import Film
+from onebend.learning.frames import typical
 from onebend.learning.gauss_newton import Scales
 from onebend.learning.parameters import Layout
 from onebend.learning.posterior import Posterior
@@ -141,7 +142,7 @@ def bench_of(posterior: Posterior) -> Bench:
     return Bench(
         length=seen[0].length,
         tags=tuple(float(s) for s in seen[0].marker_s),
-        tag_sd=np.nanmedian(tag_sd, axis=0),
+        tag_sd=typical(np.asarray(tag_sd)),
         frames=round(float(np.median([np.sum(f.frames) for f in films]))),
         seconds=float(np.median([np.ptp(f.observations.time[f.frames]) for f in films])),
         rest_before=float(rests[0]),
@@ -223,7 +224,7 @@ def _prior_sd(at: Layout, films: tuple[Film, ...], name: str, *, shared: bool = 
 
 def _tag_sd(observations: Observations) -> Array:
     """(m, 3) of x, y, angle in a typical frame."""
-    return np.sqrt(np.nanmedian(np.diagonal(observations.covariance, axis1=2, axis2=3), axis=0))
+    return np.sqrt(typical(np.diagonal(observations.covariance, axis1=2, axis2=3)))
 
 
 def _rests(observations: Observations) -> tuple[float, float]:

@@ -138,8 +138,8 @@ def check_lengths(xy: Array, recording: Recording) -> None:
         ratios.append(farthest / arc)
         if not worst and not TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack:
             worst = (
-                f"{name} and {other} are {1000 * farthest:.1f} mm apart at most, recording.toml puts "
-                f"{1000 * arc:.1f} mm of beam between them"
+                f"{name} and {other} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
+                f"{1000 * arc:.3g} mm of beam between them"
             )
     if worst:
         fitting = 1000 * tags.size / float(np.median(ratios))

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.recording.clock_rows import Rows, binned, thinned
+from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
 from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth
@@ -32,7 +33,6 @@ FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
 STEP_DOUBT = 0.05  # s, one sd: when exactly a log's error changes with the load nobody knows
-TOO_LITTLE = "Film and log share too little force and motion to match the clocks; the written start time is used."
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
@@ -119,13 +119,13 @@ def fit_clock(
         searches.append(coarse_search(stepped, rows, coarse, prior))
     searches = [search for search in searches if np.isfinite(search.chance).any()]
     if not searches:
-        return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
+        return ClockFit(unsettled, None, (Remark("warning", f"{TOO_LITTLE}; {as_written(uncertainty)}."),))
     best = max(searches, key=lambda search: float(search.chance.max()))
     offset, sd = refined(best, rows, coarse, prior)
     if best is searches[-1] and len(searches) > len(ways):
         sd = float(np.hypot(sd, STEP_DOUBT))
     if not sd < 0.5 * spread:
-        text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); the written start time is used."
+        text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {as_written(uncertainty)}."
         return ClockFit(unsettled, best.noise, (Remark("warning", text),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
     return ClockFit(clock, best.noise, remarks_on(clock, uncertainty, low, high))
@@ -282,19 +282,3 @@ def fixed_rows(search: Search, rows: Rows, offset: Array) -> Array | None:
         return None
     root = search.noise.root(rows.time[use])
     return np.array([log_evidence(root, design[use], rows.force[use]) for design in designs])
-
-
-def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) -> tuple[Remark, ...]:
-    """What is odd about a found offset."""
-    out = []
-    if min(clock.offset - low, high - clock.offset) < 2 * clock.sd:
-        text = "The clock offset found lies at the edge of the range searched; give a better start_s in [video]."
-        out.append(Remark("warning", text))
-    elif abs(clock.offset - clock.said) > uncertainty + 2 * clock.sd:
-        text = f"The film starts {clock.offset - clock.said:+.2f} s from start_s, more than its uncertainty."
-        out.append(Remark("warning", text))
-    if clock.sd > 0.1:
-        out.append(
-            Remark("note", f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak.")
-        )
-    return tuple(out)

@@ -12,7 +12,7 @@ from onebend.errors import ObservationError
 from onebend.recording.bag_force import read_bag_force
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
-from onebend.recording.entries import Recording
+from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.force import (
     ForceSettings,
     choose_cutoff,
@@ -201,9 +201,18 @@ def check_direction(
     else:
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
-        if rec.video is not None and math.isfinite(rec.video.start):
-            text += (
-                " Or start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched."
-            )
+        if rec.video is not None:
+            text += f" {_or_the_clocks(rec.video, markers)}"
         raise ObservationError(f"{rec.name}: {text}")
-    return (Remark("warning", text),)
+    return (Remark("warning", text, doubt=True),)
+
+
+def _or_the_clocks(video: VideoEntry, markers: Markers) -> str:
+    """What else looks like a force that contradicts the bending."""
+    seconds = float(markers.time[-1] - markers.time[0])
+    rate = (len(markers.time) - 1) / seconds
+    film = f"Or the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"
+    if not math.isfinite(video.start):
+        return f"{film}."
+    start = "start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched"
+    return f"{film}, or {start}."

@@ -16,7 +16,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     seen = findings.recordings[0]
     found = [_stiffness_card(findings)]
     if findings.posterior is not None:
-        found.append(sureness_card(findings.posterior.stiffness, trusted=findings.posterior.criticism.trusted))
+        found.append(sureness_card(findings.posterior.stiffness))
     found.append(_training_card(findings))
     if findings.validations:
         worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
@@ -56,16 +56,19 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
     }
 
 
-def sureness_card(uncertain: UncertainStiffness, *, trusted: bool = True) -> dict[str, str]:
+def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
     """How narrow the band is, and over which part of the beam; whether it may be relied on."""
+    what = "k(s) is known to"
+    if uncertain.doubts:
+        return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
     ranges = identified_ranges(uncertain)
     if not ranges:
-        return {"what": "k(s) is known to", "value": "not identified", "note": "at no place to a factor of 1.5"}
+        return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
     s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
     sd = np.hypot(uncertain.log_at(s)[1], uncertain.gain_sd)
     where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
     return {
-        "what": "k(s) is known to",
-        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %{'' if trusted else '?'}",
-        "note": f"95 %, median over the identified s = {where}{'' if trusted else '; NOT TO BE TRUSTED'}",
+        "what": what,
+        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %",
+        "note": f"95 %, median over the identified s = {where}",
     }

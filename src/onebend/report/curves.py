@@ -73,7 +73,8 @@ def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
     axes.fill_between([], [], color=BLUE, alpha=0.5, linewidth=0, label="50, 80, 95 % band")  # for the legend
     if not known.all():
         axes.plot(_S, np.where(_reach(~known), k, np.nan), color=GREY)
-        axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label="not identified")
+        why = "not to be trusted" if uncertain.doubts else "not identified"
+        axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label=why)
     seen = known if known.any() else np.ones(len(_S), dtype=bool)
     return float(max(np.max(wide.high[seen]), min(np.max(wide.high), 1.5 * np.max(k))))
 

@@ -83,7 +83,8 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     forced = any(one.clean_force is not None for one in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
-        "trusted": posterior.criticism.trusted,
+        "doubts": "; ".join(posterior.doubts),
+        "holds": posterior.criticism.trusted,
         "tests": supposed_rows(posterior),
         "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),

@@ -42,7 +42,9 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
-    """Sentences on where the data are blind; empty where they are not."""
+    """Sentences on where the data are blind; empty where they are not. One alone where all of k(s) is in doubt."""
+    if uncertain.doubts:
+        return [f"NOT TO BE TRUSTED: {'; '.join(uncertain.doubts)}. No place of k(s) counts as identified."]
     found = identified_ranges(uncertain)
     whose = "this recording says" if recordings == 1 else "these recordings say"
     if not found:
@@ -122,7 +124,9 @@ class SupposedRow:
 
 
 def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
-    """The most striking tests."""
+    """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
+    if any(one.hopeless for one in posterior.misses):
+        return []
     critic = posterior.criticism
     return [
         SupposedRow(

@@ -119,7 +119,7 @@ def _rest_of(o: Observations) -> dict[str, Any]:
         "mass_line": _listed(o.mass_line),
         "video": None if o.video is None else str(o.video),
         "video_topic": o.video_topic,
-        "remarks": [[remark.level, remark.text] for remark in o.remarks],
+        "remarks": [[r.level, r.text, *([True] if r.doubt else [])] for r in o.remarks],
     }
 
 
@@ -156,7 +156,7 @@ def _observations(table: pa.Table, rest: dict[str, Any]) -> Observations:
         mass_line=None if rest["mass_line"] is None else MassLine(*map(np.asarray, rest["mass_line"].values())),
         video=None if rest["video"] is None else Path(rest["video"]),
         video_topic=rest.get("video_topic", ""),
-        remarks=tuple(Remark(level, text) for level, text in rest["remarks"]),
+        remarks=tuple(Remark(*parts) for parts in rest["remarks"]),
     )
 
 

@@ -130,6 +130,8 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
     """The marker-space fit: nuisances, what trades off, scales, why it stopped."""
     optimum, uncertain = posterior.optimum, posterior.stiffness
     return {
+        "trusted": not uncertain.doubts,
+        "doubts": uncertain.doubts,
         "identified": identified_ranges(uncertain),
         "gain_sd": uncertain.gain_sd,
         "nuisances": [asdict(one) for one in posterior.nuisances()],
@@ -188,6 +190,7 @@ def _stiffness(beam: Beam, uncertain: UncertainStiffness | None) -> dict[str, An
     if uncertain is not None:
         band = uncertain.band(s)
         found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
+        found |= {"doubts": uncertain.doubts}
     return found
 
 

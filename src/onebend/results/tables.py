@@ -24,7 +24,8 @@ def write_stiffness(path: Path, beam: Beam, uncertain: UncertainStiffness | None
     """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`: k(s), its 95 % band, and `yes` or `no`.
 
     A regression (`uncertain` None) gives neither a band nor a word on where the data are blind: `k_lo_N_m` and
-    `k_hi_N_m` are `nan` and `identified` is `unknown` in every row. (Not "no": that would be a finding.)
+    `k_hi_N_m` are `nan` and `identified` is `unknown` in every row. (Not "no": that would be a finding.) Where the fit
+    is not to be trusted it is `no` in every row.
     """
     s = np.linspace(0.0, 1.0, PLACES)
     low = high = np.full(PLACES, np.nan)

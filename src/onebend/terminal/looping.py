@@ -33,7 +33,7 @@ Rate = Annotated[
 Duration = Annotated[
     float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
 ]
-LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", metavar="N", help="No larger force.")]
+LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=1e-6, metavar="N", help="No larger force.")]
 
 
 def show_loop(console: Console, control: Controller, known: Margins, trials: tuple[Trial, ...]) -> None:

@@ -18,9 +18,16 @@ from onebend.errors import ControlError
 from onebend.report.wording import significant
 
 SURE = 0.95
+LEAST = 1e-6  # of what must be positive
 
-PushAt = Annotated[float, typer.Option("--push-at", metavar="S", help="Where the force acts: s in (0, 1], 1 the tip.")]
-Point = Annotated[float, typer.Option("--point", metavar="S", help="The point that is led to the goal: s in (0, 1].")]
+PushAt = Annotated[
+    float,
+    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts: s in (0, 1], 1 the tip."),
+]
+Point = Annotated[
+    float,
+    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point that is led to the goal: s in (0, 1]."),
+]
 Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
 GoalAngle = Annotated[
     float | None,
@@ -31,11 +38,11 @@ ReachMethod = Annotated[
     typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
 ]
 ReachMaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", metavar="N", help="No larger force; default: no bound.")
+    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force; default: no bound.")
 ]
 MaxCurvature = Annotated[
     float | None,
-    typer.Option("--max-curvature-per-m", metavar="1/M", help="The beam bends no more than this from rest."),
+    typer.Option("--max-curvature-per-m", min=LEAST, metavar="1/M", help="The beam bends no more than this from rest."),
 ]
 Direction = Annotated[
     float | None,
@@ -55,7 +62,7 @@ Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a mome
 def weight_of(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
     """The gravity that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
     if not all(math.isfinite(one) for one in gravity):
-        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]} and {gravity[1]}")
+        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
     if any(gravity) and not np.any(np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0):
         raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
     return gravity

@@ -39,12 +39,12 @@ def headline(run: Findings) -> Panel:
     k = run.beam.stiffness(np.linspace(0.0, 1.0, 201))
     lines = [f"[bold]k(s)[/] from {significant(k.min())} to {significant(k.max())} N m"]
     if run.posterior is not None:
-        trusted = run.posterior.criticism.trusted
-        card = sureness_card(run.posterior.stiffness, trusted=trusted)
-        lines[0] += f", known to {card['value']} ({card['note']})"
+        card = sureness_card(run.posterior.stiffness)
+        if run.posterior.doubts:
+            lines.append(f"[bold red]{card['value']}[/]: {escape(card['note'])} (see above)")
+        else:
+            lines[0] += f", known to {card['value']} ({card['note']})"
         lines.append(f"[bold]fit[/] {stop_words(run.posterior)}")
-        if not trusted:
-            lines.append("[bold red]the recording contradicts the model: the band is not to be trusted[/] (see above)")
     elif run.learned is not None:
         trial = run.learned.trials[run.learned.chosen]
         how = f"m = {trial.m} {run.learned.family}, {run.learned.method}"
@@ -55,7 +55,8 @@ def headline(run: Findings) -> Panel:
             rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
             logged = f"{millimetres(rms)} mm RMS in the fit; {logged}, whose slow error the fit takes off"
         lines.append(f"[bold]{escape(one.name)}[/] worst marker {logged}")
-    return Panel("\n".join(lines), expand=False, border_style="green")
+    doubted = run.posterior is not None and bool(run.posterior.doubts)
+    return Panel("\n".join(lines), expand=False, border_style="red" if doubted else "green")
 
 
 def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out: Path) -> None:

@@ -17,6 +17,8 @@ from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
 from onebend.report.wording import significant
 
+LEAST = 1e-6  # of what must be positive
+
 TargetsFile = Annotated[
     Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
 ]
@@ -26,25 +28,39 @@ GoalsFile = Annotated[
 Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
 PushPlaces = Annotated[
     list[float] | None,
-    typer.Option("--push-at", metavar="S", help="A force acts here: s in (0, 1]; may be repeated. Default: the tip."),
+    typer.Option(
+        "--push-at",
+        min=LEAST,
+        max=1.0,
+        metavar="S",
+        help="A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
+    ),
 ]
-GoalPoint = Annotated[float, typer.Option("--point", metavar="S", help="The point led along goals without column s.")]
+GoalPoint = Annotated[
+    float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
+]
 HandMaxForce = Annotated[
     float | None,
-    typer.Option("--max-force-N", metavar="N", help="Of every push and of the gripper; default: no bound."),
+    typer.Option("--max-force-N", min=LEAST, metavar="N", help="Of every push and of the gripper; default: no bound."),
 ]
 HandMaxMoment = Annotated[
-    float | None, typer.Option("--max-moment-N-m", metavar="N_M", help="Of the gripper; default: no bound.")
+    float | None, typer.Option("--max-moment-N-m", min=LEAST, metavar="N_M", help="Of the gripper; default: no bound.")
 ]
 Arm = Annotated[
     float | None,
-    typer.Option("--arm-m", metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."),
+    typer.Option(
+        "--arm-m", min=0.0, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
+    ),
 ]
-SampleRate = Annotated[float, typer.Option("--rate-Hz", metavar="HZ", help="Samples of the path.")]
-MaxForceRate = Annotated[float | None, typer.Option("--max-force-rate-N-per-s", metavar="N/S", help="Of every push.")]
-MaxSpeed = Annotated[float | None, typer.Option("--max-speed-m-per-s", metavar="M/S", help="Of the gripper.")]
+SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
+MaxForceRate = Annotated[
+    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, metavar="N/S", help="Of every push.")
+]
+MaxSpeed = Annotated[
+    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, metavar="M/S", help="Of the gripper.")
+]
 MaxTurnRate = Annotated[
-    float | None, typer.Option("--max-turn-rate-deg-per-s", metavar="DEG/S", help="Of the gripper.")
+    float | None, typer.Option("--max-turn-rate-deg-per-s", min=LEAST, metavar="DEG/S", help="Of the gripper.")
 ]
 TooFast = Annotated[
     Literal["stretch", "refuse"],
