@@ -19,7 +19,8 @@ from onebend.lab.sensors import ForceSensor
 from onebend.lab.shortcut import observe_quickly
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, virtual_recording
-from onebend.learning.forward import Film, film, jacobian, predict
+from onebend.learning.film import Film, film
+from onebend.learning.forward import jacobian, predict
 from onebend.learning.gauss_newton import FilmNoise, Rows, Scales, quadratic, residuals, rest_quadratic, together
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, mixed

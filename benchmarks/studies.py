@@ -22,7 +22,7 @@ from onebend.lab.pushes import Push
 from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
-from onebend.learning.forward import REST_MODES
+from onebend.learning.film import REST_MODES
 from onebend.learning.parameters import Priors
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.recording.frame import MOUNTING_SD

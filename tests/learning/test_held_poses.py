@@ -16,7 +16,8 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import pose
 from onebend.beam.stiffness import Scaled, Uniform
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.forward import film, jacobian, predict
+from onebend.learning.film import film
+from onebend.learning.forward import jacobian, predict
 from onebend.learning.held_poses import RESOLUTION, stated_remarks
 from onebend.learning.parameters import Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit

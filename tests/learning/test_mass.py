@@ -14,7 +14,8 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import pose
 from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, RecordingError
-from onebend.learning.forward import film, jacobian, predict
+from onebend.learning.film import film
+from onebend.learning.forward import jacobian, predict
 from onebend.learning.mass import mass_remarks, shared_mass
 from onebend.learning.own_weight import POWERS
 from onebend.learning.parameters import Priors, layout

@@ -10,7 +10,8 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
 from onebend.errors import LearningError
-from onebend.learning.forward import Film, film, jacobian, predict
+from onebend.learning.film import Film, film
+from onebend.learning.forward import jacobian, predict
 from onebend.learning.gauss_newton import FilmNoise, Rows, quadratic, rows_of
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit

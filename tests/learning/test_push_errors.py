@@ -11,7 +11,8 @@ from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, Said, observe_virtual, virtual_recording
-from onebend.learning.forward import Film, film, jacobian, predict
+from onebend.learning.film import Film, film
+from onebend.learning.forward import jacobian, predict
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.spline import Spline

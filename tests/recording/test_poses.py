@@ -15,7 +15,8 @@ from onebend.beam.problem import pose
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, ObservationError, RecordingError
-from onebend.learning.forward import film, jacobian, predict
+from onebend.learning.film import film
+from onebend.learning.forward import jacobian, predict
 from onebend.learning.frames import loads_of
 from onebend.learning.mass import mass_remarks
 from onebend.learning.parameters import Priors, layout

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.forward import Film
+from onebend.learning.film import Film
 from onebend.records import ClockOffset, Remark
 from onebend.report.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit

@@ -16,7 +16,7 @@ import numpy as np
 
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.departures import departures
-from onebend.learning.forward import Film
+from onebend.learning.film import Film
 from onebend.learning.parameters import Layout
 from onebend.learning.score import Score, linear, pulls, scores
 from onebend.learning.search import Optimum

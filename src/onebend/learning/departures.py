@@ -15,7 +15,8 @@ import numpy as np
 from onebend.beam.grid import apply
 from onebend.beam.sensitivity import Change, Changes, of_clamp_angle, of_moment, of_rest_curvature, respond
 from onebend.beam.statics import Equilibrium
-from onebend.learning.forward import REST_MODES, Film, Prediction, tag_places
+from onebend.learning.film import REST_MODES, Film
+from onebend.learning.forward import Prediction, tag_places
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.forward import Film, Prediction, jacobian
+from onebend.learning.film import Film
+from onebend.learning.forward import Prediction, jacobian
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 

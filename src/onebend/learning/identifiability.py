@@ -31,7 +31,7 @@ from onebend.beam.sensitivity import (
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.forward import MASS_MODES, REST_MODES
+from onebend.learning.film import MASS_MODES, REST_MODES
 from onebend.learning.workbench import Bench, ForceDoubt, Push
 from onebend.records import Array, IntArray
 

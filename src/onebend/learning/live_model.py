@@ -11,7 +11,7 @@ from onebend.beam.grid import Grid, make_grid
 from onebend.beam.newton import solve_batch
 from onebend.beam.problem import Problem
 from onebend.beam.statics import balance, positive_definite, tangent
-from onebend.learning.forward import MASS_MODES, REST_MODES
+from onebend.learning.film import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray

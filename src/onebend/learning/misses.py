@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.forward import Film, Prediction
+from onebend.learning.film import Film
+from onebend.learning.forward import Prediction
 from onebend.learning.frames import distances
 from onebend.records import Array
 

@@ -21,7 +21,8 @@ from onebend.beam.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.criticism import Criticism, criticise
-from onebend.learning.forward import Film, Prediction, film, predict
+from onebend.learning.film import Film, film
+from onebend.learning.forward import Prediction, predict
 from onebend.learning.frames import learnable_frames, mass_profile
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass

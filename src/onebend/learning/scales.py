@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from onebend.learning.forward import Film
+from onebend.learning.film import Film
 from onebend.learning.gauss_newton import (
     FilmNoise,
     Quadratic,

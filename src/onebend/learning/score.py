@@ -19,7 +19,7 @@ from scipy.stats import chi2 as chi_squared
 from scipy.stats import f as f_distribution
 
 from onebend.learning.departures import Departure, Suspect
-from onebend.learning.forward import Film
+from onebend.learning.film import Film
 from onebend.learning.gauss_newton import Rows, prior, quadratic, rest_quadratic, rows_of, shrink, split, together
 from onebend.learning.parameters import Layout
 from onebend.learning.scales import correlation_time

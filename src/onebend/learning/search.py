@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.forward import Film, Prediction, predict
+from onebend.learning.film import Film
+from onebend.learning.forward import Prediction, predict
 from onebend.learning.gauss_newton import (
     FilmNoise,
     Quadratic,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import LearningError
+from onebend.learning.film import Film
 from onebend.learning.force_error import expected_noise, filtered
-from onebend.learning.forward import Film
 from onebend.learning.frames import typical
 from onebend.learning.gauss_newton import Scales
 from onebend.learning.parameters import Layout
