@@ -20,7 +20,7 @@ from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.shortcut import observe_quickly
 from onebend.lab.truths import RESOLUTION
 from onebend.lab.virtual import Bench, Virtual, from_base, observe_virtual, tag_poses, virtual_recording
-from onebend.learning.posterior import Posterior
+from onebend.learning.posterior import Posterior, stiffness_of
 from onebend.records import Array, ForceNoise, Observations
 
 CLEAN = ("correlated", "bias", "clock", "tags", "everything")  # kinds of errors that the fit allows for
@@ -166,7 +166,7 @@ def run(cell: str, seed: int) -> Outcome:
 
 def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
     """A fit against k (35,) at S, and what its criticism says."""
-    band, critic = found.band(S), found.criticism
+    band, critic = stiffness_of(found.at, found.optimum, found.gain_sd).band(S), found.criticism  # whatever the verdict
     known, sd = band.identified, np.log(band.high / band.low) / (2.0 * 1.96)
     inside = (truth > band.low) & (truth < band.high)
     z = np.log(band.k / truth) / sd

@@ -109,30 +109,19 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     peak = force_that_bends(beam, rng.uniform(0.7, 1.3), direction, at_s)
     off = rng.standard_normal((3, 3)) * np.array([placement, placement, MOUNTING])
     base = rng.standard_normal(3) * np.array([placement, placement, MOUNTING_SD])
-    noise = TagNoise()
-    if everything:
-        noise = TagNoise(slow_xy=1e-5, slow_angle=5e-4, stated=0.7, outliers=0.005, missing=0.01)
+    lasting = TagNoise(slow_xy=1e-5, slow_angle=5e-4, stated=0.7, outliers=0.005, missing=0.01)
     franka = errors == "franka"
     gain = GAIN * has("gain") + FRANKA.gain_sd * franka
     bias = 0.3 * peak * rng.standard_normal(2) * has("bias")
+    late = has("clock") or franka
     return Bench(
         beam=beam,
         push=Push(peak, direction=direction, turn=turn, at_s=at_s),
         tags=tuple(Tag(i + 1, (i + 1) / 3, *map(float, off[i])) for i in range(3)),
         base=(float(base[0]), float(base[1]), float(base[2])),
-        sensor=ForceSensor(
-            white_sd=0.02 * peak,
-            coloured_sd=0.0 if errors == "white" else 0.03 * peak,
-            bias=(float(bias[0]), float(bias[1])),
-            gain_sd=gain,
-            reversal=REVERSAL.get(errors, 0.0) * peak,
-            lag=FRANKA.lag * franka,
-            rate=FRANKA.rate if franka else 200.0,
-        ),
-        camera=noise,
-        clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0)
-        if has("clock") or franka
-        else Clock(250.0, 250.0, 0.01),
+        sensor=sensor_of(errors, peak, bias, gain),
+        camera=lasting if everything else TagNoise(),
+        clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if late else Clock(250.0, 250.0, 0.01),
         said=Said(
             push_s=PUSHED,
             placement_sd=placement,
@@ -141,6 +130,20 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
             gain_sd=gain,
         ),
         name=f"{kind} {errors} {seed}",
+    )
+
+
+def sensor_of(errors: str, peak: float, bias: Array, gain: float) -> ForceSensor:
+    """The sensor of one kind of errors, for pushes of `peak` [N]; `bias` (2,) [N], sd `gain` of its scale."""
+    franka = errors == "franka"
+    return ForceSensor(
+        white_sd=0.02 * peak,
+        coloured_sd=0.0 if errors == "white" else 0.03 * peak,
+        bias=(float(bias[0]), float(bias[1])),
+        gain_sd=gain,
+        reversal=REVERSAL.get(errors, 0.0) * peak,
+        lag=FRANKA.lag * franka,
+        rate=FRANKA.rate if franka else 200.0,
     )
 
 
