@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.stiffness import Profile, Table, Uniform
+from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations
 
@@ -15,6 +18,7 @@ _MEMORY = 0.5  # of a period of the cut-off: so far a change reaches through the
 _STILL = 4.0  # times a tag's noise from its place: farther than this, or than the next, it moves
 _NO_PUSH = 3e-3  # of the length
 _LEAST_LEFT = 0.5  # of the usable frames: where fewer would be left, all are used
+_FEWEST = 5  # frames of a recording
 
 
 def usable_frames(observations: Observations) -> BoolArray:
@@ -68,6 +72,38 @@ def learnable_frames(observations: Observations) -> BoolArray:
     near = np.minimum(observations.time - padded[after], padded[after + 1] - observations.time) < reach
     kept = usable & ~near
     return np.asarray(kept if kept.sum() >= _LEAST_LEFT * usable.sum() else usable)
+
+
+def chosen_frames(o: Observations, most: int) -> BoolArray:
+    """(T,) at most `most` learnable frames, evenly spread.
+
+    Raises:
+        LearningError: fewer than can be learned from.
+    """
+    usable = np.flatnonzero(learnable_frames(o))
+    least = 1 if o.static else _FEWEST
+    if len(usable) < least:
+        raise LearningError(
+            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. Push "
+            "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
+        )
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
+    out = np.zeros(len(o.time), dtype=bool)
+    out[chosen] = True
+    return out
+
+
+def check_same_beam(recordings: Sequence[Observations]) -> None:
+    """Raises `LearningError` where the recordings are not of one beam, or there is none."""
+    if not recordings:
+        raise LearningError("no recording was given")
+    first = recordings[0]
+    for o in recordings[1:]:
+        if o.length != first.length or not np.array_equal(o.tag_id, first.tag_id):
+            raise LearningError(
+                f"{o.name} is not of the beam of {first.name}: length {o.length} m against {first.length} m, "
+                f"tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
+            )
 
 
 def push_places(observations: Observations) -> Array:

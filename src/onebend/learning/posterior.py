@@ -23,7 +23,7 @@ from onebend.errors import LearningError
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.film import Film, film
 from onebend.learning.forward import Prediction, predict
-from onebend.learning.frames import learnable_frames, mass_profile
+from onebend.learning.frames import check_same_beam, chosen_frames, mass_profile
 from onebend.learning.gauss_newton import Scales, prior
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.misses import Miss, misses
@@ -33,10 +33,9 @@ from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, conclude, search
 from onebend.learning.spline import RHO, TAU, Spline
 from onebend.progress import Progress, Silent
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, Observations
 
 CONTRADICTED = "the force contradicts the bending"
-_FEWEST = 5  # frames of a recording
 
 
 @dataclass(frozen=True)
@@ -232,7 +231,7 @@ def fit(
     Raises:
         LearningError: recordings of different beams, no usable frame, or a start from which no equilibrium is found.
     """
-    _check_same_beam(recordings)
+    check_same_beam(recordings)
     spline = Spline(settings.functions)
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
@@ -260,7 +259,7 @@ def fit(
 
 
 def _films(recordings: Sequence[Observations], most: int, spline: Spline) -> list[Film]:
-    return [film(o, i, _frames(o, most), spline) for i, o in enumerate(recordings)]
+    return [film(o, i, chosen_frames(o, most), spline) for i, o in enumerate(recordings)]
 
 
 def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
@@ -272,30 +271,3 @@ def _start(at: Layout, start: Profile | float) -> tuple[Array, float]:
     x = np.zeros(at.size)
     x[: at.spline.count] = np.linalg.lstsq(at.spline.basis(s), np.log(k), rcond=None)[0]
     return x, float(np.mean(np.log(k)))
-
-
-def _frames(o: Observations, most: int) -> BoolArray:
-    """At most `most` usable frames, evenly spread."""
-    usable = np.flatnonzero(learnable_frames(o))
-    least = 1 if o.static else _FEWEST
-    if len(usable) < least:
-        raise LearningError(
-            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. Push "
-            "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
-        )
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
-    out = np.zeros(len(o.time), dtype=bool)
-    out[chosen] = True
-    return out
-
-
-def _check_same_beam(recordings: Sequence[Observations]) -> None:
-    if not recordings:
-        raise LearningError("no recording was given")
-    first = recordings[0]
-    for o in recordings[1:]:
-        if o.length != first.length or not np.array_equal(o.tag_id, first.tag_id):
-            raise LearningError(
-                f"{o.name} is not of the beam of {first.name}: length {o.length} m against {first.length} m, "
-                f"tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
-            )
