@@ -18,7 +18,6 @@ from onebend.records import Array, BoolArray
 _PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
 _FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
-_TRIALS = 2  # of other scales, after every other frame
 _NOISE_EVERY = 8  # solutions between two looks at the tags' noise
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
@@ -163,8 +162,7 @@ class Smoother:
         if self.pending:
             self.renew()
         elif self._habits.adapt:
-            for _ in range(_TRIALS):
-                self._try_scale()
+            self._try_scale()
         self.pending = not self.pending
 
     def renew(self) -> None:
