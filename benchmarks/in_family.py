@@ -21,7 +21,16 @@ from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, virtual_recording
 from onebend.learning.film import Film, film
 from onebend.learning.forward import jacobian, predict
-from onebend.learning.gauss_newton import FilmNoise, Rows, Scales, quadratic, residuals, rest_quadratic, together
+from onebend.learning.gauss_newton import (
+    FilmNoise,
+    Rows,
+    Scales,
+    explained_by,
+    quadratic,
+    residuals,
+    rest_quadratic,
+    together,
+)
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, mixed
 from onebend.learning.scales import Known
@@ -43,6 +52,7 @@ class Drawn:
     seen: Film
     at: Layout
     x: Array  # (P,) true parameters
+    own: Array  # (F, 2) N, the force less what the log, its slow error taken off, says of it
     scales: Scales
 
 
@@ -78,10 +88,14 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     force[seen.frames] += seen.error.weights @ errors
     template = replace(template, force=force, clean_force=logged)
     seen, at = prepared(template, spline)
-    poses = noisy_poses(seen, at, x, WHITE * peak, rng)
+    poses = noisy_poses(seen, at, x, rng)
+    quick = WHITE * peak * rng.standard_normal((int(seen.frames.sum()), 2))
+    force[seen.frames] += quick  # the log is off, not the force
+    template = replace(template, force=force)
+    beside = np.vstack([-quick, np.zeros((len(poses) - len(quick), 2))])
     scales = Scales(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
     observations = with_poses(template, seen, poses)
-    return Drawn(observations, stiffness, prepared(observations, spline)[0], at, x, scales)
+    return Drawn(observations, stiffness, prepared(observations, spline)[0], at, x, beside, scales)
 
 
 def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
@@ -118,10 +132,9 @@ def rest_sd(seen: Film, at: Layout) -> float:
     return float(np.sqrt(np.sum(weights**2) / np.trace(information)))
 
 
-def noisy_poses(seen: Film, at: Layout, x: Array, force_sd: float, rng: np.random.Generator) -> Array:
-    """(F, m, 3) tags where x puts them, with the noise that their covariances state, under forces with white noise."""
-    shaken = replace(seen, force=seen.force + force_sd * rng.standard_normal(seen.force.shape))
-    pose = predict(shaken, at, x, None).pose
+def noisy_poses(seen: Film, at: Layout, x: Array, rng: np.random.Generator) -> Array:
+    """(F, m, 3) tags where x puts them, with the noise that their covariances state."""
+    pose = predict(seen, at, x, None).pose
     roots = np.linalg.inv(seen.whiten)
     return np.asarray(pose + np.einsum("fmab,fmb->fma", roots, rng.standard_normal(pose.shape)))
 
@@ -148,14 +161,15 @@ def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
     random and integrated out.
     """
     at, seen, noise = drawn.at, drawn.seen, drawn.scales.films[0]
-    now = predict(seen, at, drawn.x, None)
+    now = predict(seen, at, drawn.x, None, drawn.own)
     j, a = jacobian(seen, at, drawn.x, now)
     count = len(j)
+    by_force = (seen.whiten @ a).reshape(count, -1, 2)
     known = np.repeat(np.any(seen.whiten != 0.0, axis=(-1, -2)), 3, axis=1).astype(float)
     rows = Rows(
-        r=residuals(seen, now),
+        r=residuals(seen, now) + explained_by(by_force, now.own),
         j=(seen.whiten @ j).reshape(count, -1, j.shape[-1]),
-        a=(seen.whiten @ a).reshape(count, -1, 2),
+        a=by_force,
         known=known,
         root_weight=known,
     )
