@@ -165,14 +165,7 @@ def _fit(
     Raises `LearningError` where several recordings have no beam in common.
     """
     gain_sd = max(one.gain_sd for one in seen)
-    try:
-        posterior = fit(seen, start_of(seen, learned), settings=fitting, gain_sd=gain_sd, progress=progress)
-    except np.linalg.LinAlgError as error:
-        names = ", ".join(one.name for one in seen)
-        raise LearningError(
-            f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
-            "`onebend learn --method regression`"
-        ) from error
+    posterior = fit(seen, start_of(seen, learned), settings=fitting, gain_sd=gain_sd, progress=progress)
     if len(seen) > 1 and posterior.misses:
         reasons = "; ".join(f"{one.name}: {one.words}" for one in posterior.misses)
         raise LearningError(

@@ -229,9 +229,27 @@ def fit(
     """Maximum a posteriori over one or several recordings of the same beam, from a stiffness to begin with.
 
     Raises:
-        LearningError: recordings of different beams, no usable frame, or a start from which no equilibrium is found.
+        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found, or
+            equations that rounding makes unsolvable.
     """
     check_same_beam(recordings)
+    try:
+        return _fit(recordings, start, settings, gain_sd, progress)
+    except np.linalg.LinAlgError as error:
+        names = ", ".join(one.name for one in recordings)
+        raise LearningError(
+            f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
+            "`onebend learn --method regression`"
+        ) from error
+
+
+def _fit(
+    recordings: Sequence[Observations],
+    start: Profile | float,
+    settings: FitSettings,
+    gain_sd: float,
+    progress: Progress,
+) -> Posterior:
     spline = Spline(settings.functions)
     first, films = (_films(recordings, most, spline) for most in (settings.first_frames, settings.most_frames))
     at = layout(spline, list(recordings), [len(f.error.knots) for f in films], settings.priors)
