@@ -13,6 +13,7 @@ from onebend import pipeline
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
+from onebend.learning import posterior
 from onebend.learning.frames import nothing_moves
 from onebend.learning.learn import learn
 from onebend.learning.parameters import Priors
@@ -215,7 +216,7 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(pipeline, "fit", singular)
+    monkeypatch.setattr(posterior, "conclude", singular)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
         pipeline.learn_recording(EXAMPLE / "train")

@@ -9,12 +9,10 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers
-from onebend.errors import LearningError
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
-from onebend.learning import posterior
 from onebend.learning.frames import learnable_frames, usable_frames
 from onebend.learning.posterior import FitSettings, fit
 from onebend.records import Observations
@@ -54,15 +52,6 @@ def test_without_a_filter_or_where_little_would_be_left_all_are_used() -> None:
     late = replace(seen, loaded=seen.loaded & (seen.time > seen.time[usable_frames(seen)][-1] - 0.1))
     np.testing.assert_array_equal(learnable_frames(late), usable_frames(late))
     np.testing.assert_array_equal(learnable_frames(replace(seen, clean_force=None)), usable_frames(seen))
-
-
-def test_equations_that_cannot_be_solved_are_a_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object, **__: object) -> None:
-        raise np.linalg.LinAlgError("not positive definite")
-
-    monkeypatch.setattr(posterior, "conclude", broken)
-    with pytest.raises(LearningError, match=r"virtual: the equations of the fit cannot be solved"):
-        fit([pushed(0.3)], 0.03, settings=FitSettings(functions=8, most_frames=40, first_frames=20))
 
 
 @pytest.mark.parametrize("fall", [0.03, 0.3])
