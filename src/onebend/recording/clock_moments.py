@@ -1,0 +1,233 @@
+"""What the log must have been if the markers are right: the force from the turns of the spans between the tags.
+
+The turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k the compliance along it and a the lever of a unit
+force about s: exact for a beam that moves slowly, and linear in F. In w only what the span's levers show counts, its
+mean and its slope. With tags whose turns have a noise of their own, the force of a frame is normal about an estimate;
+its spread is wide where the spans say little, as along a straight beam. So every row of the log is normal about that
+estimate too, with its own noise beside (`noise.py`), and with an error that changes where the load does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+
+from onebend.recording.clock_rows import Rows
+from onebend.recording.relation import SHORTEST_SPAN, Track, _load_steps, along, is_still, lasting
+from onebend.recording.signals import MAD_TO_SD, bridged
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceNoise, Markers
+
+NODES = 5  # Gauss, on a span
+SLOPE = 0.5  # prior sd of the slope of the compliance over half a span, of its mean
+FREE_SCALE = 2.0  # prior sd of the log of a span's compliance
+FREE = 10.0  # of the largest force: prior sd of the log's bias
+STILL = 10  # first frames, whose angles are the ones at rest
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Turns and levers of k spans in time, to be averaged over any span of time."""
+
+    track: Track  # features (k, 5): turn, mean of the lever, its first Legendre moment
+    tangent: Track  # (2,), what a push that acts farther on adds to all levers
+    steps: Track  # (n,), ramps over the changes of the load
+    noise: Array  # (k,) rad, of a turn
+    largest: Array  # (k,) rad
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Moments at N rows."""
+
+    turn: Array  # (N, k)
+    lever: Array  # (N, 2 moments, k, 2)
+    tangent: Array  # (N, 2)
+    steps: Array  # (N, n)
+
+
+def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: float) -> Moments | None:
+    kept, covered = lasting(markers, longest_gap)
+    if not kept.any():
+        return None
+    time, count = markers.time, len(markers.time)
+    xy = bridged(time, markers.xy[:, kept].reshape(count, -1)).reshape(count, -1, 2)
+    angle = bridged(time, markers.angle[:, kept])
+    s = np.concatenate([[0.0], markers.s[kept]])
+    order = np.argsort(s, kind="stable")
+    full = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)[:, order]
+    turned = np.concatenate([np.zeros((count, 1)), angle], axis=1)[:, order]
+    s = s[order]
+    spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 1e-6))
+    bend = turned - np.median(turned[:STILL], axis=0)
+    turns = bend[:, spans + 1] - bend[:, spans]
+    largest = np.abs(turns).max(axis=0, initial=0.0)
+    moved = largest > 0.02 * largest.max(initial=0.0)
+    if not moved.any():
+        return None
+    spans, turns, largest = spans[moved], turns[:, moved], largest[moved]
+    push = along(full, turned, s, push_s)
+    back = along(full, turned, s, push_s - 0.02)
+    tangent = (push - back) / np.linalg.norm(push - back, axis=1, keepdims=True)
+    x, weight = np.polynomial.legendre.leggauss(NODES)
+    ends = np.minimum(s[spans + 1], push_s)
+    lever = np.zeros((2, count, len(spans), 2))
+    for at, part in zip(x, 0.5 * weight, strict=True):
+        places = s[spans] + 0.5 * (at + 1.0) * (ends - s[spans])
+        arm = push[:, None] - np.stack([along(full, turned, s, place) for place in places], axis=1)
+        lever += part * np.array([1.0, at])[:, None, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    features = np.concatenate([turns[..., None], lever[0], lever[1]], axis=-1)
+    flat = xy.reshape(count, -1)
+    before, after = (hold if is_still(flat, rows) else 0.0 for rows in (slice(0, 10), slice(-10, None)))
+
+    def track(values: Array) -> Track:
+        return Track(CubicSpline(time, values, axis=0).antiderivative(), covered, time, before, after)
+
+    jumps = np.diff(turns, n=2, axis=0)
+    noise = MAD_TO_SD * np.median(np.abs(jumps), axis=0) / np.sqrt(6.0)
+    return Moments(
+        track(features),
+        track(np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)),
+        track(_load_steps(time, xy)),
+        np.maximum(noise, 1e-3 * largest),
+        largest,
+    )
+
+
+def seen_at(moments: Moments, centre: Array, width: float) -> Seen:
+    f = moments.track.mean(centre, width)
+    return Seen(
+        f[..., 0],
+        np.stack([f[..., 1:3], f[..., 3:5]], axis=1),
+        moments.tangent.mean(centre, width),
+        moments.steps.mean(centre, width),
+    )
+
+
+def rough_compliance(seen: Seen, force: Array) -> tuple[Array, float]:
+    """(k,) rad / (N m) mean compliance of every span, and the log's sign, from a straight regression."""
+    turns, moment = seen.turn, np.einsum("nka,na->nk", seen.lever[:, 0], force)
+    out = []
+    for i in range(turns.shape[1]):
+        design = np.column_stack([turns[:, i], seen.lever[:, 0, i], np.ones(len(turns))])
+        stiffness = float(np.linalg.lstsq(design, moment[:, i], rcond=None)[0][0])
+        out.append(stiffness)
+    sign = float(np.sign(np.sum(np.array(out))) or 1.0)
+    size = np.abs(np.median(np.abs(out)))
+    good = sign * np.array(out) > 0.05 * size
+    return 1.0 / np.where(good, np.abs(out), size), sign
+
+
+@dataclass(frozen=True)
+class Model:
+    """Mean of the log at N rows, as a function of p standard normal parameters."""
+
+    moments: Moments
+    compliance: Array  # (k,) rad / (N m), about which the parameters are
+    force: float  # N, largest
+    length: float = 1.0
+
+    @property
+    def count(self) -> int:
+        return 3 * len(self.compliance) + 4
+
+    def matrix(self, seen: Seen, z: Array) -> Array:
+        k = len(self.compliance)
+        w = self.compliance * np.exp(FREE_SCALE * z[:k])
+        lever = seen.lever[:, 0] + PLACE_SD * z[2 * k] * seen.tangent[:, None, :]
+        return np.asarray((lever + SLOPE * z[k : 2 * k, None] * seen.lever[:, 1]) * w[:, None])
+
+    def told(self, seen: Seen, z: Array) -> tuple[Array, Array]:
+        """(N, 2) N and (N, 2, 2) N^2: mean and covariance of the force on the beam."""
+        k = len(self.compliance)
+        a = self.matrix(seen, z)
+        weight = 1.0 / self.moments.noise**2
+        rest = self.moments.noise / np.sqrt(STILL)
+        size = np.sqrt(np.mean((seen.turn / self.moments.noise) ** 2, axis=1) + 1.0)
+        size *= self.force / np.sqrt(np.mean((self.moments.largest / self.moments.noise) ** 2))
+        inner = np.einsum("nia,i,nib->nab", a, weight, a) + np.eye(2) / size[:, None, None] ** 2
+        spread = np.linalg.inv(inner)
+        turn = seen.turn - rest * z[2 * k + 4 :]
+        return np.einsum("nab,nib,i,ni->na", spread, a, weight, turn), spread
+
+    def mean(self, seen: Seen, z: Array) -> Array:
+        k = len(self.compliance)
+        force, _ = self.told(seen, z)
+        turned = DIRECTION_SD * z[2 * k + 1] * np.stack([-force[:, 1], force[:, 0]], axis=1)
+        return np.asarray(force + turned + FREE * self.force * z[2 * k + 2 : 2 * k + 4])
+
+
+def jacobian(model: Model, seen: Seen, z: Array, base: Array) -> Array:
+    out = np.empty((base.size, len(z)))
+    for i in range(len(z)):
+        step = np.zeros(len(z))
+        step[i] = 1e-4
+        out[:, i] = (model.mean(seen, z + step) - base).ravel() / 1e-4
+    return out
+
+
+def covariance(noise: ForceNoise, time: Array, seen: Seen, spread: Array, steps: float) -> Array:
+    """(2N, 2N) N^2 of the log about its mean, rows of both axes in turn."""
+    n = len(time)
+    one = noise.covariance(time) + steps**2 * seen.steps @ seen.steps.T
+    out = np.zeros((n, 2, n, 2))
+    out[:, 0, :, 0] = out[:, 1, :, 1] = one
+    at = np.arange(n)
+    out[at, :, at, :] += spread
+    return np.asarray(out.reshape(2 * n, 2 * n))
+
+
+def evidence(model: Model, seen: Seen, force: Array, root: Array, z: Array, rounds: int) -> tuple[float, Array]:
+    """Laplace's log evidence and the likeliest parameters."""
+    best, value = z, np.inf
+    for _ in range(rounds):
+        base = model.mean(seen, z)
+        white = solve_triangular(
+            root,
+            np.column_stack([jacobian(model, seen, z, base), (force - base).ravel()]),
+            lower=True,
+            check_finite=False,
+        )
+        j, r = white[:, :-1], white[:, -1]
+        cost = 0.5 * float(r @ r + z @ z)
+        inner = np.eye(len(z)) + j.T @ j
+        if cost < value:
+            best, value, inside = z, cost, inner
+            move = np.linalg.solve(inner, j.T @ r - z)
+        else:
+            move = 0.3 * move
+        z = best + np.clip(move, -1.0, 1.0)
+    return -value - 0.5 * float(np.linalg.slogdet(inside)[1]) - float(np.sum(np.log(np.diag(root)))), best
+
+
+def fitted_noise(
+    model: Model, seen: Seen, force: Array, time: Array, spread: Array, z: Array, start: ForceNoise, steps: float
+) -> tuple[ForceNoise, float]:
+    """The likeliest noise around the linear model at z."""
+    base = model.mean(seen, z)
+    j = jacobian(model, seen, z, base)
+    y = (force - base).ravel() + j @ z
+    scale = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
+    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+
+    def sized(x: Array) -> ForceNoise:
+        white, coloured, tau, walk = np.exp(centre + scale * x).tolist()
+        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
+
+    def unlikely(x: Array) -> float:
+        root = np.linalg.cholesky(covariance(sized(x), time, seen, spread, steps))
+        white = solve_triangular(root, np.column_stack([j, y]), lower=True, check_finite=False)
+        a, b = white[:, :-1], white[:, -1]
+        inner = np.linalg.cholesky(np.eye(len(z)) + a.T @ a)
+        told = solve_triangular(inner, a.T @ b, lower=True)
+        return 0.5 * float(x @ x + b @ b - told @ told) + float(
+            np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner)))
+        )
+
+    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
+    options = {"maxfev": 100, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    found = minimize(unlikely, np.zeros(4), method="Nelder-Mead", options=options)
+    return sized(found.x), -float(found.fun)
