@@ -9,22 +9,27 @@ estimate too, with its own noise beside (`noise.py`), and with an error that cha
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 
 from onebend.recording.clock_rows import Rows
-from onebend.recording.relation import SHORTEST_SPAN, Track, _load_steps, along, is_still, lasting
+from onebend.recording.relation import SHORTEST_SPAN, TOUCHED, Track, along, is_still, lasting
+from onebend.recording.load_stages import displacement, load_changes
 from onebend.recording.signals import MAD_TO_SD, bridged
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceNoise, Markers
 
+JUMP = 8.0  # robust sd, of a pose that is read wrongly
+HEAVY = 4.0  # degrees of freedom of Student's t: some tags are read wrongly
 NODES = 5  # Gauss, on a span
 SLOPE = 0.5  # prior sd of the slope of the compliance over half a span, of its mean
-FREE_SCALE = 2.0  # prior sd of the log of a span's compliance
+FREE_SCALE = 1.0  # prior sd of the log of a span's compliance
 FREE = 10.0  # of the largest force: prior sd of the log's bias
+SLACK = 0.2  # s, that a change of the load may show earlier or later in the log
 STILL = 10  # first frames, whose angles are the ones at rest
 
 
@@ -54,6 +59,7 @@ def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: f
     if not kept.any():
         return None
     time, count = markers.time, len(markers.time)
+    markers = without_jumps(markers)
     xy = bridged(time, markers.xy[:, kept].reshape(count, -1)).reshape(count, -1, 2)
     angle = bridged(time, markers.angle[:, kept])
     s = np.concatenate([[0.0], markers.s[kept]])
@@ -91,10 +97,32 @@ def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: f
     return Moments(
         track(features),
         track(np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)),
-        track(_load_steps(time, xy)),
+        track(own_times(time, xy)),
         np.maximum(noise, 1e-3 * largest),
         largest,
     )
+
+
+def without_jumps(markers: Markers) -> Markers:
+    """Markers without single frames that lie far off the cubic through the two before and the two after."""
+    state = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)
+    if len(state) < 9:
+        return markers
+    off = np.zeros_like(state)
+    off[2:-2] = state[2:-2] - (4 * (state[1:-3] + state[3:-1]) - state[:-4] - state[4:]) / 6
+    size = np.abs(off) / np.maximum(MAD_TO_SD * np.nanmedian(np.abs(off), axis=0), np.finfo(float).tiny)
+    size = np.nan_to_num(size).max(axis=-1)
+    peak = np.maximum(np.roll(size, 1, axis=0), np.roll(size, -1, axis=0)) <= size
+    state[(size > JUMP) & peak] = np.nan
+    return replace(markers, xy=state[..., :2], angle=state[..., 2])
+
+
+def own_times(time: Array, xy: Array) -> Array:
+    """(T, n) from 0 to 1 over each change of the load: the time of the random walk that a log's error makes there."""
+    size = displacement(time, xy, np.median(xy[:STILL], axis=0))
+    changes = load_changes(time, size, size > TOUCHED * size.max())
+    wide = [replace(each, begin=each.begin - SLACK, end=each.end + SLACK) for each in changes]
+    return np.asarray(np.stack([np.zeros(len(time)), *(each.part(time) for each in wide)], axis=1)[:, 1:])
 
 
 def seen_at(moments: Moments, centre: Array, width: float) -> Seen:
@@ -103,22 +131,30 @@ def seen_at(moments: Moments, centre: Array, width: float) -> Seen:
         f[..., 0],
         np.stack([f[..., 1:3], f[..., 3:5]], axis=1),
         moments.tangent.mean(centre, width),
-        moments.steps.mean(centre, width),
+        np.clip(moments.steps.mean(centre, width), 0.0, 1.0),
     )
 
 
-def rough_compliance(seen: Seen, force: Array) -> tuple[Array, float]:
-    """(k,) rad / (N m) mean compliance of every span, and the log's sign, from a straight regression."""
-    turns, moment = seen.turn, np.einsum("nka,na->nk", seen.lever[:, 0], force)
-    out = []
-    for i in range(turns.shape[1]):
-        design = np.column_stack([turns[:, i], seen.lever[:, 0, i], np.ones(len(turns))])
-        stiffness = float(np.linalg.lstsq(design, moment[:, i], rcond=None)[0][0])
-        out.append(stiffness)
-    sign = float(np.sign(np.sum(np.array(out))) or 1.0)
-    size = np.abs(np.median(np.abs(out)))
-    good = sign * np.array(out) > 0.05 * size
-    return 1.0 / np.where(good, np.abs(out), size), sign
+def rough_compliance(seen: Seen, force: Array) -> tuple[Array, float, Array]:
+    """(k,) rad / (N m) mean compliance of every span, the log's sign, and its bias (2,) N with that sign.
+
+    Least squares with stiffnesses that are not negative: convex, so that nothing runs off.
+    """
+    count, spans = seen.turn.shape
+    lever = seen.lever[:, 0]
+    ridge = 0.01 * float((lever**2).sum(axis=-1).max())
+    inner = np.einsum("nka,nkb->nab", lever, lever) + ridge * np.eye(2)
+    part = np.linalg.solve(inner, lever.transpose(0, 2, 1)) * seen.turn[:, None, :]
+    axes = np.tile(np.eye(2), (count, 1))
+    design = np.hstack([part.reshape(2 * count, spans), axes, -axes])
+    size = np.linalg.norm(design, axis=0)
+    found = {sign: nnls(design / size, sign * force.ravel()) for sign in (1.0, -1.0)}
+    sign = min(found, key=lambda each: float(found[each][1]))
+    stiffness = found[sign][0] / size
+    bias = stiffness[spans : spans + 2] - stiffness[spans + 2 :]
+    alike = nnls(np.hstack([design[:, :spans].sum(axis=1, keepdims=True), axes, -axes]), sign * force.ravel())[0][0]
+    stiffness = np.maximum(stiffness[:spans], 0.1 * max(alike, np.finfo(float).tiny ** 0.25))
+    return 1.0 / stiffness, sign, bias
 
 
 @dataclass(frozen=True)
@@ -153,6 +189,13 @@ class Model:
         turn = seen.turn - rest * z[2 * k + 4 :]
         return np.einsum("nab,nib,i,ni->na", spread, a, weight, turn), spread
 
+    def misfit(self, seen: Seen, z: Array) -> Array:
+        """(N, k) sd that the turns are off what one force a row would make."""
+        k = len(self.compliance)
+        force, _ = self.told(seen, z)
+        rest = self.moments.noise / np.sqrt(STILL) * z[2 * k + 4 :]
+        return np.asarray((seen.turn - rest - np.einsum("nia,na->ni", self.matrix(seen, z), force)) / self.moments.noise)
+
     def mean(self, seen: Seen, z: Array) -> Array:
         k = len(self.compliance)
         force, _ = self.told(seen, z)
@@ -160,19 +203,19 @@ class Model:
         return np.asarray(force + turned + FREE * self.force * z[2 * k + 2 : 2 * k + 4])
 
 
-def jacobian(model: Model, seen: Seen, z: Array, base: Array) -> Array:
+def jacobian(function: Callable[[Array], Array], z: Array, base: Array) -> Array:
     out = np.empty((base.size, len(z)))
     for i in range(len(z)):
         step = np.zeros(len(z))
         step[i] = 1e-4
-        out[:, i] = (model.mean(seen, z + step) - base).ravel() / 1e-4
+        out[:, i] = (function(z + step) - base).ravel() / 1e-4
     return out
 
 
 def covariance(noise: ForceNoise, time: Array, seen: Seen, spread: Array, steps: float) -> Array:
     """(2N, 2N) N^2 of the log about its mean, rows of both axes in turn."""
     n = len(time)
-    one = noise.covariance(time) + steps**2 * seen.steps @ seen.steps.T
+    one = noise.covariance(time) + steps**2 * np.minimum(seen.steps[:, None], seen.steps).sum(axis=-1)
     out = np.zeros((n, 2, n, 2))
     out[:, 0, :, 0] = out[:, 1, :, 1] = one
     at = np.arange(n)
@@ -180,36 +223,64 @@ def covariance(noise: ForceNoise, time: Array, seen: Seen, spread: Array, steps:
     return np.asarray(out.reshape(2 * n, 2 * n))
 
 
-def evidence(model: Model, seen: Seen, force: Array, root: Array, z: Array, rounds: int) -> tuple[float, Array]:
+def tied(model: Model, film: Seen, z: Array) -> tuple[float, Array, Array]:
+    """What the film alone says of the parameters: minus its log chance (Student's t a row), minus slope, curvature."""
+    base = model.misfit(film, z)
+    j = jacobian(lambda x: model.misfit(film, x), z, base).reshape(*base.shape, len(z))
+    free = base.shape[1]
+    size = np.sum(base**2, axis=1) / HEAVY
+    weight = (1.0 + free / HEAVY) / (1.0 + size)
+    cost = 0.5 * (HEAVY + free) * float(np.sum(np.log1p(size)))
+    return cost, -np.einsum("nip,ni,n->p", j, base, weight), np.einsum("nip,niq,n->pq", j, j, weight)
+
+
+def evidence(
+    model: Model, seen: Seen, film: Seen, force: Array, root: Array, z: Array, rounds: int
+) -> tuple[float, Array]:
     """Laplace's log evidence and the likeliest parameters."""
-    best, value = z, np.inf
-    for _ in range(rounds):
+    def step(z: Array) -> tuple[float, Array, Array]:
         base = model.mean(seen, z)
-        white = solve_triangular(
-            root,
-            np.column_stack([jacobian(model, seen, z, base), (force - base).ravel()]),
-            lower=True,
-            check_finite=False,
-        )
+        columns = np.column_stack([jacobian(lambda x: model.mean(seen, x), z, base), (force - base).ravel()])
+        white = solve_triangular(root, columns, lower=True, check_finite=False)
         j, r = white[:, :-1], white[:, -1]
-        cost = 0.5 * float(r @ r + z @ z)
-        inner = np.eye(len(z)) + j.T @ j
-        if cost < value:
-            best, value, inside = z, cost, inner
-            move = np.linalg.solve(inner, j.T @ r - z)
+        cost, slope, inner = tied(model, film, z)
+        return cost + 0.5 * float(r @ r + z @ z), inner + np.eye(len(z)) + j.T @ j, slope + j.T @ r - z
+
+    value, inner, slope = step(z)
+    damping = 0.0
+    for _ in range(rounds):
+        move = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), slope)
+        if move @ slope < 0.01:
+            break
+        new = z + np.clip(move, -1.0, 1.0)
+        cost = step(new)
+        if cost[0] < value:
+            z, (value, inner, slope), damping = new, cost, 0.1 * damping if damping > 1e-3 else 0.0
         else:
-            move = 0.3 * move
-        z = best + np.clip(move, -1.0, 1.0)
-    return -value - 0.5 * float(np.linalg.slogdet(inside)[1]) - float(np.sum(np.log(np.diag(root)))), best
+            damping = max(10.0 * damping, 0.1)
+    return -value - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.sum(np.log(np.diag(root)))), z
 
 
 def fitted_noise(
-    model: Model, seen: Seen, force: Array, time: Array, spread: Array, z: Array, start: ForceNoise, steps: float
+    model: Model,
+    seen: Seen,
+    film: Seen,
+    force: Array,
+    time: Array,
+    spread: Array,
+    z: Array,
+    start: ForceNoise,
+    steps: float,
 ) -> tuple[ForceNoise, float]:
     """The likeliest noise around the linear model at z."""
     base = model.mean(seen, z)
-    j = jacobian(model, seen, z, base)
-    y = (force - base).ravel() + j @ z
+    # The film and the prior leave a normal distribution about z + free; whatever lies in there the log may choose.
+    j = jacobian(lambda x: model.mean(seen, x), z, base)
+    _, slope, inner = tied(model, film, z)
+    root = np.linalg.cholesky(inner + np.eye(len(z)))
+    half = solve_triangular(root, j.T, lower=True).T
+    y = (force - base).ravel() - half @ solve_triangular(root, slope - z, lower=True)
+    j = half
     scale = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
