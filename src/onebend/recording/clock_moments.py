@@ -25,8 +25,10 @@ from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceNoise, Markers
 
 JUMP = 8.0  # robust sd, of a pose that is read wrongly
 HEAVY = 4.0  # degrees of freedom of Student's t: some tags are read wrongly
+ROUNDS = 12
+TYPICAL, LARGE = 0.01, 0.1  # of the largest force: a log's error changes by about, and may change by
 NODES = 5  # Gauss, on a span
-SLOPE = 0.5  # prior sd of the slope of the compliance over half a span, of its mean
+SLOPE = 1.0  # prior sd of the slope of the compliance over half a span, of its mean (3 times how far its centre lies off)
 FREE_SCALE = 1.0  # prior sd of the log of a span's compliance
 FREE = 10.0  # of the largest force: prior sd of the log's bias
 SLACK = 0.2  # s, that a change of the load may show earlier or later in the log
@@ -212,10 +214,11 @@ def jacobian(function: Callable[[Array], Array], z: Array, base: Array) -> Array
     return out
 
 
-def covariance(noise: ForceNoise, time: Array, seen: Seen, spread: Array, steps: float) -> Array:
+def covariance(noise: ForceNoise, time: Array, spread: Array, jumps: Array) -> Array:
     """(2N, 2N) N^2 of the log about its mean, rows of both axes in turn."""
     n = len(time)
-    one = noise.covariance(time) + steps**2 * np.minimum(seen.steps[:, None], seen.steps).sum(axis=-1)
+    done = np.cumsum(jumps)
+    one = noise.covariance(time) + np.minimum(done[:, None], done)
     out = np.zeros((n, 2, n, 2))
     out[:, 0, :, 0] = out[:, 1, :, 1] = one
     at = np.arange(n)
@@ -261,26 +264,43 @@ def evidence(
     return -value - 0.5 * float(np.linalg.slogdet(inner)[1]) - float(np.sum(np.log(np.diag(root)))), z
 
 
-def fitted_noise(
-    model: Model,
-    seen: Seen,
-    film: Seen,
-    force: Array,
-    time: Array,
-    spread: Array,
-    z: Array,
-    start: ForceNoise,
-    steps: float,
-) -> tuple[ForceNoise, float]:
-    """The likeliest noise around the linear model at z."""
+def around(model: Model, seen: Seen, film: Seen, force: Array, z: Array) -> tuple[Array, Array]:
+    """The log less its mean, and what the parameters may add to that (2N, p): the film and their prior leave a normal
+    distribution, and whatever lies in there the log may choose."""
     base = model.mean(seen, z)
-    # The film and the prior leave a normal distribution about z + free; whatever lies in there the log may choose.
     j = jacobian(lambda x: model.mean(seen, x), z, base)
     _, slope, inner = tied(model, film, z)
     root = np.linalg.cholesky(inner + np.eye(len(z)))
     half = solve_triangular(root, j.T, lower=True).T
-    y = (force - base).ravel() - half @ solve_triangular(root, slope - z, lower=True)
-    j = half
+    return (force - base).ravel() - half @ solve_triangular(root, slope - z, lower=True), half
+
+
+def grown(seen: Seen) -> Array:
+    """(N,) share of the changes of the load that lies between each row and the one before it."""
+    return np.concatenate([[0.0], np.maximum(np.diff(seen.steps, axis=0), 0.0).sum(axis=1)])
+
+
+def found_jumps(left: Array, free: Array, rest: Array, jumps: Array, typical: Array) -> Array:
+    """(N,) N^2, from guessed `jumps`: variance of a change of the log's error before each row; `rest` (2N, 2N) N^2 is
+    all else. Changes of the load come with Cauchy distributed ones of about `typical` (N,) N^2: expectation and
+    maximisation over their variances, both axes together.
+    """
+    n = len(jumps)
+    rows = np.kron(np.tril(np.ones((n, n))), np.eye(2))
+    for _ in range(ROUNDS):
+        size = np.repeat(jumps, 2)
+        root = np.linalg.cholesky(rest + free @ free.T + (rows * size) @ rows.T)
+        white = solve_triangular(root, np.column_stack([rows, left]), lower=True, check_finite=False)
+        mean = size * (white[:, :-1].T @ white[:, -1])
+        spread = size - size**2 * np.sum(white[:, :-1] ** 2, axis=0)
+        jumps = (typical + (mean**2 + spread).reshape(n, 2).sum(axis=1)) / 3.0 * (typical > 0.0)
+    return np.asarray(jumps)
+
+
+def fitted_noise(
+    left: Array, free: Array, time: Array, spread: Array, start: ForceNoise, jumps: Array
+) -> tuple[ForceNoise, float]:
+    """The likeliest noise around a linear model."""
     scale = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
@@ -289,14 +309,13 @@ def fitted_noise(
         return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
 
     def unlikely(x: Array) -> float:
-        root = np.linalg.cholesky(covariance(sized(x), time, seen, spread, steps))
-        white = solve_triangular(root, np.column_stack([j, y]), lower=True, check_finite=False)
+        root = np.linalg.cholesky(covariance(sized(x), time, spread, jumps))
+        white = solve_triangular(root, np.column_stack([free, left]), lower=True, check_finite=False)
         a, b = white[:, :-1], white[:, -1]
-        inner = np.linalg.cholesky(np.eye(len(z)) + a.T @ a)
+        inner = np.linalg.cholesky(np.eye(free.shape[1]) + a.T @ a)
         told = solve_triangular(inner, a.T @ b, lower=True)
-        return 0.5 * float(x @ x + b @ b - told @ told) + float(
-            np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner)))
-        )
+        fit = 0.5 * float(x @ x + b @ b - told @ told)
+        return fit + float(np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner))))
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": 100, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
