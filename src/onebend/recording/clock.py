@@ -21,7 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from onebend.recording.clock_moments import make_moments
 from onebend.recording.clock_rows import Rows, binned, thinned
+from onebend.recording.clock_sharp import sharpened
 from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
 from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
@@ -32,6 +34,7 @@ LONG = 12.0  # s: offsets of a longer range are looked through roughly first
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that is not looked at again
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
+LEAST = 0.2  # s, looked at closely on either side of the first estimate
 STEP_DOUBT = 0.05  # s, one sd: when exactly a log's error changes with the load nobody knows
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
@@ -44,6 +47,7 @@ class ClockSettings:
     margin: float = 2.0  # s, searched beyond what was said plus its uncertainty
     corrections: tuple[float, ...] = (0.001, 0.01)  # prior of the polynomials that mend the levers, tried in turn
     most_rows: int = 250  # of the log, after averaging
+    sharp_rows: int = 120  # of these, where they are explained by the spans' turns
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
     steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
@@ -113,7 +117,10 @@ def fit_clock(
     ways = [track for track in tracks(markers, push_s, settings) if enough and track.covered.sum() >= 10]
     coarse = likely_offsets(ways[-1], rows, low, high, rate) if ways else np.empty(0)
     searches = [coarse_search(track, rows, coarse, prior) for track in ways]
-    if ways:  # the same with an error that changes with the load; the data say which it is
+    moments = None
+    if push_s is not None and ways:
+        moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
+    if ways and moments is None:  # the same with an error that changes with the load; the data say which it is
         which = int(np.argmax([search.chance.max() for search in searches]))
         stepped = tracks(markers, push_s, settings, settings.steps)[which]
         searches.append(coarse_search(stepped, rows, coarse, prior))
@@ -122,13 +129,27 @@ def fit_clock(
         return ClockFit(unsettled, None, (Remark("warning", f"{TOO_LITTLE}; {as_written(uncertainty)}."),))
     best = max(searches, key=lambda search: float(search.chance.max()))
     offset, sd = refined(best, rows, coarse, prior)
+    noise = best.noise
+    sharp = None
+    if moments is not None:
+        few = thinned(rows, max(4 * rate, settings.sharp_rows / (moments.track.duration + settings.hold)))
+        sharp = sharpened(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
+    if sharp is not None:
+        offset, sd, noise = sharp
     if best is searches[-1] and len(searches) > len(ways):
         sd = float(np.hypot(sd, STEP_DOUBT))
     if not sd < 0.5 * spread:
         text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {as_written(uncertainty)}."
-        return ClockFit(unsettled, best.noise, (Remark("warning", text),))
+        return ClockFit(unsettled, noise, (Remark("warning", text),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
-    return ClockFit(clock, best.noise, remarks_on(clock, uncertainty, low, high))
+    return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
+
+
+def likely_span(searches: list[Search], coarse: Array, first: float, low: float, high: float) -> tuple[float, float]:
+    """s, lowest and highest offset that is worth a closer look."""
+    chance = np.max([search.chance - search.chance.max() for search in searches], axis=0)
+    good = coarse[chance > -UNLIKELY]
+    return max(low, min(float(good.min()), first - LEAST)), min(high, max(float(good.max()), first + LEAST))
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:

@@ -1,0 +1,134 @@
+"""The offset between film and log, where the place of the push is known: the posterior under the moments' likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.recording.clock_likelihood import (
+    Model,
+    around,
+    covariance,
+    evidence,
+    fitted_noise,
+    found_jumps,
+    rough_compliance,
+)
+from onebend.recording.clock_moments import Moments, Seen, grown, seen_at
+from onebend.recording.clock_rows import Rows
+from onebend.recording.noise import first_guess
+from onebend.records import Array, ForceNoise
+
+TYPICAL, LARGE = 0.01, 0.1  # of the largest force: by how much a log's error changes with the load, mostly, at most
+STEP, MOST = 0.02, 41  # s between offsets of the first look at least, and how many there are at most
+FINE = 21  # offsets of each of the looks that follow, over as much as
+REACH = 4.0  # sd to either side
+TURNS = 2  # of parameters, noise and jumps at one offset, and of these with the offset
+FEWEST = 10  # rows
+FIRST, FAST = 10, 3  # rounds of the parameters at one offset, and from there at another one
+
+
+Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What holds at all offsets of a search: the rows that all of them cover, and the model of these."""
+
+    moments: Moments
+    time: Array  # (N,) s, log's clock
+    width: float  # s
+    force: Array  # (N, 2) N, with the sign of the force on the beam
+    film: Seen  # the whole film
+    model: Model
+
+    def seen(self, offset: float) -> Seen:
+        return seen_at(self.moments, self.time - offset, self.width)
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The log's error and the likeliest parameters at one offset."""
+
+    noise: ForceNoise
+    jumps: Array  # (N,) N^2
+    z: Array
+
+
+def sharpened(
+    moments: Moments, rows: Rows, span: tuple[float, float], first: float, prior: Prior
+) -> tuple[float, float, ForceNoise] | None:
+    """Mean [s] and sd [s] of the offset over `span` [s], and the noise; None where film and log share too little.
+
+    `first` [s]: an estimate of the offset. The noise is that at the likeliest offset: found at `first`, then again.
+    """
+    offsets = np.arange(span[0], span[1] + 1e-9, max(STEP, (span[1] - span[0]) / (MOST - 1)))
+    shared, z = common(moments, rows, np.append(offsets, first), first)
+    if shared is None:
+        return None
+    noise, best = first_guess(shared.force, rows.width), first
+    for _ in range(TURNS):
+        known = explained(shared, best, noise, z)
+        chance = posterior(shared, offsets, known, prior)
+        best, z = float(offsets[int(np.argmax(chance))]), known.z
+    for _ in range(TURNS):
+        mean, sd = moments_of(offsets, chance)
+        new = np.linspace(max(mean - REACH * sd, span[0]), min(mean + REACH * sd, span[1]), FINE)
+        new = np.setdiff1d(new, offsets)
+        offsets, chance = np.append(offsets, new), np.append(chance, posterior(shared, new, known, prior))
+        order = np.argsort(offsets)
+        offsets, chance = offsets[order], chance[order]
+    return *moments_of(offsets, chance), known.noise
+
+
+def moments_of(offset: Array, chance: Array) -> tuple[float, float]:
+    """Mean and sd of a distribution given by its log at rising points."""
+    weight = np.exp(chance - chance.max()) * np.gradient(offset)
+    weight /= weight.sum()
+    mean = float(weight @ offset)
+    return mean, float(np.sqrt(weight @ (offset - mean) ** 2))
+
+
+def common(moments: Moments, rows: Rows, offsets: Array, first: float) -> tuple[Shared | None, Array]:
+    """What holds at all `offsets`, and parameters to begin with."""
+    use = np.all([seen_at(moments, rows.time - each, rows.width).told for each in offsets], axis=0)
+    time = moments.track.time
+    film = seen_at(moments, np.arange(time[0] + 0.5 * rows.width, time[-1] - 0.5 * rows.width, rows.width), rows.width)
+    if use.sum() < FEWEST or film.told.sum() < FEWEST:
+        return None, np.zeros(0)
+    at, force = rows.time[use], rows.force[use]
+    compliance, sign, bias = rough_compliance(seen_at(moments, at - first, rows.width), force)
+    model = Model(moments, compliance, rows.largest)
+    shared = Shared(moments, at, rows.width, sign * force, film.at(film.told), model)
+    return shared, model.start(bias)
+
+
+def explained(shared: Shared, offset: float, noise: ForceNoise, z: Array) -> Explained:
+    """Parameters, noise and jumps at one offset, in turns, from guessed ones."""
+    seen, model = shared.seen(offset), shared.model
+    share, start = grown(seen), first_guess(shared.force, shared.width)
+    jumps, typical = (LARGE * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
+    for _ in range(TURNS):
+        spread = model.told(seen, z)[1]
+        root = np.linalg.cholesky(covariance(noise, shared.time, spread, jumps))
+        _, z = evidence(model, seen, shared.film, shared.force, root, z, FIRST)
+    spread = model.told(seen, z)[1]
+    left, free = around(model, seen, shared.film, shared.force, z)
+    for _ in range(TURNS):
+        noise = fitted_noise(left, free, shared.time, spread, start, jumps)
+        rest = covariance(noise, shared.time, spread, np.zeros_like(jumps))
+        jumps = found_jumps(left, free, rest, jumps, typical)
+    return Explained(fitted_noise(left, free, shared.time, spread, start, jumps), jumps, z)
+
+
+def posterior(shared: Shared, offsets: Array, known: Explained, prior: Prior) -> Array:
+    """Log posterior at `offsets`, less a constant."""
+    out = np.empty(len(offsets))
+    for i, each in enumerate(offsets):
+        seen = shared.seen(float(each))
+        spread = shared.model.told(seen, known.z)[1]
+        root = np.linalg.cholesky(covariance(known.noise, shared.time, spread, known.jumps))
+        out[i], _ = evidence(shared.model, seen, shared.film, shared.force, root, known.z, FAST)
+    return np.asarray(out + prior(offsets))
