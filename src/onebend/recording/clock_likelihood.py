@@ -25,8 +25,12 @@ FREE_SCALE = 1.0  # prior sd of the log of a span's compliance about a first reg
 FREE = 10.0  # of the largest force: prior sd of the log's bias
 SOFTEST = 0.1  # of the common stiffness: the least that a first regression may say of a span
 HEAVY = 4.0  # degrees of freedom of Student's t: some tags are read wrongly
+FARTHEST = 6.0  # sd, of a parameter: what goes there does not come back
 ROUNDS = 12  # of expectation and maximisation
 DIFFERENCE = 1e-4  # step of the parameters for derivatives
+
+# Minus a log chance of the parameters, minus its slope (p,), and its curvature (p, p)
+Tie = Callable[[Array], tuple[float, Array, Array]]
 
 
 def rough_compliance(seen: Seen, force: Array) -> tuple[Array, float, Array]:
@@ -82,10 +86,13 @@ class Model:
         rest = self.moments.noise / np.sqrt(STILL)
         size = np.sqrt(np.mean((seen.turn / self.moments.noise) ** 2, axis=1) + 1.0)
         size *= self.force / np.sqrt(np.mean((self.moments.largest / self.moments.noise) ** 2))
-        inner = np.einsum("nia,i,nib->nab", a, weight, a) + np.eye(2) / size[:, None, None] ** 2
-        spread = np.linalg.inv(inner)
+        weighed = a * weight[:, None]
+        inner = weighed.transpose(0, 2, 1) @ a + np.eye(2) / size[:, None, None] ** 2
+        spread = np.stack([inner[:, 1, 1], -inner[:, 0, 1], -inner[:, 1, 0], inner[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+        spread /= (inner[:, 0, 0] * inner[:, 1, 1] - inner[:, 0, 1] * inner[:, 1, 0])[:, None, None]
         turn = seen.turn - rest * z[2 * k + 4 :]
-        return np.einsum("nab,nib,i,ni->na", spread, a, weight, turn), spread
+        pulled = (weighed * turn[..., None]).sum(axis=1)
+        return np.asarray((spread * pulled[:, None, :]).sum(axis=2)), spread
 
     def misfit(self, seen: Seen, z: Array) -> Array:
         """(N, k) sd that the turns are off what one force a row would make."""
@@ -93,7 +100,7 @@ class Model:
         force, _ = self.told(seen, z)
         rest = self.moments.noise / np.sqrt(STILL) * z[2 * k + 4 :]
         return np.asarray(
-            (seen.turn - rest - np.einsum("nia,na->ni", self.matrix(seen, z), force)) / self.moments.noise
+            (seen.turn - rest - (self.matrix(seen, z) * force[:, None, :]).sum(axis=2)) / self.moments.noise
         )
 
     def mean(self, seen: Seen, z: Array) -> Array:
@@ -137,8 +144,20 @@ def tied(model: Model, film: Seen, z: Array) -> tuple[float, Array, Array]:
     return cost, -np.einsum("nip,ni,n->p", j, base, weight), np.einsum("nip,niq,n->pq", j, j, weight)
 
 
+def nearly(model: Model, film: Seen, z: Array) -> Tie:
+    """`tied`, as a parabola about z."""
+    cost, slope, inner = tied(model, film, z)
+
+    def parabola(x: Array) -> tuple[float, Array, Array]:
+        move = x - z
+        bent = inner @ move
+        return cost + float(move @ (0.5 * bent - slope)), slope - bent, inner
+
+    return parabola
+
+
 def evidence(
-    model: Model, seen: Seen, film: Seen, force: Array, root: Array, z: Array, rounds: int
+    model: Model, seen: Seen, tie: Tie, force: Array, root: Array, z: Array, rounds: int
 ) -> tuple[float, Array]:
     """Laplace's log evidence of `force` (N, 2) under noise of covariance root root', and the likeliest parameters."""
 
@@ -147,7 +166,7 @@ def evidence(
         columns = np.column_stack([jacobian(lambda x: model.mean(seen, x), z, base), (force - base).ravel()])
         white = solve_triangular(root, columns, lower=True, check_finite=False)
         j, r = white[:, :-1], white[:, -1]
-        cost, slope, inner = tied(model, film, z)
+        cost, slope, inner = tie(z)
         return cost + 0.5 * float(r @ r + z @ z), inner + np.eye(len(z)) + j.T @ j, slope + j.T @ r - z
 
     value, inner, slope = step(z)
@@ -156,7 +175,7 @@ def evidence(
         move = np.linalg.solve(inner + damping * np.diag(np.diag(inner)), slope)
         if move @ slope < 0.01:
             break
-        new = z + np.clip(move, -1.0, 1.0)
+        new = np.clip(z + np.clip(move, -1.0, 1.0), -FARTHEST, FARTHEST)
         cost = step(new)
         if cost[0] < value:
             z, (value, inner, slope), damping = new, cost, 0.1 * damping if damping > 1e-3 else 0.0

@@ -12,14 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from onebend.recording.relation import SHORTEST_SPAN, TOUCHED, Track, along, is_still, lasting
 from onebend.recording.load_stages import displacement, load_changes
+from onebend.recording.relation import SHORTEST_SPAN, TOUCHED, Track, along, is_still, lasting
 from onebend.recording.signals import MAD_TO_SD, bridged
 from onebend.records import Array, BoolArray, IntArray, Markers
 
 JUMP = 8.0  # robust sd, of a pose that is read wrongly
 NODES = 5  # Gauss, on a span
-NEAR = 0.02  # of the beam: over it the direction at the push is taken
 LEAST = 0.02  # of the largest turn: a span that turns by less says nothing
 FINEST = 1e-3  # of a span's turn: least noise it is trusted to
 SLACK = 0.2  # s, that a change of the load may show earlier or later in the log
@@ -102,7 +101,8 @@ def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: floa
     """(T, k, 2) m mean lever of a unit force over each span, its first Legendre moment, and the beam's direction
     (T, 2) at the push."""
     push = along(xy, angle, s, push_s)
-    chord = push - along(xy, angle, s, push_s - NEAR)
+    beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
+    there = angle[:, 0] + np.diff(angle, axis=1) @ beside
     x, weight = np.polynomial.legendre.leggauss(NODES)
     ends = np.minimum(s[spans + 1], push_s)
     lever = np.zeros((2, len(xy), len(spans), 2))
@@ -110,7 +110,7 @@ def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: floa
         places = s[spans] + 0.5 * (at + 1.0) * (ends - s[spans])
         arm = push[:, None] - np.stack([along(xy, angle, s, place) for place in places], axis=1)
         lever += part * np.array([1.0, at])[:, None, None, None] * np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-    return lever[0], lever[1], chord / np.linalg.norm(chord, axis=1, keepdims=True)
+    return lever[0], lever[1], np.stack([np.cos(there), np.sin(there)], axis=1)
 
 
 def grown(seen: Seen) -> Array:

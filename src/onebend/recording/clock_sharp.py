@@ -1,8 +1,8 @@
-"""The offset between film and log, where the place of the push is known: the posterior under the moments' likelihood."""
+"""The offset between film and log where the place of the push is known: its posterior from the spans' moments."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,9 @@ from onebend.recording.clock_likelihood import (
     evidence,
     fitted_noise,
     found_jumps,
+    nearly,
     rough_compliance,
+    tied,
 )
 from onebend.recording.clock_moments import Moments, Seen, grown, seen_at
 from onebend.recording.clock_rows import Rows
@@ -22,11 +24,15 @@ from onebend.recording.noise import first_guess
 from onebend.records import Array, ForceNoise
 
 TYPICAL, LARGE = 0.01, 0.1  # of the largest force: by how much a log's error changes with the load, mostly, at most
-STEP, MOST = 0.02, 41  # s between offsets of the first look at least, and how many there are at most
-FINE = 21  # offsets of each of the looks that follow, over as much as
+STEP, MOST = 0.02, 31  # s between offsets of the first look at least, and how many there are at most
+FINE = 15  # offsets of each of the looks that follow, over as much as
 REACH = 4.0  # sd to either side
-TURNS = 2  # of parameters, noise and jumps at one offset, and of these with the offset
+TURNS = 2  # of parameters, noise and jumps at one offset
+MOST_TURNS, SETTLED = 4, 0.03  # of these with the offset; s, a change of which the jumps do not notice
 FEWEST = 10  # rows
+LOOKS, NEXT = 3, 0.2  # after the first look; s, offsets as near as this to the mean tell how fine they are
+FINEST = 1e-3  # s, least sd that is claimed
+UNLIKELY = 8.0  # log chance below the best: a part of 3e-4 of all
 FIRST, FAST = 10, 3  # rounds of the parameters at one offset, and from there at another one
 
 
@@ -55,6 +61,7 @@ class Explained:
     noise: ForceNoise
     jumps: Array  # (N,) N^2
     z: Array
+    chance: float  # log prior of the jumps, against that of the likeliest ones
 
 
 def sharpened(
@@ -68,19 +75,31 @@ def sharpened(
     shared, z = common(moments, rows, np.append(offsets, first), first)
     if shared is None:
         return None
-    noise, best = first_guess(shared.force, rows.width), first
-    for _ in range(TURNS):
-        known = explained(shared, best, noise, z)
+    best, chance, known = first, prior(offsets), []
+    for _ in range(MOST_TURNS):
+        known = explanations(shared, best, z)
         chance = posterior(shared, offsets, known, prior)
-        best, z = float(offsets[int(np.argmax(chance))]), known.z
-    for _ in range(TURNS):
+        before, best, z = best, float(offsets[int(np.argmax(chance))]), known[0].z
+        if abs(best - before) < SETTLED:
+            break
+    for _ in range(LOOKS):
         mean, sd = moments_of(offsets, chance)
-        new = np.linspace(max(mean - REACH * sd, span[0]), min(mean + REACH * sd, span[1]), FINE)
-        new = np.setdiff1d(new, offsets)
+        reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= NEXT])))
+        new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), FINE), offsets)
         offsets, chance = np.append(offsets, new), np.append(chance, posterior(shared, new, known, prior))
         order = np.argsort(offsets)
         offsets, chance = offsets[order], chance[order]
-    return *moments_of(offsets, chance), known.noise
+    mean, sd = moments_of(offsets, chance)
+    return mean, max(sd, FINEST), known[0].noise
+
+
+def explanations(shared: Shared, offset: float, z: Array) -> list[Explained]:
+    """The log's error with jumps where the load changes, and without; the likelier one first, alone if it is far so."""
+    both = [explained(shared, offset, z, large) for large in (0.0, LARGE)]
+    flat: Prior = np.zeros_like
+    size = [float(posterior(shared, np.array([offset]), [each], flat)[0]) for each in both]
+    order = np.argsort(size)[::-1]
+    return [both[i] for i in order if size[i] > max(size) - UNLIKELY]
 
 
 def moments_of(offset: Array, chance: Array) -> tuple[float, float]:
@@ -105,30 +124,35 @@ def common(moments: Moments, rows: Rows, offsets: Array, first: float) -> tuple[
     return shared, model.start(bias)
 
 
-def explained(shared: Shared, offset: float, noise: ForceNoise, z: Array) -> Explained:
-    """Parameters, noise and jumps at one offset, in turns, from guessed ones."""
+def explained(shared: Shared, offset: float, z: Array, large: float) -> Explained:
+    """Parameters, noise and jumps at one offset, in turns, from guessed ones; `large` = 0: no jumps."""
     seen, model = shared.seen(offset), shared.model
     share, start = grown(seen), first_guess(shared.force, shared.width)
-    jumps, typical = (LARGE * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
+    noise, jumps, typical = start, (large * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
     for _ in range(TURNS):
         spread = model.told(seen, z)[1]
         root = np.linalg.cholesky(covariance(noise, shared.time, spread, jumps))
-        _, z = evidence(model, seen, shared.film, shared.force, root, z, FIRST)
+        _, z = evidence(model, seen, lambda x: tied(model, shared.film, x), shared.force, np.asarray(root), z, FIRST)
     spread = model.told(seen, z)[1]
     left, free = around(model, seen, shared.film, shared.force, z)
-    for _ in range(TURNS):
+    for _ in range(TURNS if large else 0):
         noise = fitted_noise(left, free, shared.time, spread, start, jumps)
         rest = covariance(noise, shared.time, spread, np.zeros_like(jumps))
         jumps = found_jumps(left, free, rest, jumps, typical)
-    return Explained(fitted_noise(left, free, shared.time, spread, start, jumps), jumps, z)
+    size = jumps[(typical > 0.0) & (jumps > 0.0)] / typical[(typical > 0.0) & (jumps > 0.0)]
+    chance = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
+    return Explained(fitted_noise(left, free, shared.time, spread, start, jumps), jumps, z, chance)
 
 
-def posterior(shared: Shared, offsets: Array, known: Explained, prior: Prior) -> Array:
-    """Log posterior at `offsets`, less a constant."""
-    out = np.empty(len(offsets))
-    for i, each in enumerate(offsets):
-        seen = shared.seen(float(each))
-        spread = shared.model.told(seen, known.z)[1]
-        root = np.linalg.cholesky(covariance(known.noise, shared.time, spread, known.jumps))
-        out[i], _ = evidence(shared.model, seen, shared.film, shared.force, root, known.z, FAST)
+def posterior(shared: Shared, offsets: Array, known: Sequence[Explained], prior: Prior) -> Array:
+    """Log posterior at `offsets`, less a constant, over all that may explain the log's error."""
+    out = np.full(len(offsets), -np.inf)
+    for one in known:
+        tie = nearly(shared.model, shared.film, one.z)
+        for i, each in enumerate(offsets):
+            seen = shared.seen(float(each))
+            spread = shared.model.told(seen, one.z)[1]
+            root = np.linalg.cholesky(covariance(one.noise, shared.time, spread, one.jumps))
+            value, _ = evidence(shared.model, seen, tie, shared.force, np.asarray(root), one.z, FAST)
+            out[i] = np.logaddexp(out[i], value + one.chance)
     return np.asarray(out + prior(offsets))
