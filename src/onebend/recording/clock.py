@@ -23,7 +23,7 @@ import numpy as np
 
 from onebend.recording.clock_moments import make_moments
 from onebend.recording.clock_rows import Rows, binned, thinned
-from onebend.recording.clock_sharp import sharpened
+from onebend.recording.clock_sharp import STEP_DOUBT, sharpened
 from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
 from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
@@ -35,7 +35,6 @@ FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
 LEAST = 0.2  # s, looked at closely on either side of the first estimate
-STEP_DOUBT = 0.05  # s, one sd: when exactly a log's error changes with the load nobody knows
 
 Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 

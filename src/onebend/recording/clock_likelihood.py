@@ -23,7 +23,7 @@ from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceNoise
 SLOPE = 1.0  # prior sd of the slope of the compliance over half a span, of its mean: 3 times how far its centre is off
 FREE_SCALE = 1.0  # prior sd of the log of a span's compliance about a first regression
 FREE = 10.0  # of the largest force: prior sd of the log's bias
-SOFTEST = 0.1  # of the common stiffness: the least that a first regression may say of a span
+SOFTEST = 0.1  # of the stiffness that the largest force asks for: the least that a first regression may say
 HEAVY = 4.0  # degrees of freedom of Student's t: some tags are read wrongly
 FARTHEST = 6.0  # sd, of a parameter: what goes there does not come back
 ROUNDS = 12  # of expectation and maximisation
@@ -50,8 +50,10 @@ def rough_compliance(seen: Seen, force: Array) -> tuple[Array, float, Array]:
     sign = min(found, key=lambda each: float(found[each][1]))
     stiffness = found[sign][0] / size
     bias = stiffness[spans : spans + 2] - stiffness[spans + 2 :]
-    alike = nnls(np.hstack([design[:, :spans].sum(axis=1, keepdims=True), axes, -axes]), sign * force.ravel())[0][0]
-    stiffness = np.maximum(stiffness[:spans], SOFTEST * max(alike, np.finfo(float).tiny ** 0.25))
+    # What the largest force would need to turn all spans as they turn: a first regression may find nothing at all.
+    plain = np.abs(force - np.median(force, axis=0)).max() * np.sqrt((lever**2).sum(axis=-1).max(axis=0))
+    plain /= np.abs(seen.turn).max(axis=0)
+    stiffness = np.maximum(stiffness[:spans], SOFTEST * plain)
     return 1.0 / stiffness, sign, bias
 
 

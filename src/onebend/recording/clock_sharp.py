@@ -32,6 +32,7 @@ MOST_TURNS, SETTLED = 4, 0.03  # of these with the offset; s, a change of which 
 FEWEST = 10  # rows
 LOOKS, NEXT = 3, 0.2  # after the first look; s, offsets as near as this to the mean tell how fine they are
 FINEST = 1e-3  # s, least sd that is claimed
+STEP_DOUBT = 0.05  # s, one sd: when and how a log's error changes with the load nobody knows, where it does
 UNLIKELY = 8.0  # log chance below the best: a part of 3e-4 of all
 FIRST, FAST = 10, 3  # rounds of the parameters at one offset, and from there at another one
 
@@ -90,7 +91,7 @@ def sharpened(
         order = np.argsort(offsets)
         offsets, chance = offsets[order], chance[order]
     mean, sd = moments_of(offsets, chance)
-    return mean, max(sd, FINEST), known[0].noise
+    return mean, float(np.hypot(max(sd, FINEST), STEP_DOUBT if known[0].jumps.any() else 0.0)), known[0].noise
 
 
 def explanations(shared: Shared, offset: float, z: Array) -> list[Explained]:
