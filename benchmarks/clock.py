@@ -15,8 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies import bench_of
 from benchmarks.truth import RECORDINGS, Truth, read_truth
+from onebend.lab.virtual import virtual_recording
 from onebend.recording.camera import measure_markers
+from onebend.recording.chords import with_angles
 from onebend.recording.clock import ClockSettings
 from onebend.recording.contact import Contact, find_contact
 from onebend.recording.entries import Recording
@@ -26,6 +29,19 @@ from onebend.recording.noise import first_guess, fit_noise
 from onebend.recording.pairing import cleaned, match_clocks, read_log
 from onebend.recording.tags import detect_tags
 from onebend.records import Array, ForceLog, Markers
+
+VIRTUAL = tuple(
+    f"{kind} {errors}"
+    for kind, errors in (
+        ("smooth", "white"),
+        ("smooth", "correlated"),
+        ("smooth", "everything"),
+        ("smooth", "stages"),
+        ("smooth", "franka"),
+        ("stepped", "correlated"),
+        ("joint", "everything"),
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -146,10 +162,42 @@ def markdown(found: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def virtual_row(cell: str, runs: int) -> str:
+    """Errors of the clock over virtual recordings of one kind of `benchmarks.studies`, whose clock is written down
+    wrong by up to 1.5 s. Without the fit of k(s)."""
+    kind, errors = cell.split()
+    found = []
+    for seed in range(runs):
+        bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
+        said = bench.clock.offset + float(np.random.default_rng([seed, 9]).uniform(-1.5, 1.5))
+        made = virtual_recording(replace(bench, clock=replace(bench.clock, said=said, uncertainty=2.0)), seed=seed)
+        clock = match_clocks(made.recording, with_angles(made.markers), made.log, None, ClockSettings()).clock
+        found.append((clock.offset - bench.clock.offset - bench.sensor.lag, clock.sd))
+    miss, sd = np.array(found).T
+    score = miss / sd
+    return (
+        f"| {cell} | {runs} | {1e3 * np.sqrt(np.mean(miss**2)):.1f} | {1e3 * np.median(np.abs(miss)):.1f} "
+        f"| {1e3 * np.median(sd):.1f} | {np.sqrt(np.mean(score**2)):.2f} | {int(np.sum(np.abs(score) > 3))} |"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=Path, default=RECORDINGS)
-    print(markdown(rows(parser.parse_args().recordings)))
+    parser.add_argument(
+        "--virtual", type=int, default=0, metavar="RUNS", help="virtual recordings of each kind instead"
+    )
+    parser.add_argument("--cells", nargs="*", default=VIRTUAL, metavar="CELL", help=f"default: {', '.join(VIRTUAL)}")
+    asked = parser.parse_args()
+    if not asked.virtual:
+        print(markdown(rows(asked.recordings)))
+        return
+    print(
+        "| beams, errors | runs | RMS error [ms] | median error [ms] | median sd [ms] | RMS of error / sd | beyond 3 sd |"
+    )
+    print("| --- " * 7 + "|")
+    for cell in asked.cells:
+        print(virtual_row(cell, asked.virtual), flush=True)
 
 
 if __name__ == "__main__":
