@@ -184,16 +184,14 @@ def virtual_row(cell: str, runs: int) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=Path, default=RECORDINGS)
-    parser.add_argument(
-        "--virtual", type=int, default=0, metavar="RUNS", help="virtual recordings of each kind instead"
-    )
+    parser.add_argument("--virtual", type=int, default=0, metavar="RUNS", help="of each virtual kind instead")
     parser.add_argument("--cells", nargs="*", default=VIRTUAL, metavar="CELL", help=f"default: {', '.join(VIRTUAL)}")
     asked = parser.parse_args()
     if not asked.virtual:
         print(markdown(rows(asked.recordings)))
         return
     print(
-        "| beams, errors | runs | RMS error [ms] | median error [ms] | median sd [ms] | RMS of error / sd | beyond 3 sd |"
+        "| beams, errors | runs | RMS error [ms] | median error [ms] | median sd [ms] | RMS of error / sd | over 3 sd |"
     )
     print("| --- " * 7 + "|")
     for cell in asked.cells:

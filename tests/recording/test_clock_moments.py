@@ -101,7 +101,7 @@ def test_moments_of_a_normal_distribution_on_uneven_points() -> None:
 
 def test_shares_of_the_changes_of_the_load_are_whole() -> None:
     virtual, moments = exact(0)
-    time, seen = rows_of(virtual, moments)
+    _, seen = rows_of(virtual, moments)
     assert np.isclose(grown(seen).sum(), (seen.steps[-1] - seen.steps[0]).sum(), atol=1e-2)
     assert seen.steps.shape[1] == 3  # it begins, reverses, ends
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,9 +28,9 @@ STEP, MOST = 0.02, 31  # s between offsets of the first look at least, and how m
 FINE = 15  # offsets of each of the looks that follow, over as much as
 REACH = 4.0  # sd to either side
 TURNS = 2  # of parameters, noise and jumps at one offset
-MOST_TURNS, SETTLED = 4, 0.03  # of these with the offset; s, a change of which the jumps do not notice
+MOST_TURNS, SETTLED = 4, 2e-3  # of these with the offset; s, a change of it that they do not notice
 FEWEST = 10  # rows
-LOOKS, NEXT = 3, 0.2  # after the first look; s, offsets as near as this to the mean tell how fine they are
+LOOKS, NEXT = 3, 0.3  # after the first look; s, offsets as near as this to the mean tell how fine they are
 FINEST = 1e-3  # s, least sd that is claimed
 STEP_DOUBT = 0.05  # s, one sd: when and how a log's error changes with the load nobody knows, where it does
 UNLIKELY = 8.0  # log chance below the best: a part of 3e-4 of all
@@ -63,6 +63,8 @@ class Explained:
     jumps: Array  # (N,) N^2
     z: Array
     chance: float  # log prior of the jumps, against that of the likeliest ones
+    jumped: float  # N, one sd of all jumps that are larger than most
+    share: float = 1.0  # chance of this explanation
 
 
 def sharpened(
@@ -76,13 +78,22 @@ def sharpened(
     shared, z = common(moments, rows, np.append(offsets, first), first)
     if shared is None:
         return None
-    best, chance, known = first, prior(offsets), []
+    best = first
     for _ in range(MOST_TURNS):
         known = explanations(shared, best, z)
-        chance = posterior(shared, offsets, known, prior)
-        before, best, z = best, float(offsets[int(np.argmax(chance))]), known[0].z
-        if abs(best - before) < SETTLED:
+        mean, sd = looked_at(shared, offsets, known, prior)
+        before, best, z = best, mean, known[0].z
+        if abs(best - before) < max(SETTLED, sd):
             break
+    # A jump that is taken to come at a wrong time moves the offset by the more the larger it is.
+    size = sum(one.share * min(one.jumped / (LARGE * shared.model.force), 1.0) ** 2 for one in known)
+    return mean, float(np.hypot(max(sd, FINEST), np.sqrt(size) * STEP_DOUBT)), known[0].noise
+
+
+def looked_at(shared: Shared, offsets: Array, known: Sequence[Explained], prior: Prior) -> tuple[float, float]:
+    """Mean and sd of the offset: over all `offsets`, then ever closer about the mean."""
+    span = float(offsets[0]), float(offsets[-1])
+    chance = posterior(shared, offsets, known, prior)
     for _ in range(LOOKS):
         mean, sd = moments_of(offsets, chance)
         reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= NEXT])))
@@ -90,17 +101,16 @@ def sharpened(
         offsets, chance = np.append(offsets, new), np.append(chance, posterior(shared, new, known, prior))
         order = np.argsort(offsets)
         offsets, chance = offsets[order], chance[order]
-    mean, sd = moments_of(offsets, chance)
-    return mean, float(np.hypot(max(sd, FINEST), STEP_DOUBT if known[0].jumps.any() else 0.0)), known[0].noise
+    return moments_of(offsets, chance)
 
 
 def explanations(shared: Shared, offset: float, z: Array) -> list[Explained]:
     """The log's error with jumps where the load changes, and without; the likelier one first, alone if it is far so."""
     both = [explained(shared, offset, z, large) for large in (0.0, LARGE)]
     flat: Prior = np.zeros_like
-    size = [float(posterior(shared, np.array([offset]), [each], flat)[0]) for each in both]
-    order = np.argsort(size)[::-1]
-    return [both[i] for i in order if size[i] > max(size) - UNLIKELY]
+    size = np.array([posterior(shared, np.array([offset]), [each], flat)[0] for each in both])
+    share = np.exp(size - np.logaddexp.reduce(size))
+    return [replace(both[i], share=float(share[i])) for i in np.argsort(-size) if size[i] > size.max() - UNLIKELY]
 
 
 def moments_of(offset: Array, chance: Array) -> tuple[float, float]:
@@ -142,7 +152,8 @@ def explained(shared: Shared, offset: float, z: Array, large: float) -> Explaine
         jumps = found_jumps(left, free, rest, jumps, typical)
     size = jumps[(typical > 0.0) & (jumps > 0.0)] / typical[(typical > 0.0) & (jumps > 0.0)]
     chance = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
-    return Explained(fitted_noise(left, free, shared.time, spread, start, jumps), jumps, z, chance)
+    jumped = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
+    return Explained(fitted_noise(left, free, shared.time, spread, start, jumps), jumps, z, chance, jumped)
 
 
 def posterior(shared: Shared, offsets: Array, known: Sequence[Explained], prior: Prior) -> Array:
