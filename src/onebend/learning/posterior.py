@@ -29,6 +29,7 @@ from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.misses import Miss, misses
 from onebend.learning.own_weight import following
 from onebend.learning.parameters import Block, Layout, Priors, layout
+from onebend.learning.quantities import quantities
 from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, conclude, search
 from onebend.learning.spline import RHO, TAU, Spline
@@ -126,14 +127,18 @@ class Posterior:
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
 
     def nuisances(self) -> list[Nuisance]:
-        """Every parameter but k's and the force error's, before and after the data."""
+        """Every parameter but k's, before and after the data; of the force's slow error its mean and drift."""
         out = []
         for block in self.at.blocks:
-            if block.start < 0 or block.name in ("stiffness", "force"):
+            if block.start < 0 or block.name == "stiffness":
                 continue
-            sd = np.sqrt(np.diag(self.covariance)[block.where])
-            values = zip(block.labels, self.mean[block.where], sd, block.prior_sd, strict=True)
-            out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
+            these, where = quantities(block, self.films), block.where
+            after, before = (
+                np.sqrt(np.diag(these.weights @ one[where, where] @ these.weights.T))
+                for one in (self.covariance, self.prior_covariance)
+            )
+            values = zip(these.labels, these.units, these.weights @ self.mean[where], after, before, strict=True)
+            out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
         return out
 
     @property

@@ -1,0 +1,35 @@
+"""What is said of the parameters that are not k(s): each by itself, and of a force log's slow error its mean and drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.learning.film import Film
+from onebend.learning.parameters import Block
+from onebend.records import Array
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """Numbers that are linear in a block's parameters."""
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    weights: Array  # (N, parameters of the block)
+
+
+def quantities(block: Block, films: Sequence[Film]) -> Quantities:
+    """A block's own parameters; for a force log's error, a spline in time, what it is over the frames of the push."""
+    if block.name != "force":
+        return Quantities(block.labels, (block.unit,) * len(block.labels), np.eye(len(block.labels)))
+    seen = films[block.recording]
+    away = seen.observations.time[seen.frames]
+    away = away - np.mean(away)
+    over = seen.error.weights[: len(away)]
+    rows = np.stack([np.mean(over, axis=0), away @ over / max(float(away @ away), 1e-300)])
+    whose = block.labels[0].rpartition(": ")[0]
+    names = tuple(f"{whose}: {what} {axis}" for what in ("mean force error", "force drift") for axis in "xy")
+    return Quantities(names, ("N", "N", "N/s", "N/s"), np.kron(rows, np.eye(2)))
