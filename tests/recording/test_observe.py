@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.entries import (
-    BeamEntry,
     ForceEntry,
     GravityEntry,
     PushEntry,

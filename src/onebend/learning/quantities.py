@@ -1,4 +1,4 @@
-"""What is said of the parameters that are not k(s): each by itself, and of a force log's slow error its mean and drift."""
+"""What is said of the parameters beside k(s): each by itself, and of a force log's slow error its mean and drift."""
 
 from __future__ import annotations
 

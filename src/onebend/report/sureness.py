@@ -76,8 +76,8 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
             "and is in the band."
         )
     return (
-        "No scale error of the force is declared (gain_sd in [force]), and none is in the band: a sensor that reads 1 % "
-        "too much makes all of k(s) 1 % too stiff."
+        "No scale error of the force is declared (gain_sd in [force]), and none is in the band: a sensor that reads "
+        "1 % too much makes all of k(s) 1 % too stiff."
     )
 
 
