@@ -177,22 +177,18 @@ def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
     """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals,
     correlation in time included; and how many independent numbers are left.
 
-    A departure d that is smooth in time has a score of variance `sum_c |d_c|^2 s_c^2 tau_c` over the coordinates c of
-    noise s_c and correlation tau_c. So afterwards each coordinate counts by its share of the change: one tag's slow
-    noise would else pass for signal where the others' is not slow.
+    Afterwards the coordinate with the longest correlation counts: a departure that is smooth in time would else pass
+    for signal where one tag's noise is slow and the others' is not.
     """
-    expected, found, numbers = 0.0, 0.0, 0.0
+    before, after, numbers = 0.0, 0.0, 0.0
     for rows, known, change, noise in zip(line.rows, line.known, changes, line.optimum.scales.films, strict=True):
         plain = rows.r - rows.j @ line.step[known]
         old, new = (split(rows, r, noise)[0] for r in (plain, plain - change))
-        seen = np.sum(rows.known, axis=0)
-        before = float(np.sum(old**2)) * correlation_time(old) / float(np.sum(seen))
-        time = np.array([correlation_time(column[:, None]) for column in new.T])
-        carried = np.sum(change**2, axis=0) / max(before, 1e-300)
-        expected += float(np.sum(carried))
-        found += float(carried @ (np.sum(new**2, axis=0) / np.maximum(seen, 1.0) * time)) / max(before, 1e-300)
-        numbers += float(np.sum(seen / time))
-    return expected / max(found, 1e-300), numbers
+        time = max(correlation_time(column[:, None]) for column in new.T)
+        before += float(np.sum(old**2)) * correlation_time(old)
+        after += float(np.sum(new**2)) * time
+        numbers += float(np.sum(rows.known)) / time
+    return before / max(after, 1e-300), numbers
 
 
 def _moved(seen: Film, rows: Rows, change: Array) -> float:
