@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.film import Film, film
-from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.quantities import quantities
 from onebend.learning.spline import Spline
@@ -72,3 +72,13 @@ def test_what_trades_off_is_what_is_reported(made: Observations) -> None:
     posterior = fit([made], 0.02, settings=FitSettings(8))
     names, _ = correlations(posterior)
     assert names[1:] == [one.name for one in posterior.nuisances()]
+
+
+def test_the_tags_turns_have_the_tolerance_of_the_recording(made: Observations) -> None:
+    def turns(one: Observations, priors: Priors = Priors()) -> Block:
+        return layout(SPLINE, [one], [0], priors).index["turn", -1]
+
+    np.testing.assert_allclose(turns(made).prior_sd, np.deg2rad(1.5))
+    np.testing.assert_allclose(turns(replace(made, turn_sd=0.1)).prior_sd, 0.1)
+    assert turns(replace(made, turn_sd=0.0)).start < 0
+    np.testing.assert_allclose(turns(replace(made, turn_sd=0.0), Priors(mounting=0.2)).prior_sd, 0.2)

@@ -111,6 +111,13 @@ def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
         observed(replace(log, force=sensed), recording(force=entry))
 
 
+def test_what_is_said_of_the_tags_turns_is_carried_along() -> None:
+    whole = recording()
+    stated = replace(whole, tags=replace(whole.tags, turn_sd=0.05))
+    assert observed(rec=stated).turn_sd == 0.05
+    assert plain().turn_sd == pytest.approx(math.radians(1.5))
+
+
 def test_robot_and_rotation_are_undone() -> None:
     log = PUSHED.log()
     entry = ForceEntry(Path("force.csv"), rotation=math.radians(30), acts_on="robot", gain_sd=0.03)
