@@ -11,6 +11,7 @@ from onebend.learning.film import Film, film
 from onebend.learning.parameters import Block, Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.quantities import quantities
+from onebend.learning.rest import at_rest, beam_points
 from onebend.learning.spline import Spline
 from onebend.learning.tradeoffs import correlations
 from onebend.records import Observations
@@ -82,3 +83,10 @@ def test_the_tags_turns_have_the_tolerance_of_the_recording(made: Observations) 
     np.testing.assert_allclose(turns(replace(made, turn_sd=0.1)).prior_sd, 0.1)
     assert turns(replace(made, turn_sd=0.0)).start < 0
     np.testing.assert_allclose(turns(replace(made, turn_sd=0.0), Priors(mounting=0.2)).prior_sd, 0.2)
+
+
+def test_tags_that_sit_exactly_give_the_shape_at_rest(made: Observations) -> None:
+    bent = replace(made, rest="unknown", placement_sd=0.0, turn_sd=0.0)
+    assert np.all(np.isfinite(at_rest(bent).theta0))
+    away = beam_points(bent, at_rest(bent))[0] - bent.xy
+    assert np.max(np.abs(away)) < 1e-4
