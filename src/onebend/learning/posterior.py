@@ -133,11 +133,9 @@ class Posterior:
             if block.start < 0 or block.name == "stiffness":
                 continue
             these, where = quantities(block, self.films), block.where
-            after, before = (
-                np.sqrt(np.diag(these.weights @ one[where, where] @ these.weights.T))
-                for one in (self.covariance, self.prior_covariance)
-            )
-            values = zip(these.labels, these.units, these.weights @ self.mean[where], after, before, strict=True)
+            after = np.sqrt(np.diag(these.weights @ self.covariance[where, where] @ these.weights.T))
+            value = these.weights @ self.mean[where]
+            values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
             out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
         return out
 
