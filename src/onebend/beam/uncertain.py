@@ -82,7 +82,7 @@ class UncertainStiffness:
         if self.shape is None:
             return 1.0
         at_places = [np.interp(level, SHAPE_LEVELS, one) for one in self.shape.T]
-        return np.interp(s, SHAPE_PLACES, at_places)
+        return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
 
     def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
         """Stiffness distributions as probable as this one says."""

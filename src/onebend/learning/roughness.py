@@ -152,7 +152,8 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, bu
     tau, rho = np.exp(np.median(np.concatenate(sizes), axis=0)).tolist()
     covariance = second - np.outer(mean, mean)
     covariance = 0.5 * (covariance + covariance.T)
-    shape = _shape(*np.concatenate(marginals, axis=1), np.tile(target.share, kept) / kept)
+    means, sds = np.concatenate(marginals, axis=1)
+    shape = _shape(means, sds, np.tile(target.share, kept) / kept)
     return Mixed(mean + level, covariance, parts[p : 2 * p - 1] / kept, shape, variance / kept, tau, rho)
 
 
@@ -167,5 +168,5 @@ def _shape(means: Array, sds: Array, weight: Array) -> Array:
     below = np.cumsum(weights[order], axis=0) - 0.5 * weights[order]
     rising = np.take_along_axis(values, order, axis=0)
     asked = 0.5 + 0.5 * np.stack([-SHAPE_LEVELS, SHAPE_LEVELS])
-    low, high = np.moveaxis([np.interp(asked, b, v) for b, v in zip(below.T, rising.T, strict=True)], 0, -1)
+    low, high = np.stack([np.interp(asked, b, v) for b, v in zip(below.T, rising.T, strict=True)], axis=-1)
     return np.asarray((high - low) / (2.0 * ndtri(asked[1])[:, None] * sd))

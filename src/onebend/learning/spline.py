@@ -21,6 +21,7 @@ from onebend.records import Array
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
+SPREAD = 1.2  # one sd of their logs: a factor of ten either way
 _DEGREE = 3
 _BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on intervals twice as long, of height one
 _WITHIN = 20  # places of a step between two coefficients that are averaged over
