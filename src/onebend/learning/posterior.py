@@ -43,7 +43,7 @@ CONTRADICTED = "the force contradicts the bending"
 class FitSettings:
     """How the marker-space fit runs."""
 
-    functions: int = 24  # of the spline of log k
+    functions: int = 45  # of the spline of log k
     most_frames: int = 500  # of each recording, evenly chosen
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
@@ -210,7 +210,8 @@ def stiffness_of(at: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiff
     where, fine, onto = at.index["stiffness", -1].where, at.spline.finer, at.spline.on_finer
     covariance = onto @ optimum.covariance[where, where] @ onto.T
     covariance += np.tensordot(optimum.jumps**2, at.spline.unseen, 1)
-    return UncertainStiffness(fine.knots, onto @ optimum.x[where], 0.5 * (covariance + covariance.T), gain_sd)
+    covariance = 0.5 * (covariance + covariance.T)
+    return UncertainStiffness(fine.knots, onto @ optimum.x[where], covariance, gain_sd, shape=optimum.shape)
 
 
 def _from_legendre(states: Array) -> Profile:
