@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.cli import COMMANDS, app
+from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.entries import (
-    BeamEntry,
     CameraEntry,
     ForceEntry,
     GravityEntry,

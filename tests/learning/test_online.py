@@ -27,7 +27,7 @@ from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.replay import replay
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.test_posterior import wrong_force
 
@@ -109,7 +109,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     tags = np.einsum("tmab,tmb->tma", np.linalg.inv(np.linalg.cholesky(o.covariance)), seen - pose).ravel()
     log = ((o.force - error)[at_rest] / (0.05 * noise)).ravel()
     last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, PLACE_SD, DIRECTION_SD]
-    sd = np.concatenate([np.full(6, 5e-4), np.full(3, settings.priors.mounting), last])
+    sd = np.concatenate([np.full(6, 5e-4), np.full(3, TURN_SD), last])
     return np.concatenate([tags, log, of_k @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
 
 

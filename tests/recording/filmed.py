@@ -10,7 +10,8 @@ import numpy as np
 from pyapriltags import Detector
 from scipy.spatial.transform import Rotation
 
-from onebend.recording.entries import BeamEntry, CameraEntry, Recording, TagEntry, TagsEntry, VideoEntry
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import CameraEntry, Recording, TagEntry, TagsEntry, VideoEntry
 from onebend.recording.lens import project, to_plane
 from onebend.recording.plane import FACING, square
 from onebend.recording.video import Frame

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onebend.errors import RecordingError
-from onebend.recording import entries
+from onebend.recording import beam_entry, entries
 from onebend.recording.folder import read_recording
 from onebend.recording.schema import keys_of, lines_of_keys
 from onebend.recording.template import template, write_template
@@ -216,7 +216,11 @@ def test_template_examples_all_keep_the_schema() -> None:
         row[2:] if row.startswith("# ") and (" = " in row or row[2] == "[") else row for row in template().splitlines()
     ]
     data = tomllib.loads("\n".join(uncommented))
-    for record, table in ((entries.BeamEntry, "beam"), (entries.CameraEntry, "camera"), (entries.ForceEntry, "force")):
+    for record, table in (
+        (beam_entry.BeamEntry, "beam"),
+        (entries.CameraEntry, "camera"),
+        (entries.ForceEntry, "force"),
+    ):
         for entry, _ in keys_of(record).values():
             entry.check(data[table][entry.name])
 

@@ -10,7 +10,7 @@ from typing import Literal
 from rich.console import Console
 
 import onebend
-from onebend.cli.common import BY, clean_errors, print_json, progress_of, workplace
+from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted, workplace
 from onebend.learning.candidates import Limits
 from onebend.learning.parameters import Priors
 from onebend.learning.planning import PlanSettings
@@ -21,7 +21,6 @@ from onebend.recording.observe import ObserveSettings
 from onebend.report.drawing import draw, draw_all, validation_figures
 from onebend.results.folder import publish
 from onebend.results.kept import KeptDetections
-from onebend.results.model import read_model
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -112,7 +111,7 @@ def validate(
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     observing = _observing(threads, epsilon)
     with clean_errors():
-        beam = read_model(model).beam
+        beam = read_trusted(model).beam
         if output is None:
             with progress_of(quiet) as progress:
                 pairs = compare(beam, recordings, observing=observing, progress=progress)
@@ -141,6 +140,7 @@ def plan(
     turn = None if max_tip_angle is None else math.radians(max_tip_angle)
     settings = PlanSettings(limits=Limits(force=max_force, tip_turn=turn), count=count)
     with clean_errors(), progress_of(quiet) as progress:
+        read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
     if as_json:
         print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})

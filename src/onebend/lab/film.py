@@ -24,7 +24,8 @@ from onebend.lab.video_out import write_video
 from onebend.lab.viewpoint import calibration, view_from
 from onebend.lab.virtual import DENSE, riding, tag_places, written
 from onebend.progress import Progress, Silent, track
-from onebend.recording.entries import BeamEntry, ForceEntry, GravityEntry, Recording
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, GravityEntry, Recording
 from onebend.recording.folder import FILE_NAME
 from onebend.recording.lens import project
 from onebend.records import Array, ForceLog, View

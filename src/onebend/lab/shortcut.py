@@ -62,6 +62,7 @@ def observe_quickly(
         gravity=np.zeros_like(force)[known],
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
+        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=_clock(bench, clock_error, clock_sd),
         clean_force=clean,

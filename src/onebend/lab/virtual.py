@@ -21,7 +21,8 @@ from onebend.lab.extensible import stretched
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor, log_of
 from onebend.lab.truths import RESOLUTION
-from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
 from onebend.recording.observe import ObserveSettings, assemble
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceLog, Markers, Observations, Rest
 

@@ -150,7 +150,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=o_load if (o_load := observations.load_error_sd) > 0.0 else _LOAD * largest,
+        load=_LOAD * largest if np.isnan(observations.load_error_sd) else observations.load_error_sd,
         stages=_stages(observations, knots, cutoff),
         mean=_ramp(clean, knots),
     )

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from onebend.learning.live_solve import LiveScales, Solution
-from onebend.learning.roughness import SPREAD as ROUGHNESS_SPREAD
 from onebend.learning.scales import CHOSEN, SPREAD
+from onebend.learning.spline import SPREAD as ROUGHNESS_SPREAD
 from onebend.records import Array
 
 _CENTRE = 0.25  # share of the node in the middle
@@ -27,7 +27,7 @@ _TRUSTED = 1.0  # of a node's log weight: so far above what was expected, its lo
 _LEAST_CURVATURE = 0.5  # the prior alone has one
 
 
-_SPREAD = dict(zip(("tau", "rho"), ROUGHNESS_SPREAD.tolist(), strict=True))
+_SPREAD = dict.fromkeys(("tau", "rho"), ROUGHNESS_SPREAD)
 _SPREAD |= dict(zip(CHOSEN, SPREAD.tolist(), strict=True)) | {"white": 0.7}
 MEMORY_DOUBT = _SPREAD["memory"]
 

@@ -17,13 +17,13 @@ from onebend.recording.chords import chord_angles
 from onebend.records import Array, BoolArray, Observations
 
 _REST_MODES = Modes(3)
+_EXACT = 1e-6  # m, rad: what is taken for it where a tag is said to sit exactly
 
 
 @dataclass(frozen=True)
 class RestPrior:
     """What is likely before any data."""
 
-    mounting_sd: float = np.deg2rad(1.5)  # rad, a tag's turn against the beam's tangent
     curvature_sd: float = 0.15  # rad, each Legendre state of the rest shape
 
 
@@ -79,7 +79,8 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
 def _rest_states(observations: Observations, known: BoolArray, prior: RestPrior) -> Array:
     """States that balance curvature against mounting, each measured by its own sd."""
     at = places(observations.length, _REST_MODES, observations.marker_s[known])
-    sd = np.concatenate([np.full(2 * len(at.s), observations.placement_sd), np.full(len(at.s), prior.mounting_sd)])
+    of_tags = np.repeat([observations.placement_sd, observations.turn_sd], [2 * len(at.s), len(at.s)])
+    sd = np.maximum(of_tags, _EXACT)
     theta = np.zeros(_REST_MODES.n)
     for _ in range(5):
         jacobian = np.concatenate([jacobians(at, theta[None])[0].reshape(-1, _REST_MODES.n), at.to_places])

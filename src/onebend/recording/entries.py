@@ -11,56 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
 from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
-from onebend.records import DIRECTION_SD, PLACE_SD, MassAlong, Remark, Rest, StiffnessAlong
+from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Remark
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
 DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
-
-
-@dataclass(frozen=True)
-class BeamEntry:
-    """[beam]: what is known of the beam."""
-
-    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
-    mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
-    mass_file: Path | None = key(
-        "mass_file",
-        text,
-        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
-        example='"mass.csv"',
-        default=None,
-    )
-    stiffness_along: StiffnessAlong = key(
-        "stiffness_along",
-        one_of("unknown", "even"),
-        'what is known of how k varies: "even" where it is one number (one section and material), or "unknown"',
-        example='"even"',
-        default="unknown",
-    )
-    mass_along: MassAlong = key(
-        "mass_along",
-        one_of("unknown", "even", "width", "thickness", "both", "table"),
-        'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
-        '"table" in mass_file, or "unknown"',
-        example='"even"',
-        default="unknown",
-    )
-    width: float = key(
-        "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
-    )
-    thickness: float = key(
-        "thickness_m", number(above=0), "the beam's size along the bending axis, m", example="0.03", default=math.nan
-    )
-    rest: Rest = key(
-        "rest",
-        one_of("straight", "unknown"),
-        'its shape with no force on it: "straight", or "unknown" if it may be curved',
-        example='"straight"',
-        default="straight",
-    )
 
 
 @dataclass(frozen=True)
@@ -91,10 +49,17 @@ class TagsEntry:
     placement_sd: float = key(
         "placement_sd_m",
         number(least=0),
-        "how far off its written place a tag may sit (one standard deviation), m",
+        "how far off its written place a tag may sit (one standard deviation), m; 0: exact",
         example=f"{DEFAULT_PLACEMENT_SD}",
         default=DEFAULT_PLACEMENT_SD,
     )
+    turn_sd: float = key(
+        "turn_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        "how far off its written turn a tag may be (one standard deviation), degrees; 0: exact",
+        example="1.5",
+        default=TURN_SD,
+    )  # rad
     on_base: tuple[TagEntry, ...] = ()  # at least one where a camera looks; the first is the origin
     on_beam: tuple[TagEntry, ...] = ()  # at least one
 
@@ -219,7 +184,7 @@ class ForceEntry:
     bias_sd: float = key(
         "bias_sd_N",
         number(least=0),
-        "the sensor's error under load that no rest shows (one sd), N",
+        "the sensor's error under load that no rest shows (one sd), N; 0: none",
         example="0.2",
         default=math.nan,
     )

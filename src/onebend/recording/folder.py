@@ -12,8 +12,8 @@ from typing import Any
 from onebend.errors import RecordingError
 from onebend.recording.bag import is_bag
 from onebend.recording.bag_recording import check_bag, with_bags
+from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.entries import (
-    BeamEntry,
     CameraEntry,
     ForceEntry,
     GravityEntry,

@@ -188,6 +188,7 @@ def _observations(
         gravity=acting.gravity[kept],
         mass=mass,
         placement_sd=rec.tags.placement_sd,
+        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=acting.clock,
         clean_force=acting.clean,

@@ -78,6 +78,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         gravity=loads.gravity,
         mass=mass,
         placement_sd=rec.tags.placement_sd,
+        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=None,
         clean_force=None,

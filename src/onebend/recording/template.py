@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from onebend.errors import RecordingError
+from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.entries import (
-    BeamEntry,
     CameraEntry,
     ForceEntry,
     GravityEntry,

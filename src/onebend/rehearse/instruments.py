@@ -22,7 +22,7 @@ from onebend.recording.frame import MOUNTING_SD
 from onebend.records import DIRECTION_SD, PLACE_SD
 from onebend.rehearse.setup import Setup
 
-FUNCTIONS = 24  # of log k, as the fit has
+FUNCTIONS = 45  # of log k, as the fit has
 MOST_FRAMES = 200  # of a push that prediction and fit use
 _CUTOFF = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
 _WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better

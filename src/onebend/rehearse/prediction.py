@@ -21,8 +21,7 @@ from onebend.blas import one_blas_thread
 from onebend.lab.pushes import Push
 from onebend.learning.identifiability import STEPS, Seen, alone, eliminate, joint_information, mass_of, see, solve_push
 from onebend.learning.proposals import PLACES, Quality
-from onebend.learning.roughness import SPREAD
-from onebend.learning.spline import RHO, TAU, Spline
+from onebend.learning.spline import RHO, SPREAD, TAU, Spline
 from onebend.records import Array, BoolArray
 from onebend.rehearse.instruments import FUNCTIONS, Instruments, even_push, instruments
 from onebend.rehearse.setup import Setup

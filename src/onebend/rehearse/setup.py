@@ -19,9 +19,8 @@ from onebend.lab.strategies import SENSORS, SWINGING, SensorName, Wish, camera_o
 from onebend.lab.viewpoint import Camera, view_from
 from onebend.lab.virtual import Bench, tag_poses
 from onebend.lab.virtual import Tag as LabTag
-from onebend.learning.parameters import Priors
 from onebend.recording.lens import project
-from onebend.records import Rest
+from onebend.records import TURN_SD, Rest
 from onebend.results.model import FILE_NAME, read_model
 
 THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
@@ -44,7 +43,7 @@ class Setup:
     noise: TagNoise = field(default_factory=TagNoise)
     fps: float = 30.0
     placement_sd: float = 5e-4  # m, a tag's place along and across
-    turn_sd: float = Priors().mounting  # rad, a tag's turn on the beam
+    turn_sd: float = TURN_SD  # rad, a tag's turn on the beam
     clock_sd: float = nan  # s, how well the two clocks are known; NaN: found from the data
 
     def __post_init__(self) -> None:
