@@ -23,7 +23,7 @@ import numpy as np
 
 from onebend.recording.clock_moments import make_moments
 from onebend.recording.clock_rows import Rows, binned, thinned
-from onebend.recording.clock_sharp import STEP_DOUBT, sharpened
+from onebend.recording.clock_sharp import STEP_DOUBT, moments_of, sharpened
 from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
 from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
@@ -181,15 +181,7 @@ def prior_spread(low: float, high: float, prior: Prior) -> float:
     if high <= low:
         return float("inf")
     offset = np.linspace(low, high, 2001)
-    return moments(offset, prior(offset))[1]
-
-
-def moments(offset: Array, log_chance: Array) -> tuple[float, float]:
-    """Mean and sd of a distribution given by its log on even points."""
-    weight = np.exp(log_chance - log_chance.max())
-    weight /= weight.sum()
-    mean = float(weight @ offset)
-    return mean, float(np.sqrt(weight @ (offset - mean) ** 2))
+    return moments_of(offset, prior(offset))[1]
 
 
 def displacements(markers: Markers) -> Array:
@@ -273,7 +265,7 @@ def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[fl
         gain = fixed_rows(search, rows, offset)
         if gain is None:
             break
-        mean, sd = moments(offset, gain + prior(offset))
+        mean, sd = moments_of(offset, gain + prior(offset))
         if 0.08 * reach < sd < 0.3 * reach and abs(mean - centre) < 0.5 * reach:
             break
         centre, reach = mean, min(max(4.5 * sd, 1e-3), 2 * reach)
