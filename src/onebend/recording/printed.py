@@ -13,7 +13,8 @@ from pyapriltags import Detector
 
 from onebend.errors import RecordingError
 from onebend.recording.entries import FAMILIES
-from onebend.records import BoolArray
+from onebend.recording.signals import runs
+from onebend.records import Array, BoolArray
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,16 @@ class PrintedTag:
     def margin(self) -> int:
         """Cells between the edge of `cells` and the detected square."""
         return (len(self.cells) - self.border) // 2
+
+    @property
+    def ink(self) -> Array:
+        """(n, 4, 2) corners of the black runs of each row, in cells right of and below the upper left corner."""
+        boxes = [
+            [[left, row], [right, row], [right, row + 1], [left, row + 1]]
+            for row, white in enumerate(self.cells)
+            for left, right in runs(~white).tolist()
+        ]
+        return np.array(boxes, dtype=float)
 
 
 @dataclass(frozen=True)

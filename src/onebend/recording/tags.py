@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,6 +17,7 @@ from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
 from onebend.recording.tracking import BlockTracks, Finder, track_block
 from onebend.recording.video import Frame, frame_count, rate_remarks, read_frames
 from onebend.records import Detections, Remark
+from onebend.workers import available_cores
 
 BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
 MOST_THREADS = 8
@@ -63,11 +63,6 @@ def detect_tags(
         for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
             blocks += [block] if block else []
     return summary(video, tags, tag_id, blocks)
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
