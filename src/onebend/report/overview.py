@@ -30,7 +30,7 @@ class Overview:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `--json`."""
-        remarks = [{"level": remark.level, "text": remark.text} for remark in self.remarks]
+        remarks = [remark.as_dict() for remark in self.remarks]
         return {"recording": self.name, "understood": dict(self.rows), "remarks": remarks}
 
 

@@ -46,7 +46,7 @@ def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> s
 
 def _content(findings: Findings) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
-    remarks = [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)]
+    remarks = [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)]
     return {
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,

@@ -43,7 +43,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "training": [comparison_summary(one) for one in findings.trainings],
         "validation": [comparison_summary(one) for one in findings.validations],
         "observed": [_observed(one) for one in findings.recordings],
-        "remarks": [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)],
+        "remarks": [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)],
         "stage_seconds": dict(findings.stage_seconds),
         "video_seconds": findings.video_seconds,
     }
@@ -55,7 +55,7 @@ def validation_summary(
     """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
     rows = []
     for one, seen in pairs:
-        remarks = [{"level": remark.level, "text": remark.text} for remark in pair_remarks(one, seen)]
+        remarks = [remark.as_dict() for remark in pair_remarks(one, seen)]
         rows.append(comparison_summary(one) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
 
@@ -85,7 +85,7 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
         "frames": len(fit.swing.time),
         "s": fit.swing.s,
         "rms_m": fit.rms,
-        "remarks": [{"level": remark.level, "text": remark.text} for remark in fit.remarks],
+        "remarks": [remark.as_dict() for remark in fit.remarks],
     }
 
 
@@ -99,7 +99,7 @@ def comparison_summary(one: Comparison) -> dict[str, Any]:
         "rms_m": one.rms,
         "sensor_rms_m": one.sensor_rms,
         "all_stable": bool(np.all(one.stable)),
-        "remarks": [{"level": remark.level, "text": remark.text} for remark in one.remarks],
+        "remarks": [remark.as_dict() for remark in one.remarks],
     }
 
 
