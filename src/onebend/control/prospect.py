@@ -13,6 +13,7 @@ from onebend.control.loop import Eye, Hand, Rehearsal, Truth, rehearse
 from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
 
+SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
 _LEAST_MASS = 0.01  # kg/m of a beam whose mass is not known: it then swings, quickly, as any beam does
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from onebend.control.reach import Reach
 from onebend.control.reachable import ReachableSet
-from onebend.control.uncertainty import PredictedError
+from onebend.control.uncertainty import SURE, PredictedError
 from onebend.records import Array
 from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, styled
 from onebend.report.wording import significant
@@ -18,7 +18,6 @@ MM = 1000.0
 SNAPSHOTS = 6
 ARROW = 0.22  # of L, of the largest force
 TORN = 0.25  # of L: the neighbours of a sample that lie further apart belong to two sheets
-SURE = 0.95
 
 
 @styled

@@ -9,14 +9,13 @@ from typing import Any
 
 from onebend.control.feedback import Controller
 from onebend.control.margins import Margins
-from onebend.control.prospect import Trial
+from onebend.control.prospect import SETTLED, Trial
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv
 
 LOOP_FORMAT = "onebend-loop-1"
 LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "force_x_N", "force_y_N", "error_m")
-WITHIN = 1e-3  # m
 
 
 def loop_summary(
@@ -48,7 +47,7 @@ def loop_summary(
                 "k_factor": one.factor,
                 "stands": one.run is not None,
                 "steady_m": _finite(one.steady),
-                "settled_s": _finite(one.settled(WITHIN)),
+                "settled_s": _finite(one.settled(SETTLED)),
             }
             for one in trials
         ],

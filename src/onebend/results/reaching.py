@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from onebend.control.reach import Reach
-from onebend.control.uncertainty import PredictedError
+from onebend.control.uncertainty import SURE, PredictedError
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
 PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
-SURE = 0.95  # of the ellipse
 
 
 def reach_summary(model: str, found: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
