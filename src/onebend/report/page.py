@@ -26,6 +26,7 @@ from onebend.report.sureness import (
 from onebend.report.template import render
 from onebend.report.wording import (
     assumptions,
+    bic_words,
     files_described,
     inputs,
     millimetres,
@@ -123,7 +124,7 @@ def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
         "n": trial.n,
         "m": trial.m,
         "rms": [millimetres(value) for value in trial.rms],
-        "bic": f"{trial.bic:.1f}" if np.isfinite(trial.bic) else "–",
+        "bic": bic_words(trial.bic),
         "lowest": significant(trial.lowest_k),
         "condition": significant(trial.condition, 2),
         "why_out": trial.why_out,
