@@ -34,9 +34,10 @@ from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn_recording
 from onebend.progress import Progress, Silent
 from onebend.recording.camera import measure_markers
-from onebend.recording.entries import TagsEntry, VideoEntry
+from onebend.recording.entries import TagsEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections
 

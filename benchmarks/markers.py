@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.recording.camera import measure_markers
-from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.recording.tracking import Finder
 from onebend.recording.video import Picture, read_frames
