@@ -22,8 +22,9 @@ from onebend.recording.bag import natural, open_bag
 from onebend.recording.bag_film import COLOURS, picture_of
 from onebend.recording.bag_force import read_bag_force
 from onebend.recording.dropped import false_zeros, missing
-from onebend.recording.entries import ForceEntry, VideoEntry
+from onebend.recording.entries import ForceEntry
 from onebend.recording.force_log import read_force_log
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.video import frame_at, frame_count, read_frames
 from tests.recording import bagged
 

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import RecordingError
-from onebend.recording.entries import CameraEntry
 from onebend.recording.lens import project
 from onebend.recording.plane import FACING
+from onebend.recording.source_entries import CameraEntry
 from onebend.records import Array, View
 
 MARGIN = 0.06  # of the picture's shorter side: what has to be seen stays this far from the edges

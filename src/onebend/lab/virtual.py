@@ -21,8 +21,9 @@ from onebend.lab.extensible import stretched
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor, log_of
 from onebend.lab.truths import RESOLUTION
-from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
+from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.observe import ObserveSettings, assemble
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceLog, Markers, Observations, Rest
 
 LOG_BEFORE = 1.0  # s, the log begins before the film and ends after it

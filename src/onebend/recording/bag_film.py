@@ -14,7 +14,7 @@ from PIL import Image, UnidentifiedImageError
 from onebend.errors import RecordingError
 from onebend.recording.bag import Bag, Topic, open_bag, topic_of
 from onebend.recording.bag_clock import clock_of, timed
-from onebend.recording.entries import VideoEntry
+from onebend.recording.source_entries import VideoEntry
 
 Pixels = NDArray[np.uint8]
 

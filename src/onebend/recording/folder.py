@@ -12,20 +12,10 @@ from typing import Any
 from onebend.errors import RecordingError
 from onebend.recording.bag import is_bag
 from onebend.recording.bag_recording import check_bag, with_bags
-from onebend.recording.entries import (
-    BeamEntry,
-    CameraEntry,
-    ForceEntry,
-    GravityEntry,
-    PushEntry,
-    Recording,
-    TagEntry,
-    TagsEntry,
-    VideoEntry,
-)
+from onebend.recording.entries import BeamEntry, ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.odd_entries import entry_remarks
 from onebend.recording.schema import Mistakes, read_table, report_unknown
-from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
+from onebend.recording.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 from onebend.records import Remark
 
 FILE_NAME = "recording.toml"

@@ -15,7 +15,7 @@ from onebend.recording.camera import measure_markers
 from onebend.recording.chords import with_angles
 from onebend.recording.clock import ClockFit, ClockSettings
 from onebend.recording.contact import Contact, ContactSettings, find_contact
-from onebend.recording.entries import Recording, TagsEntry, VideoEntry
+from onebend.recording.entries import Recording, TagsEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import ForceSettings
 from onebend.recording.frame import RestShape, rest_shape, to_beam_frame
@@ -25,6 +25,7 @@ from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.photos import photo_observations
 from onebend.recording.pose_tables import pose_observations
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.recording.turns import check_turns
 from onebend.records import (

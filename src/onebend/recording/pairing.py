@@ -12,7 +12,7 @@ from onebend.errors import ObservationError
 from onebend.recording.bag_force import read_bag_force
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
-from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording.entries import Recording
 from onebend.recording.force import (
     ForceSettings,
     choose_cutoff,
@@ -27,6 +27,7 @@ from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.odd_force import size_remarks
 from onebend.recording.plausible import read_force
 from onebend.recording.signals import at_times, bandwidth, step
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 

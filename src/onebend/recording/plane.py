@@ -16,8 +16,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError
-from onebend.recording.entries import CameraEntry
 from onebend.recording.lens import project, to_plane
+from onebend.recording.source_entries import CameraEntry
 from onebend.records import Array, View
 
 FACING: Array = np.diag(

@@ -13,7 +13,8 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
+from onebend.recording.entries import FAMILIES, TagsEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tracking import BlockTracks, Finder, track_block
 from onebend.recording.video import Frame, frame_count, rate_remarks, read_frames
 from onebend.records import Detections, Remark

@@ -5,19 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from onebend.errors import RecordingError
-from onebend.recording.entries import (
-    BeamEntry,
-    CameraEntry,
-    ForceEntry,
-    GravityEntry,
-    PushEntry,
-    TagEntry,
-    TagsEntry,
-    VideoEntry,
-)
+from onebend.recording.entries import BeamEntry, ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.folder import FILE_NAME, FORMAT
 from onebend.recording.schema import keys_of
-from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
+from onebend.recording.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 
 INTRODUCTION = f"""\
 # What was filmed, for onebend. Fill in your own values; lines that start with # are optional and show an example.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from onebend.errors import RecordingError
 from onebend.recording.bag_film import bag_film, bag_frames, picture_of
 from onebend.recording.dropped import missing_remarks
-from onebend.recording.entries import VideoEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import Array, Remark
 
 Picture = NDArray[np.uint8]
