@@ -14,7 +14,9 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_scan import BrokenOffError, Channel, lacking, scan
+from onebend.recording.bag_items import BrokenOffError, Channel
+from onebend.recording.bag_scan import scan
+from onebend.recording.bag_sqlite import lacking
 from onebend.recording.bag_types import decoder
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active

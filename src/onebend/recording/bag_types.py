@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_scan import Channel
+from onebend.recording.bag_items import Channel
 
 IDL_PART = "=" * 80 + "\n"
 
