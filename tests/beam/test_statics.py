@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from onebend.beam.continuation import Search, equilibrium, follow, refine
 from onebend.beam.loads import Loads, push, twist, weight
-from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.problem import Resolution, pose
@@ -18,6 +17,7 @@ from onebend.beam.statics import gradient, node_angles, tangent
 from onebend.beam.stiffness import Gaussians, Profile, Steps, Table, Uniform
 from onebend.errors import MechanicsError
 from tests.beam.exact import elastica_tip
+from tests.beam.modal import modal_equilibrium
 
 UNIT = Beam(1.0, Uniform(1.0))
 SOFT = Beam(0.15, Gaussians((0.0, 0.5, 1.0), 0.4, (0.01, 0.03, 0.02)))

@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 import typer
 from rich.console import Console
 
 import onebend
 from onebend.beam.model import Beam
+from onebend.beam.problem import has_mass
 from onebend.errors import ControlError, OnebendError
 from onebend.progress import Progress, Silent
 from onebend.results.folder import Workplace, abandon, prepare
@@ -84,7 +84,7 @@ def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
     """The gravity [m/s^2] that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
     if not all(math.isfinite(one) for one in gravity):
         raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
-    if any(gravity) and not np.any(np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0):
+    if any(gravity) and not has_mass(beam):
         raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
     return gravity
 

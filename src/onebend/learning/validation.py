@@ -7,7 +7,7 @@ import numpy as np
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
-from onebend.beam.problem import pose
+from onebend.beam.problem import has_mass, pose
 from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
@@ -19,7 +19,6 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
 
-_PLACES = np.linspace(0.0, 1.0, 11)
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -44,7 +43,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
         raise LearningError(f"{observations.name}: {why}; nothing to compare")
-    if weighs(observations) and not np.any(beam.mass_per_length(_PLACES) > 0.0):
+    if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.name}: {NEEDS_MASS}")
     solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset

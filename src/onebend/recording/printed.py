@@ -52,15 +52,6 @@ class _Family:
     bit_y: tuple[int, ...]
 
 
-def tag_count(family: str = FAMILIES[0]) -> int:
-    """How many tags a family has; their ids run from 0.
-
-    Raises:
-        RecordingError: an unknown family.
-    """
-    return len(_family(family).codes)
-
-
 def printed_tag(tag_id: int, family: str = FAMILIES[0]) -> PrintedTag:
     """The cells of one tag, its outermost ring included (white for families with a plain black rim).
 
