@@ -71,10 +71,8 @@ def cubic(values: Array, s: Array) -> Array:
 def shapes_at(beam: Beam, pushing: Push, time: Array, motive: Motive = Motive()) -> Shapes:
     """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest.
 
-    Raises
-    ------
-    MechanicsError
-        The beam snaps through, or weight or inertia are asked for and its mass is not known.
+    Raises:
+        MechanicsError: the beam snaps through, or weight or inertia are asked for and its mass is not known.
     """
     if (motive.swings or any(motive.gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")

@@ -68,10 +68,8 @@ class Wish:
 def push_of(wish: Wish, beam: Beam) -> Push:
     """The push that is asked for, with a peak that bends this beam as far.
 
-    Raises
-    ------
-    RecordingError
-        A time, place or force that cannot be.
+    Raises:
+        RecordingError: a time, place or force that cannot be.
     """
     push = PUSHES[check_name(wish.push, PushName, "push")]
     if wish.at_s == wish.at_s:
@@ -106,10 +104,8 @@ def camera_of(wish: Wish) -> tuple[Camera, float]:
 def filming_of(design: Design, wish: Wish, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
 
-    Raises
-    ------
-    RecordingError
-        A name that is not known, or a number that cannot be.
+    Raises:
+        RecordingError: a name that is not known, or a number that cannot be.
     """
     beam = design.beam()
     camera, fps = camera_of(wish)

@@ -24,10 +24,8 @@ class Outlines:
 def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Outlines:
     """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
 
-    Raises
-    ------
-    RecordingError
-        A family that is not known, or a number that it does not have.
+    Raises:
+        RecordingError: a family that is not known, or a number that it does not have.
     """
     tag = printed_tag(tag_id, family)
     count = len(tag.cells)

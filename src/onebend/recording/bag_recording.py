@@ -56,10 +56,8 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
 
     `written` is recording.toml as data: a start that stands there is kept.
 
-    Raises
-    ------
-    RecordingError
-        A bag cannot be read.
+    Raises:
+        RecordingError: a bag cannot be read.
     """
     video = rec.video if rec.video is not None and rec.video.topic else None
     force = rec.force if rec.force is not None and rec.force.topic else None

@@ -28,10 +28,8 @@ ROS1_MESSAGE, ROS1_HEADER, ROS1_CHUNK, ROS1_CHUNK_INFO, ROS1_CONNECTION = 2, 3, 
 def scan(path: Path) -> Iterator[Item]:
     """Topics and messages of one file in its own order, read without its index.
 
-    Raises
-    ------
-    BrokenOffError
-        Where it cannot be read further; what came before is good.
+    Raises:
+        BrokenOffError: where it cannot be read further; what came before is good.
     """
     try:
         with path.open("rb") as stream:

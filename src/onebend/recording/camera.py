@@ -31,12 +31,9 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
     size whose corners, seen through the lens, come nearest to the detected ones. The noise of a corner is that of the
     recording (from what no square explains), more where a tag's own corners fit worse.
 
-    Raises
-    ------
-    RecordingError
-        The calibration is of another picture size.
-    ObservationError
-        No plane explains the tags, or their distances contradict the beam's length.
+    Raises:
+        RecordingError: the calibration is of another picture size.
+        ObservationError: no plane explains the tags, or their distances contradict the beam's length.
     """
     tags, base = recording.tags, len(recording.tags.on_base)
     check_picture(detections, recording.camera)

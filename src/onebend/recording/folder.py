@@ -38,10 +38,8 @@ TABLES = ("beam", "tags", *SECTIONS)
 def read_recording(folder: Path | str) -> Recording:
     """Read and check `recording.toml` of `folder`, and that the files it names exist.
 
-    Raises
-    ------
-    RecordingError
-        Everything that is wrong, each with its line and what to do.
+    Raises:
+        RecordingError: everything that is wrong, each with its line and what to do.
     """
     folder = Path(folder)
     content, data = load(folder)

@@ -42,12 +42,10 @@ class Tracks:
 def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
     """Every beam marker of the recording's table, relative to the base.
 
-    Raises
-    ------
-    RecordingError
-        The table cannot be used.
-    ObservationError
-        A marker is missing throughout, nothing says where the clamp is, or lengths contradict the beam's.
+    Raises:
+        RecordingError: the table cannot be used.
+        ObservationError: a marker is missing throughout, nothing says where the clamp is, or lengths contradict the
+            beam's.
     """
     tracks = read_tracks(rec)
     base = len(rec.tags.on_base)

@@ -77,12 +77,9 @@ def observe(
     `detections` are tags found earlier in the same video; without them the video is searched by `detect`, once the
     other files are known to be good.
 
-    Raises
-    ------
-    RecordingError
-        A file is missing or cannot be read.
-    ObservationError
-        No tags, no overlap of film and log, or a force that contradicts the bending.
+    Raises:
+        RecordingError: a file is missing or cannot be read.
+        ObservationError: no tags, no overlap of film and log, or a force that contradicts the bending.
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
     if rec.poses is not None:

@@ -46,10 +46,8 @@ def match_clocks(
 ) -> ClockFit:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
-    Raises
-    ------
-    ObservationError
-        Film and log do not overlap, or nothing says when the film starts.
+    Raises:
+        ObservationError: film and log do not overlap, or nothing says when the film starts.
     """
     said, uncertainty = rec.start
     if log is None and base is None:
@@ -153,10 +151,8 @@ def pair(
 def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
     """(T,) frames with a force and at least one marker, and what was left out.
 
-    Raises
-    ------
-    ObservationError
-        No frame is left.
+    Raises:
+        ObservationError: no frame is left.
     """
     forced: BoolArray = np.isfinite(force).min(axis=1)
     seen: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
@@ -177,10 +173,8 @@ def check_direction(
 ) -> tuple[Remark, ...]:
     """A remark where another reading of the force's axes explains the bending far better.
 
-    Raises
-    ------
-    ObservationError
-        Where `refuse`, if the force as it is contradicts the bending.
+    Raises:
+        ObservationError: where `refuse`, if the force as it is contradicts the bending.
     """
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)

@@ -38,12 +38,9 @@ def detect_tags(
     The video is cut into blocks of frames that do not know of each other, so that the result does not depend on the
     number of `threads` (default: one a core) nor on their timing.
 
-    Raises
-    ------
-    RecordingError
-        The video cannot be read to its end.
-    ObservationError
-        No tag, no base tag or no beam tag was found, or one id is in the picture twice.
+    Raises:
+        RecordingError: the video cannot be read to its end.
+        ObservationError: no tag, no base tag or no beam tag was found, or one id is in the picture twice.
     """
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)

@@ -28,10 +28,8 @@ GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in 
 def write_template(folder: Path | str) -> Path:
     """Write a commented `recording.toml` into `folder` (made if need be) and return its path.
 
-    Raises
-    ------
-    RecordingError
-        The folder holds one already, or cannot be written.
+    Raises:
+        RecordingError: the folder holds one already, or cannot be written.
     """
     path = Path(folder) / FILE_NAME
     try:
