@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.lab.strategies import CameraName, SensorName, Wish
+from onebend.lab.named import CameraName, SensorName, Wish
 from onebend.records import Array
 from onebend.rehearse.advice import advise
 from onebend.rehearse.prediction import Predicted, predict

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "src" / "onebend"
 
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "progress", "blas", "workers"),
+    ("errors", "progress", "blas", "workers", "strict_json"),
     ("records",),
     ("beam",),
     ("recording",),

@@ -18,7 +18,7 @@ from onebend.errors import ControlError, OnebendError
 from onebend.progress import Progress, Silent
 from onebend.results.folder import Workplace, abandon, prepare
 from onebend.results.model import StoredModel, read_model
-from onebend.results.summary import to_json
+from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars
 
 BY = f"onebend {onebend.__version__}"

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of, workplace
 from onebend.errors import RecordingError
-from onebend.lab.strategies import Wish
+from onebend.lab.named import Wish
 from onebend.rehearse.rehearsal import Rehearsal
 from onebend.rehearse.rehearsal import rehearse as make_rehearsal
 from onebend.rehearse.setup import Setup, known_beam, setup_of

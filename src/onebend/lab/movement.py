@@ -90,7 +90,7 @@ def standing(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
             loads = loads + weight(np.tile(motive.gravity, (len(part), 1)))
         solved = equilibrium(beam, loads, resolution=RESOLUTION)
         if not np.all(solved.converged):
-            raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller --force-N")
+            raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller force")
         xy.append(solved.xy(PLACES))
         angle.append(solved.angle(PLACES))
     return Shapes(time, force, np.concatenate(xy), np.concatenate(angle))

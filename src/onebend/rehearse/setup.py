@@ -13,9 +13,9 @@ from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.camera import TagNoise
 from onebend.lab.design_file import find_design
+from onebend.lab.named import SENSORS, SWINGING, SensorName, Wish, camera_of, check_name, push_of
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import FRANKA, ForceSensor
-from onebend.lab.strategies import SENSORS, SWINGING, SensorName, Wish, camera_of, check_name, push_of
 from onebend.lab.viewpoint import Camera, view_from
 from onebend.lab.virtual import Bench, tag_poses
 from onebend.lab.virtual import Tag as LabTag

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +20,7 @@ from onebend.records import Observations
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.sureness import identified_ranges
 from onebend.results.model import StoredModel
+from onebend.strict_json import to_json
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -103,27 +103,9 @@ def comparison_summary(one: Comparison) -> dict[str, Any]:
     }
 
 
-def plain(value: Any) -> Any:
-    """`value` as JSON knows it: arrays as lists, numbers that are not finite as None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
-
-
 def write_summary(path: Path, summary: Mapping[str, Any], files: Sequence[str]) -> None:
     """Write `summary` with the list of all files of the results; it must be the last file written."""
     path.write_text(to_json({**summary, "files": sorted({*files, path.name})}) + "\n", encoding="utf-8")
-
-
-def to_json(data: Any) -> str:
-    """Strict JSON, readable."""
-    return json.dumps(plain(data), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def _fit(posterior: Posterior) -> dict[str, Any]:

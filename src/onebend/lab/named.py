@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import nan, radians
+from math import isnan, nan, radians
 from typing import Literal, get_args
 
 from onebend.beam.model import Beam
@@ -72,11 +72,11 @@ def push_of(wish: Wish, beam: Beam) -> Push:
         RecordingError: a time, place or force that cannot be.
     """
     push = PUSHES[check_name(wish.push, PushName, "push")]
-    if wish.at_s == wish.at_s:
+    if not isnan(wish.at_s):
         push = replace(push, at_s=wish.at_s)
-    if wish.direction == wish.direction:
+    if not isnan(wish.direction):
         push = replace(push, direction=wish.direction)
-    if wish.seconds == wish.seconds:
+    if not isnan(wish.seconds):
         begin, end = push.contact
         share = wish.seconds / (end - begin)
         sudden = wish.push == "free"
@@ -86,7 +86,7 @@ def push_of(wish: Wish, beam: Beam) -> Push:
             hold=share * push.hold,
             fall=push.fall if sudden else share * push.fall,
         )
-    if wish.force == wish.force:
+    if not isnan(wish.force):
         if not wish.force > 0.0:
             raise RecordingError(f"a push needs a force above zero, got {wish.force} N")
         return replace(push, peak=wish.force)
@@ -96,9 +96,9 @@ def push_of(wish: Wish, beam: Beam) -> Push:
 def camera_of(wish: Wish) -> tuple[Camera, float]:
     """The camera that is asked for, and its frames/s."""
     camera, fps = CAMERAS[check_name(wish.camera, CameraName, "camera")]
-    if wish.tilt == wish.tilt:
+    if not isnan(wish.tilt):
         camera = replace(camera, tilt=(wish.tilt, 0.0))
-    return replace(camera, distance=wish.distance), wish.fps if wish.fps == wish.fps else fps
+    return replace(camera, distance=wish.distance), fps if isnan(wish.fps) else wish.fps
 
 
 def filming_of(design: Design, wish: Wish, name: str) -> Filming:
