@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.studies import ERRORS, S, bench_of, fit_from_nothing
 from benchmarks.studies import KINDS as BEAM_KINDS
-from benchmarks.truth import RECORDINGS, Truth, read_truth, stiffness_error
+from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError
@@ -127,8 +125,7 @@ def virtual(runs: int, errors: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser = parser_of(__doc__)
     parser.add_argument("--virtual", type=int, metavar="RUNS", help="virtual recordings with truth instead")
     parser.add_argument("--errors", default="everything", choices=ERRORS, help="of the virtual recordings")
     asked = parser.parse_args()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from benchmarks.studies import KINDS as BEAM_KINDS
 from benchmarks.studies import PLACEMENT, PUSHED, bench_of, fit_from_nothing
-from benchmarks.truth import RECORDINGS
+from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
@@ -164,8 +163,7 @@ def spread(values: Array) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser = parser_of(__doc__)
     parser.add_argument("--virtual", type=int, nargs=2, metavar=("FROM", "TO"), help="seeds of virtual beams instead")
     asked = parser.parse_args()
     if asked.virtual is not None:

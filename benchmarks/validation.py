@@ -1,21 +1,22 @@
 """Validation: the learned beam on pushes it never saw, under the true forces and under the logged ones.
 
-With the logged forces the sensor's own error counts too: what the TRUE k gives on the same log stands beside it.
+With the logged forces the sensor's own error counts too: what the TRUE k gives on the same log stands beside it. And
+under the true forces stands beside what the band of the fit says that the error is likely to be.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, Truth, read_truth
+from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Table
+from onebend.learning.frames import marker_rms
 from onebend.learning.learn import learn
-from onebend.learning.posterior import fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.recording.observe import observe
@@ -24,6 +25,7 @@ from onebend.records import Array, Observations
 BEAMS = ("linear", "quadratic", "cubic")
 KINDS = ("train", "fast", "s08", "s06")
 LEARNED_FROM = (("train",), ("train", "s08", "s06"))
+DRAWS = 12  # of k(s) from the posterior
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Row:
     learned_from: str
     recording: str
     true_forces: Array
+    stated: Array  # one sd by the band of k(s)
     true_k_true_forces: Array  # what is left with nothing wrong but the tags and, in motion, the statics
     logged: Array
     true_k_logged: Array
@@ -53,20 +56,24 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
         truth = {kind: read_truth(recordings / f"{name}_{kind}") for kind in KINDS}
         paper = learn(seen["train"], Settings(method="paper")).beam
         for kinds in LEARNED_FROM:
-            beam = fit([seen[kind] for kind in kinds], learn(seen["train"]).beam.stiffness).beam
-            out += [row(name, kinds, kind, beam, paper, seen[kind], truth[kind]) for kind in KINDS]
+            found = fit([seen[kind] for kind in kinds], learn(seen["train"]).beam.stiffness)
+            out += [row(name, " + ".join(kinds), found, paper, seen[kind], truth[kind], kind) for kind in KINDS]
     return out
 
 
-def row(name: str, kinds: tuple[str, ...], kind: str, beam: Beam, paper: Beam, seen: Observations, truth: Truth) -> Row:
+def row(name: str, of: str, found: Posterior, paper: Beam, seen: Observations, truth: Truth, kind: str) -> Row:
     """The learned beam, the true one and the paper's on one recording."""
+    beam = found.beam
     exact = replace(beam, stiffness=Table(tuple(truth.s), tuple(truth.k)))
     forced = replace(seen, force=truth.force[seen.frame])
+    here = validate(beam, forced)
+    others = [validate(replace(beam, stiffness=k), forced) for k in found.stiffness.draw(DRAWS, seed=0)]
     return Row(
         beam=name,
-        learned_from=" + ".join(kinds),
+        learned_from=of,
         recording=kind,
-        true_forces=validate(beam, forced).rms,
+        true_forces=here.rms,
+        stated=np.sqrt(np.mean([marker_rms(one.predicted - here.predicted) ** 2 for one in others], axis=0)),
         true_k_true_forces=validate(exact, forced).rms,
         logged=validate(beam, seen).rms,
         true_k_logged=validate(exact, seen).rms,
@@ -75,13 +82,15 @@ def row(name: str, kinds: tuple[str, ...], kind: str, beam: Beam, paper: Beam, s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    found = rows(recordings_asked(__doc__))
     print("M1, M2, M3 in mm, RMS. `true k`: the same with the true stiffness in place of the learned one.\n")
-    print("| beam | learned from | on | true forces | (true k) | logged forces | (true k) | ratio | the paper's |")
-    print("| --- " * 9 + "|")
-    for r in rows(parser.parse_args().recordings):
-        cells = [", ".join(f"{1e3 * v:.2f}" for v in one) for one in (r.true_forces, r.true_k_true_forces)]
+    heads = (
+        "beam | learned from | on | true forces | (one sd by the band) | (true k) | logged forces | (true k) | ratio"
+    )
+    print(f"| {heads} | the paper's |")
+    print("| --- " * 10 + "|")
+    for r in found:
+        cells = [", ".join(f"{1e3 * v:.2f}" for v in one) for one in (r.true_forces, r.stated, r.true_k_true_forces)]
         logged = [", ".join(f"{1e3 * v:.2f}" for v in one) for one in (r.logged, r.true_k_logged)]
         paper = ", ".join(f"{1e3 * v:.2f}" for v in r.paper)
         print(

@@ -36,6 +36,10 @@ class Remark:
     text: str
     doubt: bool = False  # what is learned from the recording is then not to be relied on
 
+    def as_dict(self) -> dict[str, str]:
+        """For JSON: level and text."""
+        return {"level": self.level, "text": self.text}
+
 
 @dataclass(frozen=True)
 class Detections:

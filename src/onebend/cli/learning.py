@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -109,20 +110,20 @@ def validate(
     quiet: Quiet = False,
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
-    observing = _observing(threads, epsilon)
     with clean_errors():
         beam = read_trusted(model).beam
+        work = partial(compare, beam, recordings, observing=_observing(threads, epsilon))
         if output is None:
             with progress_of(quiet) as progress:
-                pairs = compare(beam, recordings, observing=observing, progress=progress)
+                pairs = work(progress=progress)
+            summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                detect = KeptDetections(place.partial, onebend.__version__).detect
-                pairs = compare(beam, recordings, observing=observing, detect=detect, progress=progress)
-                figures = draw(validation_figures(beam, pairs), progress)
-                publish(place, validation_writer(pairs, figures, validation_summary(str(model), pairs, written_by=BY)))
+                pairs = work(detect=KeptDetections(place.partial, onebend.__version__).detect, progress=progress)
+                summary = validation_summary(str(model), pairs, written_by=BY)
+                publish(place, validation_writer(pairs, draw(validation_figures(beam, pairs), progress), summary))
     if as_json:
-        print_json(validation_summary(str(model), pairs, written_by=BY))
+        print_json(summary)
     else:
         show_validation(Console(), pairs, output)
 

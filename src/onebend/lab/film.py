@@ -39,12 +39,9 @@ SHARPEST = 0.8  # half widths a radius
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
     """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
 
-    Raises
-    ------
-    MechanicsError
-        The beam snaps through, or its mass is needed and not known.
-    RecordingError
-        The folder holds something, the camera cannot show the push, or the film cannot be encoded.
+    Raises:
+        MechanicsError: the beam snaps through, or its mass is needed and not known.
+        RecordingError: the folder holds something, the camera cannot show the push, or the film cannot be encoded.
     """
     folder, bench = Path(folder), filming.bench
     check(filming, folder)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from onebend.learning.mass import weighs
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
@@ -101,12 +102,12 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     placement = first.placement_sd if priors.placement is None else priors.placement
     mounting = first.turn_sd if priors.mounting is None else priors.mounting
     curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
-    weighs = any(bool(np.any(r.gravity != 0.0)) for r in recordings)
+    heavy = any(weighs(r) for r in recordings)
     mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", -1, "1", mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
         ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),

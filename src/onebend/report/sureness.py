@@ -12,6 +12,7 @@ from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
 from onebend.learning.criticism_words import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
+from onebend.recording.signals import runs
 from onebend.report.wording import millimetres, significant
 
 FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
@@ -44,8 +45,7 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
     """First and last s of every stretch where k(s) is identified, to 1/400."""
     s = np.linspace(0.0, 1.0, _PLACES)
     known = uncertain.band(s).identified
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return [(float(s[a]), float(s[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
