@@ -9,6 +9,7 @@ more than 1 % of the largest true force.
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
