@@ -18,6 +18,7 @@ from onebend.records import Array, BoolArray, IntArray
 _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
 _SAME_GRAVITY = 0.5  # m/s^2
 _SAME_FORCE = 0.15  # of the largest force
+_SAME_STAGE = 0.5  # of the load's own time
 AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
 _REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
 
@@ -29,6 +30,7 @@ class KeyFrames:
     used: int
     begin: Array  # (K + 2,) s
     end: Array
+    own: Array  # the load's own time there, but for its last changes
     frames: Array  # how many were averaged
     rest: BoolArray  # nothing pushes
     push_s: Array
@@ -53,10 +55,15 @@ class KeyFrames:
     rows_z: Array  # (K + 2, 3 m)
 
     @property
-    def spans(self) -> Spans:
-        """Stretches of time of the frames in use."""
+    def centre(self) -> Array:
+        """(used,) s, in the middle of each frame's stretch of time."""
+        return 0.5 * (self.begin[: self.used] + self.end[: self.used])
+
+    def spans(self, more: Array) -> Spans:
+        """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
         part = slice(0, self.used)
-        return Spans(self.begin[part], self.end[part], self.frames[part], np.zeros(self.used))
+        copies = (values[part].copy() for values in (self.begin, self.end, self.frames))
+        return Spans(*copies, np.zeros(self.used), self.own[part] + more)
 
     def arrays(self) -> list[Array]:
         """All that is kept of every frame."""
@@ -110,18 +117,18 @@ class Past:
 
     information: Array  # (n + 2, n + 2)
     b: Array  # (n + 2,)
-    time: float  # s; NaN while nothing is folded
+    time: float  # s; minus infinity while nothing is folded
+    own: float = 0.0  # the load's own time there
 
-    def add(self, information: Array, b: Array, time: float, *, walk: float, fast: float) -> None:
+    def add(self, information: Array, b: Array, time: float, own: float, *, slow: float, fast: float) -> None:
         """One more frame's say in x and its own force error; the slow error of all the past is moved to its time.
 
-        `walk`: N per root second, of the slow error; `fast`: N^2, variance of what the frame's error has besides.
+        `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
         """
         if np.isfinite(self.time):
-            variance = walk**2 * max(time - self.time, 0.0)
-            self.information, self.b = loosened(self.information, self.b, variance)
-        own, right = loosened(information, b, fast)
-        self.information, self.b, self.time = self.information + own, self.b + right, time
+            self.information, self.b = loosened(self.information, self.b, slow)
+        said, right = loosened(information, b, fast)
+        self.information, self.b, self.time, self.own = self.information + said, self.b + right, time, own
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
@@ -135,6 +142,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         used=0,
         begin=room(),
         end=room(),
+        own=room(),
         frames=room(),
         rest=np.zeros(count, dtype=bool),
         push_s=room(),
@@ -167,10 +175,10 @@ def _roots(information: Array) -> Array:
     return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
 
 
-def closest_pair(keys: KeyFrames, count: int, largest: float) -> int | None:
+def closest_pair(keys: KeyFrames, count: int, largest: float, own: Array) -> int | None:
     """The neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares).
 
-    None where none are alike.
+    None where none are alike. `own` (used,): the load's own time.
     """
     part, rear = slice(0, count - 1), slice(1, count)
     force = np.linalg.norm(keys.force[rear] - keys.force[part], axis=1) / max(largest, 1e-300)
@@ -179,6 +187,7 @@ def closest_pair(keys: KeyFrames, count: int, largest: float) -> int | None:
     centre = 0.5 * (keys.begin + keys.end)
     time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
     alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
+    alike &= np.abs(own[1:count] - own[: count - 1]) <= _SAME_STAGE
     alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
     alike &= np.linalg.norm(keys.gravity[rear] - keys.gravity[part], axis=1) <= _SAME_GRAVITY
     if not np.any(alike):
@@ -192,7 +201,7 @@ def propose_average(keys: KeyFrames, i: int, at: int) -> None:
     """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
     k = i + 1
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
-    for values in (keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
+    for values in (keys.own, keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
         values[at] = (1.0 - share) * values[i] + share * values[k]
     keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
     keys.rest[at] = keys.rest[i]

@@ -70,6 +70,7 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         force_memory=memory,
         memory_doubt=settings.memory_doubt * max(np.log(longer / memory) / np.log(_LONGER), _LEAST_DOUBT),
         force_zero=error.level,
+        force_load=error.load,
     )
 
 

@@ -6,13 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.learning.force_process import ForceProcess, fast_variance
+from onebend.learning.force_error import LOAD
+from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
 from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
 from onebend.learning.live_noise import Scatter
 from onebend.learning.live_scales import ScaleSearch
+from onebend.learning.live_sizes import Sizes
 from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, robust_weights, solve
+from onebend.learning.live_stages import LoadStages
 from onebend.records import Array, BoolArray
 
 _PLACES = 64  # of pushes, whose grids are kept
@@ -30,6 +33,9 @@ class Habits:
     renewed: int  # key frames linearised anew with every frame
     zero: float  # N, sd of the log's zero
     least_zero: float  # N
+    load: float | None  # N, expected to come with the load; None: a share of the largest force
+    roughness: float  # of log k: where its sizes begin
+    steps: float
     memory_doubt: float  # of the log of the force error's memory
     adapt: bool
     bulk: float  # sd
@@ -47,20 +53,25 @@ class Smoother:
         self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
         self.scales = scales
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
-        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
+        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), -np.inf)
         self._setting, self._start, self._habits = setting, start, habits
-        chosen: tuple[str, ...] = ("coloured", "memory", "walk", "white")
-        chosen = chosen if start.fixed is not None else (*chosen, "tau", "rho")
-        self._search = ScaleSearch(scales, chosen, habits.memory_doubt)
+        self._search = ScaleSearch(scales, ("coloured", "memory", "walk", "load", "white"), habits.memory_doubt)
+        spline, level = setting.at.spline, float(start.mean[0])
+        begin = spline.variances(habits.roughness, habits.steps)
+        self._of_k = start.of_k(begin)
+        drawn = habits.adapt and start.fixed is None
+        self._sizes = Sizes(spline, level, habits.roughness, habits.steps) if drawn else None
+        self._stages = LoadStages(setting.length, tags)
+        self._before = 0.0  # the load's own time by changes that are not looked at any more
         self._scatter = Scatter(tags, scales.marker)
-        self._solved = 0
+        self._looks = 0
         self.pending = True  # a frame has come since the posterior was solved for
         self._places: dict[float, Place] = {}
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
         self._sums: Sums = gather(self.keys, self.past)
-        self.solution: Solution = solve(self._sums, start, scales, self._process(scales))
+        self.solution: Solution = solve(self._sums, start, self._of_k, scales, self._process(scales))
 
     def enter(self, frame: Frame, rate: Array) -> bool:
         """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
@@ -68,8 +79,11 @@ class Smoother:
         In the same stroke the key frames that have waited longest are linearised anew, and room is made.
         """
         keys = self.keys
+        self._stages.see(frame.time, frame.measured[:, :2], frame.seen, frame.loaded)
         i = self._write(frame, rate)
-        pair = closest_pair(keys, i, self._largest) if keys.used > self._habits.key_frames else None
+        full = keys.used > self._habits.key_frames
+        own = keys.own[: keys.used] + self._stages.own(keys.centre)
+        pair = closest_pair(keys, i, self._largest, own) if full else None
         fresh = [i]
         if pair is not None:
             propose_average(keys, pair, keys.used)
@@ -120,14 +134,26 @@ class Smoother:
         keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
         keys.measured[i], keys.weight[i] = frame.measured, frame.seen
         keys.set_information(i, frame.information)
-        self._expected = self.solution.error_at(frame.time)
+        keys.used += 1
+        self._forget_changes(i)
+        now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
+        self._expected = self.solution.error_at(frame.time, now)
         keys.error[i], keys.stale[i] = self._expected[0], False
         keys.nodes[i] = 0
         if i > 0:
             pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
             keys.q[i], keys.nodes[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.nodes[i - 1]
-        keys.used += 1
         return i
+
+    def _forget_changes(self, i: int) -> None:
+        """Keep what changes of the load that are not looked at any more did to the own time of what came before them;
+        i: the frame that has just come."""
+        keys = self.keys
+        keys.own[i] = self._before
+        added, after = self._stages.forgotten(np.append(keys.centre, self.past.time))
+        keys.own[: keys.used] += added[:-1]
+        self.past.own += float(added[-1])
+        self._before += after
 
     def gate(self, frame: Frame) -> tuple[Array, Array, BoolArray]:
         """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
@@ -140,7 +166,7 @@ class Smoother:
         j, a = keys.j[i].reshape(-1, n), keys.a[i].reshape(-1, 2)
         innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
         by_errors = -a[:, None, :] * rows[None, :, None]
-        expected = self.solution.spread(np.concatenate([by_errors.reshape(len(j), -1), j], axis=1)) + own * a @ a.T
+        expected = self.solution.spread(by_errors.reshape(len(j), -1), j) + own * a @ a.T
         blocks = expected.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
         solved = np.linalg.solve(blocks + self.scales.marker**2 * frame.covariance, innovation[..., None])[..., 0]
         distance = np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
@@ -158,18 +184,30 @@ class Smoother:
         return innovation, distance, used
 
     def advance(self) -> None:
-        """After a frame: every other time the posterior is solved for, in between other scales are tried on it."""
+        """After a frame: every other time the posterior is solved for, in between sizes and scales are tried on it."""
         if self.pending:
             self.renew()
         elif self._habits.adapt:
-            self._try_scale()
+            self.look_about()
         self.pending = not self.pending
+
+    def look_about(self) -> None:
+        """Other scales on what the last solution was made from, or the tags' noise; and a step of log k's sizes."""
+        self._looks += 1
+        if self._looks % _NOISE_EVERY == 0:
+            self._look_at_noise()
+        else:
+            self._try_scale()
+        if self._sizes is not None:
+            self._sizes.step(self.solution.told)
 
     def renew(self) -> None:
         """Solve with what is linearised now, move the estimate, weigh the tags anew."""
         keys, habits = self.keys, self._habits
-        self._sums = gather(keys, self.past)
-        self.solution = solution = solve(self._sums, self._start, self.scales, self._process(self.scales))
+        self._sums = gather(keys, self.past, self._stages.own)
+        if self._sizes is not None:
+            self._of_k = self._start.of_k(self._sizes.parts)
+        self.solution = solution = solve(self._sums, self._start, self._of_k, self.scales, self._process(self.scales))
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
@@ -179,9 +217,6 @@ class Smoother:
             self._scatter.forget()
         if moved > _MOVED:
             self.move()
-        self._solved += 1
-        if habits.adapt and self._solved % _NOISE_EVERY == 0:
-            self._look_at_noise()
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -198,7 +233,7 @@ class Smoother:
         if self._habits.adapt:
             self._look_at_noise()
             for _ in range(2 * self._search.round):
-                self._try_scale()
+                self.look_about()
         self.pending = False
 
     def move(self) -> None:
@@ -211,18 +246,16 @@ class Smoother:
     def _moved(self) -> float:
         """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
         keys, solution = self.keys, self.solution
-        away = solution.e - np.zeros(2)
-        away[len(away) - keys.used :] -= keys.error[: keys.used]
-        away[: len(away) - keys.used] = 0.0
-        every = np.concatenate([away.ravel(), self.x - self.point]) / solution.unit
-        return float(np.linalg.norm(solution.factor.T @ every))
+        away = np.zeros_like(solution.e)
+        away[len(away) - keys.used :] = solution.e[len(away) - keys.used :] - keys.error[: keys.used]
+        return solution.distance(away, self.x - self.point)
 
     def _try_scale(self) -> None:
         """One trial of other scales on what the last solution was made from."""
         search, here, now = self._search, self.solution, self.scales
         tried = search.proposal(now)
         try:
-            there = solve(self._sums, self._start, tried, self._process(tried))
+            there = solve(self._sums, self._start, self._of_k, tried, self._process(tried))
         except np.linalg.LinAlgError:
             search.failed()
             return
@@ -236,21 +269,30 @@ class Smoother:
 
     def _look_at_noise(self) -> None:
         """The tags' noise from what is left of the last frames."""
-        prior, _ = self._start.precision(self.scales.tau, self.scales.rho)
-        spent = len(self.x) - float(np.sum(self.solution.covariance() * prior)) + 2.0 * self.keys.used
+        p, c = len(self._of_k.b), self.solution.covariance()
+        held = float(np.sum(c[:p, :p] * self._of_k.information)) + float(self._start.others @ np.diag(c)[p:])
+        spent = len(self.x) - held + 2.0 * self.keys.used
         marker = self._scatter.noise(self.keys, self.solution, spent)
         self.scales = self.scales if marker is None else replace(self.scales, marker=marker)
 
-    def covariance(self) -> Array:
-        """(n, n) of the parameters, averaged over what the scales may be."""
-        return self._search.averaged(self.solution.covariance())
+    def posterior(self) -> tuple[Array, Array, Array]:
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
+        solution, p = self.solution, len(self._of_k.b)
+        if self._sizes is None:
+            k, of_k, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
+        else:
+            k, of_k, steps = self._sizes.mixed(solution.told)
+        return *solution.with_k(*self._search.averaged(k, of_k)), steps
 
     def _fold_oldest(self) -> None:
         """The oldest key frame becomes part of the past."""
         keys, process = self.keys, self._process(self.scales)
         information, b = keys.quadratic(0, self.scales.marker, process.white)
         fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
-        self.past.add(information, b, float(keys.end[0]), walk=process.walk, fast=fast)
+        lately = self._stages.own(np.array([keys.centre[0], self.past.time]))
+        own = float(keys.own[0] - self.past.own + lately[0] - lately[1])
+        slow = slow_variance(process, float(keys.end[0]) - self.past.time, own)
+        self.past.add(information, b, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
         self._scatter.folded(keys.left[0])
         keys.drop(0)
 
@@ -268,4 +310,5 @@ class Smoother:
 
     def _process(self, scales: LiveScales) -> ForceProcess:
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
-        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white)
+        load = scales.load * (LOAD * self._largest if self._habits.load is None else self._habits.load)
+        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white, load)
