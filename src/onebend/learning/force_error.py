@@ -152,7 +152,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
         load=o_load if (o_load := observations.load_error_sd) > 0.0 else LOAD * largest,
         stages=_stages(observations, knots, cutoff),
-        mean=_ramp(clean, knots),
+        mean=ramp(clean, knots),
     )
 
 
@@ -177,7 +177,7 @@ def _own_time(observations: Observations, time: Array) -> Array:
     return out
 
 
-def _ramp(clean: CleanForce | None, knots: Array) -> Array:
+def ramp(clean: CleanForce | None, knots: Array) -> Array:
     """(K, 2) N at the knots: the first rest's zero less the one that was taken off."""
     if clean is None or len(clean.zero_time) < 2:
         return np.zeros((len(knots), 2))

@@ -1,7 +1,8 @@
 """Noise of the tags in the live learner, from what the present estimate leaves of the last frames, as in the fit.
 
 An average of frames forgets how they scattered. So every frame keeps its departure from the key frame it went into: its
-residual now is that and the key frame's. The sd of these, times the root of their correlation time, is the noise.
+residual now is that and the key frame's, less all that an error of its force could explain: as in the fit, what the
+log's noise does is not the tags'. The sd of these, times the root of their correlation time, is the noise.
 """
 
 from __future__ import annotations
@@ -29,11 +30,16 @@ class Scatter:
         self._own = np.full(_KEPT, -1)  # the key frame it went into; -1: folded
         self._away = np.zeros((_KEPT, tags, 3))  # residual less the key frame's
         self._root = np.zeros((_KEPT, tags, 3, 3))  # R with R' R = information
+        self._force = np.zeros((_KEPT, 3 * tags, 2))  # unit vectors of what its force could explain, whitened
 
-    def add(self, i: int, root: Array) -> None:
-        """A frame that has become key frame i; `root` (m, 3, 3) is zero where a tag is not used."""
+    def add(self, i: int, root: Array, by_force: Array) -> None:
+        """A frame that has become key frame i; `root` (m, 3, 3) is zero where a tag is not used.
+
+        `by_force` (3 m, 2): derivatives with the force, whitened.
+        """
         at = self._count % _KEPT
         self._own[at], self._away[at], self._root[at] = i, 0.0, root
+        self._force[at], _ = np.linalg.qr(by_force)
         self._count += 1
 
     def averaged(self, i: int, before: Array, after: Array) -> None:
@@ -65,8 +71,10 @@ class Scatter:
         e = solution.e[len(solution.e) - used :]
         now = keys.zeta[:used] - keys.j[:used] @ solution.x + (keys.a[:used] @ e[:, None, :, None])[..., 0]
         left = self._away[order] + np.where(own >= 0, 1.0, 0.0)[:, None, None] * now[own]
-        r = (self._root[order] @ left[..., None]).reshape(kept, -1)
-        numbers = 3.0 * float(np.count_nonzero(self._root[order, :, 0, 0]))
+        r = (self._root[order] @ left[..., None]).reshape(kept, -1, 1)
+        ways = self._force[order]
+        r = (r - ways @ (np.swapaxes(ways, 1, 2) @ r))[..., 0]
+        numbers = 3.0 * float(np.count_nonzero(self._root[order, :, 0, 0])) - 2.0 * kept
         share = max(1.0 - spent / max(numbers, 1.0), 0.3)
         most = _BULK * float(np.median(np.abs(r[r != 0.0]))) / 0.6745 if np.any(r) else 0.0
         bulk = np.clip(r, -most, most)

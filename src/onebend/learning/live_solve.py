@@ -107,6 +107,12 @@ class Solution:
         behind = self.lower.T @ x[:p]
         return float(np.sqrt(ahead @ ahead + behind @ behind))
 
+    def apart(self, x: Array) -> float:
+        """Of x (n,) from zero, in sd of the parameters, whatever the e are."""
+        p, m = len(self.lower), len(self.x) - len(self.lower)
+        ahead, behind = self.factor[-m:, -m:].T @ x[p:] + self.across[-m:] @ x[:p], self.lower.T @ x[:p]
+        return float(np.sqrt(ahead @ ahead + behind @ behind))
+
     def with_k(self, k: Array, covariance: Array) -> tuple[Array, Array]:
         """(n,) and (n, n): parameters and their covariance where those of log k's coefficients are these."""
         p, m = len(k), len(self.x) - len(k)

@@ -178,7 +178,7 @@ class Smoother:
             keys.set_information(i, keys.information[i] * used[:, None, None])
             keys.whiten(np.array([i]))
         if frame.loaded:
-            self._scatter.add(i, keys.root[i])
+            self._scatter.add(i, keys.root[i], keys.rows_a[i])
         unseen = ~frame.seen
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
@@ -213,9 +213,9 @@ class Smoother:
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
         keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
         moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
-        if moved > _FAR:
-            self._scatter.forget()
         if moved > _MOVED:
+            if solution.apart(self.x - self.point) > _FAR:
+                self._scatter.forget()
             self.move()
 
     def catch_up(self) -> None:
@@ -271,7 +271,7 @@ class Smoother:
         """The tags' noise from what is left of the last frames."""
         p, c = len(self._of_k.b), self.solution.covariance()
         held = float(np.sum(c[:p, :p] * self._of_k.information)) + float(self._start.others @ np.diag(c)[p:])
-        spent = len(self.x) - held + 2.0 * self.keys.used
+        spent = len(self.x) - held
         marker = self._scatter.noise(self.keys, self.solution, spent)
         self.scales = self.scales if marker is None else replace(self.scales, marker=marker)
 
