@@ -22,6 +22,7 @@ _PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
 _FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
 _NOISE_EVERY = 8  # solutions between two looks at the tags' noise
+_ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
 
@@ -65,6 +66,7 @@ class Smoother:
         self._before = 0.0  # the load's own time by changes that are not looked at any more
         self._scatter = Scatter(tags, scales.marker)
         self._looks = 0
+        self._coarse = 0.0
         self.pending = True  # a frame has come since the posterior was solved for
         self._places: dict[float, Place] = {}
         self._away = np.zeros(tags, dtype=np.int64)
@@ -194,6 +196,8 @@ class Smoother:
     def look_about(self) -> None:
         """Other scales on what the last solution was made from, or the tags' noise; and a step of log k's sizes."""
         self._looks += 1
+        if self._coarse > 0.0:
+            return
         if self._looks % _NOISE_EVERY == 0:
             self._look_at_noise()
         else:
@@ -207,7 +211,8 @@ class Smoother:
         self._sums = gather(keys, self.past, self._stages.own)
         if self._sizes is not None:
             self._of_k = self._start.of_k(self._sizes.parts)
-        self.solution = solution = solve(self._sums, self._start, self._of_k, self.scales, self._process(self.scales))
+        self._coarse = self._misfit()
+        self.solution = solution = self._solve(self.scales)
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
@@ -217,6 +222,19 @@ class Smoother:
             if solution.apart(self.x - self.point) > _FAR:
                 self._scatter.forget()
             self.move()
+
+    def _solve(self, scales: LiveScales) -> Solution:
+        """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
+        coarse = replace(scales, marker=max(scales.marker, self._coarse))
+        return solve(self._sums, self._start, self._of_k, coarse, self._process(scales))
+
+    def _misfit(self) -> float:
+        """Root mean square of what the point where frames are linearised leaves of them; 0 where it is noise."""
+        keys = self.keys
+        sizes = keys.size[: keys.used] * ~keys.rest[: keys.used]
+        sizes = sizes[sizes > 0.0]
+        size = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 0.0
+        return size if size > _ROUGH * self.scales.marker else 0.0
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -255,7 +273,7 @@ class Smoother:
         search, here, now = self._search, self.solution, self.scales
         tried = search.proposal(now)
         try:
-            there = solve(self._sums, self._start, self._of_k, tried, self._process(tried))
+            there = self._solve(tried)
         except np.linalg.LinAlgError:
             search.failed()
             return
