@@ -19,7 +19,6 @@ _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
 _SAME_GRAVITY = 0.5  # m/s^2
 _SAME_FORCE = 0.15  # of the largest force
 _SAME_STAGE = 0.5  # of the load's own time
-_LEAST = 1e-9  # 1/N^2: what a force of which the tags tell nothing is said to move them by
 AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
 _REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
 
@@ -54,7 +53,6 @@ class KeyFrames:
     rows_j: Array  # (K + 2, 3 m, n) whitened
     rows_a: Array  # (K + 2, 3 m, 2)
     rows_z: Array  # (K + 2, 3 m)
-    size: Array  # (K + 2,) root mean square of what was left there, whitened, but for what a force could explain
 
     @property
     def centre(self) -> Array:
@@ -111,11 +109,6 @@ class KeyFrames:
         self.rows_j[i] = (root @ self.j[i]).reshape(count, -1, self.j.shape[-1])
         self.rows_a[i] = (root @ self.a[i]).reshape(count, -1, 2)
         self.rows_z[i] = (root @ self.zeta[i][..., None]).reshape(count, -1)
-        left, a = (root @ self.left[i][..., None]).reshape(count, -1, 1), self.rows_a[i]
-        across = np.swapaxes(a, 1, 2)
-        left -= a @ np.linalg.solve(across @ a + _LEAST * np.eye(2), across @ left)
-        freedom = np.count_nonzero(self.rows_z[i], axis=1) - 2.0 * ~self.rest[i]
-        self.size[i] = np.sqrt(np.sum(left**2, axis=(1, 2)) / np.maximum(freedom, 1.0))
 
 
 @dataclass
@@ -172,7 +165,6 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         rows_j=room(3 * tags, parameters),
         rows_a=room(3 * tags, 2),
         rows_z=room(3 * tags),
-        size=room(),
     )
 
 

@@ -107,12 +107,6 @@ class Solution:
         behind = self.lower.T @ x[:p]
         return float(np.sqrt(ahead @ ahead + behind @ behind))
 
-    def apart(self, x: Array) -> float:
-        """Of x (n,) from zero, in sd of the parameters, whatever the e are."""
-        p, m = len(self.lower), len(self.x) - len(self.lower)
-        ahead, behind = self.factor[-m:, -m:].T @ x[p:] + self.across[-m:] @ x[:p], self.lower.T @ x[:p]
-        return float(np.sqrt(ahead @ ahead + behind @ behind))
-
     def with_k(self, k: Array, covariance: Array) -> tuple[Array, Array]:
         """(n,) and (n, n): parameters and their covariance where those of log k's coefficients are these."""
         p, m = len(k), len(self.x) - len(k)
@@ -251,16 +245,3 @@ def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
     out[at, at] += ee[:, 0, 0] + certain
     out[at + 1, at + 1] += ee[:, 1, 1] + certain
     out[at + 1, at] += ee[:, 1, 0]
-
-
-def robust_weights(keys: KeyFrames, solution: Solution, marker: float, bulk: float) -> Array:
-    """(K, m) robust weights of the tags: 1 where what the solution leaves is within `bulk` sd, then as Student's fall.
-
-    Flat in the bulk: tags of a frame must weigh alike there, or their averages would be of unlike frames.
-    """
-    used = keys.used
-    e = solution.e[len(solution.e) - used :]
-    left = keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
-    distance = np.sqrt(np.sum(left.reshape(used, -1, 3) ** 2, axis=-1)) / marker
-    seen = keys.information[:used, :, 0, 0] > 0.0
-    return np.asarray(seen * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)

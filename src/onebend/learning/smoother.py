@@ -11,17 +11,16 @@ from onebend.learning.force_process import ForceProcess, fast_variance, slow_var
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
 from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
-from onebend.learning.live_noise import Scatter
+from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
 from onebend.learning.live_scales import ScaleSearch
 from onebend.learning.live_sizes import Sizes
-from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, robust_weights, solve
+from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, solve
 from onebend.learning.live_stages import LoadStages
 from onebend.records import Array, BoolArray
 
 _PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
-_FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
-_NOISE_EVERY = 8  # solutions between two looks at the tags' noise
+_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
 _ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
@@ -64,7 +63,7 @@ class Smoother:
         self._sizes = Sizes(spline, level, habits.roughness, habits.steps) if drawn else None
         self._stages = LoadStages(setting.length, tags)
         self._before = 0.0  # the load's own time by changes that are not looked at any more
-        self._scatter = Scatter(tags, scales.marker)
+        self._guess, self._spent = scales.marker, 0.0
         self._looks = 0
         self._coarse = 0.0
         self.pending = True  # a frame has come since the posterior was solved for
@@ -99,9 +98,7 @@ class Smoother:
         if frame.loaded:
             self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
         if pair is not None and solved.issuperset(fresh):
-            before = keys.left[[pair, pair + 1]]
             accept_average(keys, pair, keys.used, self.point)
-            self._scatter.averaged(pair, before, keys.left[pair])
         elif keys.used > self._habits.key_frames:
             self._fold_oldest()
         return True
@@ -179,8 +176,6 @@ class Smoother:
         if not np.array_equal(used, frame.seen):
             keys.set_information(i, keys.information[i] * used[:, None, None])
             keys.whiten(np.array([i]))
-        if frame.loaded:
-            self._scatter.add(i, keys.root[i], keys.rows_a[i])
         unseen = ~frame.seen
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
@@ -195,11 +190,11 @@ class Smoother:
 
     def look_about(self) -> None:
         """Other scales on what the last solution was made from, or the tags' noise; and a step of log k's sizes."""
-        self._looks += 1
         if self._coarse > 0.0:
             return
+        self._looks += 1
         if self._looks % _NOISE_EVERY == 0:
-            self._look_at_noise()
+            self._spent = self._settled_parameters()
         else:
             self._try_scale()
         if self._sizes is not None:
@@ -216,11 +211,13 @@ class Smoother:
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
-        keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
+        left = left_of(keys, solution)
+        if habits.adapt:
+            self.scales = replace(self.scales, marker=tags_noise(keys, left, self._spent, self._guess))
+        marker = max(self.scales.marker, self._coarse)
+        keys.weight[: keys.used] = robust_weights(keys, left, marker, habits.bulk)
         moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
         if moved > _MOVED:
-            if solution.apart(self.x - self.point) > _FAR:
-                self._scatter.forget()
             self.move()
 
     def _solve(self, scales: LiveScales) -> Solution:
@@ -230,10 +227,10 @@ class Smoother:
 
     def _misfit(self) -> float:
         """Root mean square of what the point where frames are linearised leaves of them; 0 where it is noise."""
-        keys = self.keys
-        sizes = keys.size[: keys.used] * ~keys.rest[: keys.used]
-        sizes = sizes[sizes > 0.0]
-        size = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 0.0
+        keys, loaded = self.keys, ~self.keys.rest[: self.keys.used]
+        left = (keys.root[: keys.used] @ keys.left[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
+        r = without_force(left, keys.rows_a[: keys.used][loaded])
+        size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
         return size if size > _ROUGH * self.scales.marker else 0.0
 
     def catch_up(self) -> None:
@@ -249,7 +246,6 @@ class Smoother:
             self.linearise(list(range(self.keys.used)))
             self.renew()
         if self._habits.adapt:
-            self._look_at_noise()
             for _ in range(2 * self._search.round):
                 self.look_about()
         self.pending = False
@@ -285,13 +281,11 @@ class Smoother:
         if worse < 0.0:
             self.scales, self.solution = tried, there
 
-    def _look_at_noise(self) -> None:
-        """The tags' noise from what is left of the last frames."""
+    def _settled_parameters(self) -> float:
+        """How many parameters the data have settled."""
         p, c = len(self._of_k.b), self.solution.covariance()
         held = float(np.sum(c[:p, :p] * self._of_k.information)) + float(self._start.others @ np.diag(c)[p:])
-        spent = len(self.x) - held
-        marker = self._scatter.noise(self.keys, self.solution, spent)
-        self.scales = self.scales if marker is None else replace(self.scales, marker=marker)
+        return len(self.x) - held
 
     def posterior(self) -> tuple[Array, Array, Array]:
         """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
@@ -311,7 +305,6 @@ class Smoother:
         own = float(keys.own[0] - self.past.own + lately[0] - lately[1])
         slow = slow_variance(process, float(keys.end[0]) - self.past.time, own)
         self.past.add(information, b, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
-        self._scatter.folded(keys.left[0])
         keys.drop(0)
 
     def _push_s(self, i: int) -> float:
