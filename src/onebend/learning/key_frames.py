@@ -47,7 +47,7 @@ class KeyFrames:
     j: Array  # (K + 2, m, 3, n)
     a: Array  # (K + 2, m, 3, 2)
     q: Array  # (K + 2, Q) rad, the shape to start from
-    nodes: IntArray  # (K + 2,) how many of these are used
+    grid: Array  # (K + 2,) place of the push whose grid that is on; 0: there is none yet
     by_force: Array  # (K + 2, Q, 2) of it with the logged force
     stale: BoolArray  # (K + 2,) linearised at other parameters than the frames that came last
     rows_j: Array  # (K + 2, 3 m, n) whitened
@@ -159,7 +159,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         j=room(tags, 3, parameters),
         a=room(tags, 3, 2),
         q=room(nodes),
-        nodes=np.zeros(count, dtype=np.int64),
+        grid=room(),
         by_force=room(nodes, 2),
         stale=np.zeros(count, dtype=bool),
         rows_j=room(3 * tags, parameters),
@@ -205,7 +205,9 @@ def propose_average(keys: KeyFrames, i: int, at: int) -> None:
         values[at] = (1.0 - share) * values[i] + share * values[k]
     keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
     keys.rest[at] = keys.rest[i]
-    keys.nodes[at] = keys.nodes[i] if keys.nodes[i] == keys.nodes[k] else 0
+    keys.grid[at] = keys.grid[i]
+    if keys.grid[k] != keys.grid[i]:
+        keys.q[at] = keys.q[i]
     keys.measured[at], keys.root[at] = 0.0, 0.0
 
 

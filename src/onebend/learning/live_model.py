@@ -5,18 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from onebend.beam.continuation import follow
 from onebend.beam.grid import Grid, make_grid
-from onebend.beam.newton import solve_batch
 from onebend.beam.problem import Problem
-from onebend.beam.statics import balance, positive_definite, tangent
+from onebend.beam.statics import balance, tangent
 from onebend.learning.film import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray
 
 ORDER, WIDEST = 12, 0.5
+_GRIDS = 50  # over the length: a push between two is moved there along the tangent
 _MOST = 8  # Newton iterations before the search from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
 _TOLERANCE = 2e-5  # rad, of the last update: the error is about its square
@@ -41,6 +42,7 @@ class Setting:
 class Place:
     """Everything that depends only on where the force acts."""
 
+    push_s: float
     grid: Grid
     to_nodes: Array  # (Q, Q)
     weights: Array  # (Q,)
@@ -60,6 +62,7 @@ class Inputs:
     force: Array  # (B, 2) N, corrected
     rate: Array  # (B, 2) N/s
     gravity: Array  # (B, 2) m/s^2
+    farther: Array  # (B,) m that the push lies beyond its grid's place
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,11 @@ def live_layout(
     return Layout(spline, tuple(blocks), start, {(b.name, -1): b for b in blocks})
 
 
+def grid_place(push_s: float) -> float:
+    """The place nearest to a push at which there is a grid."""
+    return max(round(push_s * _GRIDS), 1) / _GRIDS
+
+
 def place_at(setting: Setting, push_s: float) -> Place:
     """The grid and what stands on it for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
@@ -115,6 +123,7 @@ def place_at(setting: Setting, push_s: float) -> Place:
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
     return Place(
+        push_s=push_s,
         grid=grid,
         to_nodes=to_nodes,
         weights=weights,
@@ -133,12 +142,11 @@ def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Ar
     at = setting.at
     axes = _axes(at, x)
     force = (given.force + given.rate * at.get(x, "clock")) @ axes.T
-    problem, pushed = _problem(setting, place, x, force, given.gravity)
-    q, converged, matrices = _shapes(problem, start)
+    problem, pushed = _problem(setting, place, x, force, given)
+    weights = place.mass_beyond if setting.weighs else place.mass_beyond[:, :0]
+    q, converged, bent = _shapes(place, problem, start, (force, pushed, given.gravity, weights))
     alpha = problem.alpha0 + q @ place.to_nodes.T
     cos, sin = np.cos(alpha), np.sin(alpha)
-    weights = place.mass_beyond if setting.weighs else place.mass_beyond[:, :0]
-    bent = _response(place, problem, (q, matrices, cos, sin), (force, pushed, given.gravity, weights))
     clamp, p = np.zeros(bent.shape[-1]), at.spline.count
     clamp[p + 3] = 1.0
     turned_nodes, turn = place.to_nodes @ bent + clamp, place.rows @ bent + clamp
@@ -180,8 +188,10 @@ def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes
     return j, a
 
 
-def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Array]:
-    """Equilibria (B, Q), which of them were found, and their tangents (B, Q, Q).
+def _shapes(
+    place: Place, problem: Problem, start: Array | None, load: tuple[Array, Array, Array, Array]
+) -> tuple[Array, BoolArray, Array]:
+    """Equilibria (B, Q), which of them were found, and how they respond to the parameters (`_turning`): (B, Q, P).
 
     Newton from `start`, its last tangent being good enough for derivatives; where it strays from a stable shape nearby,
     or without a start, the shapes are sought from rest.
@@ -190,26 +200,49 @@ def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Ar
         q, moved = start.copy(), 0.0
         for _ in range(_MOST):
             unbalanced, matrices = balance(problem, q)
-            update = solve_batch(matrices, unbalanced)
+            update, bent = _solved(matrices, unbalanced, _turning(place, problem, q, load))
+            if bent is None:
+                break
             q -= update
             turn = float(np.max(np.abs(update @ problem.to_nodes.T)))
             moved += turn
+            if turn < _TOLERANCE:
+                return q, np.ones(len(q), dtype=bool), bent
             if not moved < _TRUST:
                 break
-            if turn < _TOLERANCE:
-                if np.all(positive_definite(matrices)):
-                    return q, np.ones(len(q), dtype=bool), matrices
-                break
     solved = follow(problem)
-    return solved.q, solved.converged & solved.stable, tangent(problem, solved.q)
+    _, bent = _solved(
+        tangent(problem, solved.q), np.zeros_like(solved.q), _turning(place, problem, solved.q, load)
+    )
+    good = solved.converged & solved.stable
+    if bent is None:  # one that was not found has no response; the others are asked again
+        bent = np.zeros((*solved.q.shape, load[3].shape[1] + place.on_nodes.shape[1] + 7))
+        for i in np.flatnonzero(good).tolist():
+            one, alone = problem.take(np.array([i])), tuple(v[i : i + 1] for v in load[:3])
+            right = _turning(place, one, solved.q[i : i + 1], (*alone, load[3]))
+            found = _solved(tangent(one, solved.q[i : i + 1]), np.zeros((1, solved.q.shape[1])), right)[1]
+            bent[i], good[i] = (found[0], True) if found is not None else (0.0, False)
+    return solved.q, good, bent
 
 
-def _problem(setting: Setting, place: Place, x: Array, force: Array, gravity: Array) -> tuple[Problem, Array]:
-    """The problem of B frames, and (Q,) the share of the push beyond each node."""
+def _solved(matrices: Array, unbalanced: Array, right: Array) -> tuple[Array, Array | None]:
+    """Newton's update (B, Q), and (B, Q, P) the response; None where a shape does not stand."""
+    update, bent = np.empty_like(unbalanced), np.empty_like(right)
+    for i, matrix in enumerate(matrices):
+        both = np.concatenate([unbalanced[i, :, None], right[i]], axis=1)
+        _, solved, info = dposv(matrix, both, lower=1)
+        if info:
+            return update, None
+        update[i], bent[i] = solved[:, 0], solved[:, 1:]
+    return update, bent
+
+
+def _problem(setting: Setting, place: Place, x: Array, force: Array, given: Inputs) -> tuple[Problem, Array]:
+    """The problem of B frames, and (B, Q) the share of the push beyond each node."""
     at, size, nodes = setting.at, len(force), len(place.weights)
-    pushed = place.beyond + float(at.get(x, "place")[0]) * place.farther
+    pushed = place.beyond + (float(at.get(x, "place")[0]) + given.farther)[:, None] * place.farther
     mass = place.mass_beyond[:, 0] + place.mass_beyond @ at.get(x, "mass")
-    dead = pushed[:, None] * force[:, None, :] + mass[:, None] * gravity[:, None, :]
+    dead = pushed[..., None] * force[:, None, :] + mass[:, None] * given.gravity[:, None, :]
     problem = Problem(
         grid=place.grid,
         weights=place.weights,
@@ -227,16 +260,16 @@ def _problem(setting: Setting, place: Place, x: Array, force: Array, gravity: Ar
     return problem, pushed
 
 
-def _response(
-    place: Place, problem: Problem, shape: tuple[Array, Array, Array, Array], load: tuple[Array, Array, Array, Array]
-) -> Array:
-    """(B, Q, P) of the curvature at the nodes, by the implicit function theorem.
+def _turning(place: Place, problem: Problem, q: Array, load: tuple[Array, Array, Array, Array]) -> Array:
+    """(B, Q, P) what the parameters put out of balance; the tangent's inverse times it is the curvature's response.
 
     Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force, its place, the mass's parts
     (`load`: forces, share of the push beyond the nodes, gravity, kg of each part beyond the nodes).
     """
-    (q, matrices, cos, sin), (force, pushed, gravity, weights) = shape, load
+    force, pushed, gravity, weights = load
     p, b = place.on_nodes.shape[1], place.to_nodes
+    alpha = problem.alpha0 + q @ b.T
+    cos, sin = np.cos(alpha), np.sin(alpha)
     right = np.empty((*q.shape, p + 7 + weights.shape[1]))
     stiff, pull = place.weights * problem.k, problem.length * place.weights
     right[..., :p] = -(stiff * (q - problem.q0))[..., None] * place.on_nodes
@@ -245,12 +278,10 @@ def _response(
     lever[..., 0] = -pull * (problem.dead_force[..., 0] * cos + problem.dead_force[..., 1] * sin)
     lever[..., 1], lever[..., 2] = -pull * pushed * sin, pull * pushed * cos
     lever[..., 3] = pull * place.farther * (force[:, 1:] * cos - force[:, :1] * sin)
-    lever[..., 4:] = (pull * (gravity[:, 1:] * cos - gravity[:, :1] * sin))[..., None] * weights
+    if weights.shape[1]:
+        lever[..., 4:] = (pull * (gravity[:, 1:] * cos - gravity[:, :1] * sin))[..., None] * weights
     right[..., p + 3 :] = b.T @ lever
-    try:
-        return np.asarray(np.linalg.solve(matrices, right))
-    except np.linalg.LinAlgError:  # of a frame that was not found either
-        return np.zeros_like(right)
+    return right
 
 
 def _axes(at: Layout, x: Array) -> Array:

@@ -29,9 +29,11 @@ def left_of(keys: KeyFrames, solution: Solution) -> Array:
 
 def without_force(left: Array, a: Array) -> Array:
     """Residuals (K, R) less what a force of each frame could explain; `a` (K, R, 2): how it moves the tags."""
-    across = np.swapaxes(a, 1, 2)
-    best = np.linalg.solve(across @ a + _NO_FORCE * np.eye(2), across @ left[..., None])
-    return np.asarray(left - (a @ best)[..., 0])
+    x, y = a[..., 0], a[..., 1]
+    xx, yy, xy = np.sum(x * x, axis=1) + _NO_FORCE, np.sum(y * y, axis=1) + _NO_FORCE, np.sum(x * y, axis=1)
+    by_x, by_y, size = np.sum(x * left, axis=1), np.sum(y * left, axis=1), xx * yy - xy**2
+    first, second = (yy * by_x - xy * by_y) / size, (xx * by_y - xy * by_x) / size
+    return np.asarray(left - first[:, None] * x - second[:, None] * y)
 
 
 def robust_weights(keys: KeyFrames, left: Array, marker: float, bulk: float) -> Array:

@@ -10,7 +10,7 @@ from onebend.learning.force_error import LOAD
 from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
-from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
+from onebend.learning.live_model import ORDER, Inputs, Place, Setting, grid_place, linearise, place_at
 from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
 from onebend.learning.live_scales import ScaleSearch
 from onebend.learning.live_sizes import Sizes
@@ -18,7 +18,6 @@ from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gathe
 from onebend.learning.live_stages import LoadStages
 from onebend.records import Array, BoolArray
 
-_PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
 _NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
 _ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
@@ -67,7 +66,8 @@ class Smoother:
         self._looks = 0
         self._coarse = 0.0
         self.pending = True  # a frame has come since the posterior was solved for
-        self._places: dict[float, Place] = {}
+        self._places = {1.0: place_at(setting, 1.0)}
+        self._pushed = 1.0
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
@@ -89,7 +89,8 @@ class Smoother:
         if pair is not None:
             propose_average(keys, pair, keys.used)
             fresh += [keys.used, *(k for k in (pair, pair + 1) if keys.stale[k])]
-        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: self._habits.renewed]
+        room = self._habits.renewed - max(len(fresh) - 2, 0)
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
         near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
         solved = self.linearise([*fresh, *(near or waiting[:1])])
         if i not in solved:
@@ -114,15 +115,28 @@ class Smoother:
         keys, nodes = self.keys, len(place.weights)
         loaded = ~keys.rest[chosen][:, None]
         force = (keys.force[chosen] - keys.error[chosen]) * loaded
-        given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen])
-        start = keys.q[chosen][:, :nodes] if np.all(keys.nodes[chosen] == nodes) else None
+        beyond = self._setting.length * (keys.push_s[chosen] - place.push_s) * loaded[:, 0]
+        given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen], beyond)
+        start = self._shapes_on(place, chosen)
         there = linearise(self._setting, place, self.point, given, start)
         good = there.converged
         solved = np.asarray(chosen)[good]
-        keys.q[solved, :nodes], keys.nodes[solved] = there.q[good], nodes
+        keys.q[solved, :nodes], keys.grid[solved] = there.q[good], place.push_s
         keys.by_force[solved, :nodes] = there.by_force[good]
         keys.set_linear(solved, self.point, there.pose[good], there.j[good], there.a[good])
         return set(solved.tolist())
+
+    def _shapes_on(self, place: Place, chosen: list[int]) -> Array | None:
+        """(B, Q) shapes to start from on a grid; None where one has none yet."""
+        keys, nodes = self.keys, place.grid.nodes
+        out = keys.q[chosen][:, : len(nodes)]
+        for row, i in zip(out, chosen, strict=True):
+            if keys.grid[i] == 0.0:
+                return None
+            if keys.grid[i] != place.push_s:
+                before = self._place(float(keys.grid[i])).grid.nodes
+                row[:] = np.interp(nodes, before, keys.q[i, : len(before)])
+        return out
 
     def _write(self, frame: Frame, rate: Array) -> int:
         """The frame in the place behind the key frames in use, which is returned."""
@@ -133,15 +147,17 @@ class Smoother:
         keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
         keys.measured[i], keys.weight[i] = frame.measured, frame.seen
         keys.set_information(i, frame.information)
+        if frame.loaded:
+            self._pushed = grid_place(frame.push_s)
         keys.used += 1
         self._forget_changes(i)
         now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
         self._expected = self.solution.error_at(frame.time, now)
         keys.error[i], keys.stale[i] = self._expected[0], False
-        keys.nodes[i] = 0
+        keys.grid[i] = 0.0
         if i > 0:
             pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
-            keys.q[i], keys.nodes[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.nodes[i - 1]
+            keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
         return i
 
     def _forget_changes(self, i: int) -> None:
@@ -308,14 +324,12 @@ class Smoother:
         keys.drop(0)
 
     def _push_s(self, i: int) -> float:
-        """Where the force acts on key frame i, to a thousandth."""
-        return round(float(self.keys.push_s[i]), 3)
+        """The place of the grid of key frame i; where nothing pushes any will do, and the last one is at hand."""
+        return self._pushed if self.keys.rest[i] else grid_place(float(self.keys.push_s[i]))
 
     def _place(self, push_s: float) -> Place:
-        """Grids are kept for the places met last."""
+        """Grids are kept once they are made; there are not many."""
         if push_s not in self._places:
-            if len(self._places) >= _PLACES:
-                del self._places[next(iter(self._places))]
             self._places[push_s] = place_at(self._setting, push_s)
         return self._places[push_s]
 
