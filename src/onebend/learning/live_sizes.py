@@ -16,8 +16,8 @@ from onebend.learning.roughness import JUMP, MIX, RHO, SPREAD, TAU
 from onebend.learning.spline import Spline
 from onebend.records import Array
 
-_CHAINS = 3
-_KEPT = 32  # steps whose draws are kept
+_CHAINS = 2
+_KEPT = 40  # steps whose draws are kept
 _TOLD = 1e-4  # information that every direction of log k is given: nothing, and a matrix has a factor
 _WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 

@@ -136,8 +136,10 @@ class Solution:
 def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.zeros_like) -> Sums:
     """Sums over the key frames, robust weights included; `lately`: what the load's last changes add to its own time."""
     used, n = keys.used, keys.j.shape[-1]
-    root = np.repeat(np.sqrt(keys.weight[:used]), 3, axis=1)
-    j, a, z = root[..., None] * keys.rows_j[:used], root[..., None] * keys.rows_a[:used], root * keys.rows_z[:used]
+    j, a, z = keys.rows_j[:used], keys.rows_a[:used], keys.rows_z[:used]
+    if np.any((keys.weight[:used] != 1.0) & (keys.weight[:used] != 0.0)):
+        root = np.repeat(np.sqrt(keys.weight[:used]), 3, axis=1)
+        j, a, z = root[..., None] * j, root[..., None] * a, root * z
     flat = j.reshape(-1, n)
     across = np.swapaxes(a, 1, 2)
     rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))

@@ -39,7 +39,7 @@ class OnlineSettings:
 
     functions: int = 24  # of the spline of log k
     key_frames: int = 30
-    renewed: int = 3  # key frames linearised anew with an update
+    renewed: int = 5  # key frames linearised anew with every other update; one with those between
     priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
     placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
     rest_unknown: bool = True  # the beam may be curved when free

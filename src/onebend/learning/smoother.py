@@ -89,7 +89,7 @@ class Smoother:
         if pair is not None:
             propose_average(keys, pair, keys.used)
             fresh += [keys.used, *(k for k in (pair, pair + 1) if keys.stale[k])]
-        room = self._habits.renewed - max(len(fresh) - 2, 0)
+        room = (1 if self.pending else self._habits.renewed) - max(len(fresh) - 2, 0)  # less where much else is done
         waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
         near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
         solved = self.linearise([*fresh, *(near or waiting[:1])])
