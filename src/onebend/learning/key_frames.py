@@ -25,34 +25,34 @@ _REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
 
 @dataclass
 class KeyFrames:
-    """K + 2 places, `used` of them taken, in order of time."""
+    """K places, `used` of them taken, in order of time."""
 
     used: int
-    begin: Array  # (K + 2,) s
+    begin: Array  # (K,) s
     end: Array
     own: Array  # the load's own time there, but for its last changes
     frames: Array  # how many were averaged
     rest: BoolArray  # nothing pushes
     push_s: Array
-    force: Array  # (K + 2, 2) N, as logged
-    rate: Array  # (K + 2, 2) N/s
-    gravity: Array  # (K + 2, 2)
-    measured: Array  # (K + 2, m, 3)
-    information: Array  # (K + 2, m, 3, 3) of `measured`; zero where a tag was not seen
-    root: Array  # (K + 2, m, 3, 3) R with R' R = information
-    weight: Array  # (K + 2, m) robust
-    error: Array  # (K + 2, 2) N, the force's, at which it was linearised
-    left: Array  # (K + 2, m, 3) measured less predicted, where it was linearised
-    zeta: Array  # (K + 2, m, 3)
-    j: Array  # (K + 2, m, 3, n)
-    a: Array  # (K + 2, m, 3, 2)
-    q: Array  # (K + 2, Q) rad, the shape to start from
-    grid: Array  # (K + 2,) place of the push whose grid that is on; 0: there is none yet
-    by_force: Array  # (K + 2, Q, 2) of it with the logged force
-    stale: BoolArray  # (K + 2,) linearised at other parameters than the frames that came last
-    rows_j: Array  # (K + 2, 3 m, n) whitened
-    rows_a: Array  # (K + 2, 3 m, 2)
-    rows_z: Array  # (K + 2, 3 m)
+    force: Array  # (K, 2) N, as logged
+    rate: Array  # (K, 2) N/s
+    gravity: Array  # (K, 2)
+    measured: Array  # (K, m, 3)
+    information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
+    root: Array  # (K, m, 3, 3) R with R' R = information
+    weight: Array  # (K, m) robust
+    error: Array  # (K, 2) N, the force's, at which it was linearised
+    left: Array  # (K, m, 3) measured less predicted, where it was linearised
+    zeta: Array  # (K, m, 3)
+    j: Array  # (K, m, 3, n)
+    a: Array  # (K, m, 3, 2)
+    q: Array  # (K, Q) rad, the shape to start from
+    grid: Array  # (K,) place of the push whose grid that is on; 0: there is none yet
+    by_force: Array  # (K, Q, 2) of it with the logged force
+    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last
+    rows_j: Array  # (K, 3 m, n) whitened
+    rows_a: Array  # (K, 3 m, 2)
+    rows_z: Array  # (K, 3 m)
 
     @property
     def centre(self) -> Array:
@@ -132,8 +132,8 @@ class Past:
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
-    """Room for `most` key frames, the one that has just come, and an average that is being made."""
-    count = most + 2
+    """Room for `most` key frames, two that have come since, and two averages that are being made."""
+    count = most + 4
 
     def room(*shape: int) -> Array:
         return np.zeros((count, *shape))
@@ -175,26 +175,32 @@ def _roots(information: Array) -> Array:
     return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
 
 
-def closest_pair(keys: KeyFrames, count: int, largest: float, own: Array) -> int | None:
-    """The neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares).
-
-    None where none are alike. `own` (used,): the load's own time.
+def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most: int) -> list[int]:
+    """Neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares), none in two of
+    them; at most so many, and those that are alike. `own` (used,): the load's own time.
     """
+    if count < 2 or most < 1:
+        return []
     part, rear = slice(0, count - 1), slice(1, count)
-    force = np.linalg.norm(keys.force[rear] - keys.force[part], axis=1) / max(largest, 1e-300)
-    rest = keys.rest[part]
-    force = np.where(rest, 0.0, force)
+    away = keys.force[rear] - keys.force[part]
+    rest, n = keys.rest[part], keys.frames
+    force = np.where(rest, 0.0, np.sqrt(np.sum(away * away, axis=1)) / max(largest, 1e-300))
     centre = 0.5 * (keys.begin + keys.end)
     time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
     alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
     alike &= np.abs(own[1:count] - own[: count - 1]) <= _SAME_STAGE
     alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
-    alike &= np.linalg.norm(keys.gravity[rear] - keys.gravity[part], axis=1) <= _SAME_GRAVITY
-    if not np.any(alike):
-        return None
-    n = keys.frames
+    alike &= np.abs(keys.gravity[rear] - keys.gravity[part]).max(axis=1) <= _SAME_GRAVITY
     cost = n[part] * n[rear] / (n[part] + n[rear]) * (force**2 + time**2) * np.where(rest, _REST_SHARE, 1.0)
-    return int(np.argmin(np.where(alike, cost, np.inf)))
+    cost = np.where(alike, cost, np.inf)
+    out: list[int] = []
+    while len(out) < most:
+        i = int(np.argmin(cost))
+        if cost[i] == np.inf:
+            break
+        out.append(i)
+        cost[max(i - 1, 0) : i + 2] = np.inf
+    return out
 
 
 def propose_average(keys: KeyFrames, i: int, at: int) -> None:

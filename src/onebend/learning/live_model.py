@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dposv, dpotrs
 from onebend.beam.continuation import follow
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.problem import Problem
-from onebend.beam.statics import balance, tangent
+from onebend.beam.statics import tangent
 from onebend.learning.film import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
@@ -45,6 +45,7 @@ class Place:
     push_s: float
     grid: Grid
     to_nodes: Array  # (Q, Q)
+    squares: Array  # (Q, Q Q) products of the entries of each of its rows
     weights: Array  # (Q,)
     beyond: Array  # (Q,) 1 where the push lies beyond the node
     farther: Array  # (Q,) 1/m: what is added to it per metre that the push lies farther out
@@ -115,6 +116,11 @@ def grid_place(push_s: float) -> float:
     return max(round(push_s * _GRIDS), 1) / _GRIDS
 
 
+def grid_places() -> list[float]:
+    """All places at which there is a grid."""
+    return [i / _GRIDS for i in range(1, _GRIDS + 1)]
+
+
 def place_at(setting: Setting, push_s: float) -> Place:
     """The grid and what stands on it for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
@@ -126,6 +132,7 @@ def place_at(setting: Setting, push_s: float) -> Place:
         push_s=push_s,
         grid=grid,
         to_nodes=to_nodes,
+        squares=(to_nodes[:, :, None] * to_nodes[:, None, :]).reshape(len(nodes), -1),
         weights=weights,
         beyond=np.asarray(beyond, dtype=float),
         farther=np.asarray(last / (setting.length * weights)),
@@ -199,7 +206,7 @@ def _shapes(
     if start is not None:
         q, moved = start.copy(), 0.0
         for _ in range(_MOST):
-            unbalanced, matrices = balance(problem, q)
+            unbalanced, matrices = _balance(problem, place, q)
             solved = [dposv(one, right, lower=1) for one, right in zip(matrices, unbalanced, strict=True)]
             if any(info for _, _, info in solved):
                 break
@@ -219,6 +226,17 @@ def _shapes(
         _, bent[i], info = dposv(one, bent[i], lower=1)
         good[i] &= info == 0
     return q, good, bent
+
+
+def _balance(problem: Problem, place: Place, q: Array) -> tuple[Array, Array]:
+    """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
+    alpha = problem.alpha0 + q @ place.to_nodes.T
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    x, y = problem.dead_pull
+    stiff = place.weights * problem.k
+    matrices = ((x * cos + y * sin) @ place.squares).reshape(*q.shape, -1)
+    matrices.reshape(len(q), -1)[:, :: q.shape[1] + 1] += stiff
+    return stiff * (q - problem.q0) - (y * cos - x * sin) @ place.to_nodes, matrices
 
 
 def _problem(setting: Setting, place: Place, x: Array, force: Array, given: Inputs) -> tuple[Problem, Array]:

@@ -9,8 +9,8 @@ import numpy as np
 from onebend.learning.force_error import LOAD
 from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.frame_input import Frame
-from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
-from onebend.learning.live_model import ORDER, Inputs, Place, Setting, grid_place, linearise, place_at
+from onebend.learning.key_frames import Past, accept_average, closest_pairs, empty, propose_average
+from onebend.learning.live_model import ORDER, Inputs, Place, Setting, grid_place, grid_places, linearise, place_at
 from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
 from onebend.learning.live_scales import ScaleSearch
 from onebend.learning.live_sizes import Sizes
@@ -66,7 +66,7 @@ class Smoother:
         self._looks = 0
         self._coarse = 0.0
         self.pending = True  # a frame has come since the posterior was solved for
-        self._places = {1.0: place_at(setting, 1.0)}
+        self._places = {place: place_at(setting, place) for place in grid_places()}
         self._pushed = 1.0
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
@@ -82,15 +82,15 @@ class Smoother:
         keys = self.keys
         self._stages.see(frame.time, frame.measured[:, :2], frame.seen, frame.loaded)
         i = self._write(frame, rate)
-        full = keys.used > self._habits.key_frames
+        over = 0 if self.pending else keys.used - self._habits.key_frames  # less is done where it is solved too
         own = keys.own[: keys.used] + self._stages.own(keys.centre)
-        pair = closest_pair(keys, i, self._largest, own) if full else None
+        pairs = closest_pairs(keys, i, self._largest, own, over)
         fresh = [i]
-        if pair is not None:
-            propose_average(keys, pair, keys.used)
-            fresh += [keys.used, *(k for k in (pair, pair + 1) if keys.stale[k])]
-        room = (1 if self.pending else self._habits.renewed) - max(len(fresh) - 2, 0)  # less where much else is done
-        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
+        for at, pair in enumerate(pairs, keys.used):
+            propose_average(keys, pair, at)
+            fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 1)]
         near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
         solved = self.linearise([*fresh, *(near or waiting[:1])])
         if i not in solved:
@@ -98,9 +98,10 @@ class Smoother:
             return False
         if frame.loaded:
             self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
-        if pair is not None and solved.issuperset(fresh):
-            accept_average(keys, pair, keys.used, self.point)
-        elif keys.used > self._habits.key_frames:
+        if solved.issuperset(fresh):
+            for pair, at in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+                accept_average(keys, pair, at, self.point)
+        while keys.used > self._habits.key_frames + 1:
             self._fold_oldest()
         return True
 
@@ -108,7 +109,7 @@ class Smoother:
         """Key frames at the present estimate; those that have a shape there. The others stay as they were."""
         solved: set[int] = set()
         for push_s in dict.fromkeys(self._push_s(i) for i in chosen):
-            solved |= self._linearise_at(self._place(push_s), [i for i in chosen if self._push_s(i) == push_s])
+            solved |= self._linearise_at(self._places[push_s], [i for i in chosen if self._push_s(i) == push_s])
         return solved
 
     def _linearise_at(self, place: Place, chosen: list[int]) -> set[int]:
@@ -126,15 +127,13 @@ class Smoother:
         keys.set_linear(solved, self.point, there.pose[good], there.j[good], there.a[good])
         return set(solved.tolist())
 
-    def _shapes_on(self, place: Place, chosen: list[int]) -> Array | None:
-        """(B, Q) shapes to start from on a grid; None where one has none yet."""
+    def _shapes_on(self, place: Place, chosen: list[int]) -> Array:
+        """(B, Q) shapes to start from on a grid."""
         keys, nodes = self.keys, place.grid.nodes
         out = keys.q[chosen][:, : len(nodes)]
         for row, i in zip(out, chosen, strict=True):
-            if keys.grid[i] == 0.0:
-                return None
-            if keys.grid[i] != place.push_s:
-                before = self._place(float(keys.grid[i])).grid.nodes
+            if keys.grid[i] != place.push_s and keys.grid[i] != 0.0:
+                before = self._places[float(keys.grid[i])].grid.nodes
                 row[:] = np.interp(nodes, before, keys.q[i, : len(before)])
         return out
 
@@ -154,7 +153,7 @@ class Smoother:
         now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
         self._expected = self.solution.error_at(frame.time, now)
         keys.error[i], keys.stale[i] = self._expected[0], False
-        keys.grid[i] = 0.0
+        keys.q[i], keys.grid[i] = 0.0, 0.0
         if i > 0:
             pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
             keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
@@ -326,12 +325,6 @@ class Smoother:
     def _push_s(self, i: int) -> float:
         """The place of the grid of key frame i; where nothing pushes any will do, and the last one is at hand."""
         return self._pushed if self.keys.rest[i] else grid_place(float(self.keys.push_s[i]))
-
-    def _place(self, push_s: float) -> Place:
-        """Grids are kept once they are made; there are not many."""
-        if push_s not in self._places:
-            self._places[push_s] = place_at(self._setting, push_s)
-        return self._places[push_s]
 
     def _process(self, scales: LiveScales) -> ForceProcess:
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
