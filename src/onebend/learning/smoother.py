@@ -90,7 +90,7 @@ class Smoother:
             propose_average(keys, pair, at)
             fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
         room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
-        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 1)]
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
         near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
         solved = self.linearise([*fresh, *(near or waiting[:1])])
         if i not in solved:
@@ -196,15 +196,18 @@ class Smoother:
         return innovation, distance, used
 
     def advance(self) -> None:
-        """After a frame: every other time the posterior is solved for, in between sizes and scales are tried on it."""
+        """After a frame: every other time the posterior is solved for and log k's sizes make a step, in between other
+        scales are tried on it."""
         if self.pending:
             self.renew()
+            if self._sizes is not None and self._coarse == 0.0:
+                self._sizes.step(self.solution.told)
         elif self._habits.adapt:
             self.look_about()
         self.pending = not self.pending
 
     def look_about(self) -> None:
-        """Other scales on what the last solution was made from, or the tags' noise; and a step of log k's sizes."""
+        """Other scales on what the last solution was made from, or a count of what the data have settled."""
         if self._coarse > 0.0:
             return
         self._looks += 1
@@ -212,8 +215,6 @@ class Smoother:
             self._spent = self._settled_parameters()
         else:
             self._try_scale()
-        if self._sizes is not None:
-            self._sizes.step(self.solution.told)
 
     def renew(self) -> None:
         """Solve with what is linearised now, move the estimate, weigh the tags anew."""
@@ -263,6 +264,8 @@ class Smoother:
         if self._habits.adapt:
             for _ in range(2 * self._search.round):
                 self.look_about()
+                if self._sizes is not None:
+                    self._sizes.step(self.solution.told)
         self.pending = False
 
     def move(self) -> None:
