@@ -48,17 +48,17 @@ class Spans:
     @cached_property
     def centre(self) -> Array:
         """(K,) s since the first."""
-        return 0.5 * (self.begin + self.end) - self.begin[0]
+        return np.asarray(0.5 * (self.begin + self.end) - self.begin[0])
 
     @cached_property
     def width(self) -> Array:
         """(K,) s."""
-        return self.end - self.begin
+        return np.asarray(self.end - self.begin)
 
     @cached_property
     def fast(self) -> Array:
         """(K,) 1 where coloured and white part count."""
-        return 1.0 - self.slow
+        return np.asarray(1.0 - self.slow)
 
     @cached_property
     def walked(self) -> Array:

@@ -61,9 +61,8 @@ class KeyFrames:
 
     def spans(self, more: Array) -> Spans:
         """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
-        part = slice(0, self.used)
-        copies = (values[part].copy() for values in (self.begin, self.end, self.frames))
-        return Spans(*copies, np.zeros(self.used), self.own[part] + more)
+        begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
+        return Spans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
 
     def arrays(self) -> list[Array]:
         """All that is kept of every frame."""

@@ -175,7 +175,11 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     inverse, log_process, certain = np.zeros((0, 0)), 0.0, np.zeros(0)
     h, b = np.zeros((known + m, known + m), order="F"), np.empty(known + m)  # of h the lower triangle
     side = np.empty((known + m, p), order="F")
-    h[known:, known:], side[known:], b[known:] = weight * sums.xx[p:, p:], weight * sums.xx[p:, :p], weight * sums.bx[p:]
+    h[known:, known:], side[known:], b[known:] = (
+        weight * sums.xx[p:, p:],
+        weight * sums.xx[p:, :p],
+        weight * sums.bx[p:],
+    )
     h.ravel(order="K")[known * (known + m + 1) :: known + m + 1] += start.others
     information, right = weight * sums.xx[:p, :p], weight * sums.bx[:p]
     if slots:
@@ -202,9 +206,7 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     logs += 2.0 * sums.rows * np.log(scales.marker) - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
     x = np.concatenate([k, rest[known:]])
     e = rest[:known].reshape(-1, 2)
-    return Solution(
-        x, e, sums.spans, process, inverse, factor, across, lower, ahead, told, total + logs
-    )
+    return Solution(x, e, sums.spans, process, inverse, factor, across, lower, ahead, told, total + logs)
 
 
 def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: tuple[Array, Array]) -> None:

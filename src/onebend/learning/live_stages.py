@@ -96,7 +96,7 @@ class LoadStages:
         return _sum(self._changes, time)
 
     def forgotten(self, time: Array) -> tuple[Array, float]:
-        """(N,) what the changes that are not looked at any more add at `time` (N,) [s], and to all later frames; once."""
+        """(N,) what changes that are not looked at any more add at `time` (N,) [s], and to all later frames; once."""
         out = _sum(self._past, time), float(sum(amount for amount, _ in self._past))
         self._past.clear()
         return out

@@ -19,13 +19,13 @@ from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
-from onebend.learning.live_model import Setting, live_layout
 from onebend.learning.live_scales import MEMORY_DOUBT
+from onebend.learning.live_setting import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import Nuisance
-from onebend.learning.smoother import Habits, Smoother
 from onebend.learning.roughness import RHO, TAU
+from onebend.learning.smoother import Habits, Smoother
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
 

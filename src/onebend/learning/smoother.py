@@ -10,9 +10,10 @@ from onebend.learning.force_error import LOAD
 from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import Past, accept_average, closest_pairs, empty, propose_average
-from onebend.learning.live_model import ORDER, Inputs, Place, Setting, grid_place, grid_places, linearise, place_at
+from onebend.learning.live_frames import Linearizer
 from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
 from onebend.learning.live_scales import ScaleSearch
+from onebend.learning.live_setting import ORDER, Setting
 from onebend.learning.live_sizes import Sizes
 from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, solve
 from onebend.learning.live_stages import LoadStages
@@ -66,8 +67,7 @@ class Smoother:
         self._looks = 0
         self._coarse = 0.0
         self.pending = True  # a frame has come since the posterior was solved for
-        self._places = {place: place_at(setting, place) for place in grid_places()}
-        self._pushed = 1.0
+        self._linear = Linearizer(setting)
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
@@ -91,8 +91,7 @@ class Smoother:
             fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
         room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
         waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
-        near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
-        solved = self.linearise([*fresh, *(near or waiting[:1])])
+        solved = self._linear.renew(keys, [*fresh, *self._linear.near(keys, waiting, i)], self.point)
         if i not in solved:
             keys.used -= 1
             return False
@@ -105,38 +104,6 @@ class Smoother:
             self._fold_oldest()
         return True
 
-    def linearise(self, chosen: list[int]) -> set[int]:
-        """Key frames at the present estimate; those that have a shape there. The others stay as they were."""
-        solved: set[int] = set()
-        for push_s in dict.fromkeys(self._push_s(i) for i in chosen):
-            solved |= self._linearise_at(self._places[push_s], [i for i in chosen if self._push_s(i) == push_s])
-        return solved
-
-    def _linearise_at(self, place: Place, chosen: list[int]) -> set[int]:
-        keys, nodes = self.keys, len(place.weights)
-        loaded = ~keys.rest[chosen][:, None]
-        force = (keys.force[chosen] - keys.error[chosen]) * loaded
-        beyond = self._setting.length * (keys.push_s[chosen] - place.push_s) * loaded[:, 0]
-        given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen], beyond)
-        start = self._shapes_on(place, chosen)
-        there = linearise(self._setting, place, self.point, given, start)
-        good = there.converged
-        solved = np.asarray(chosen)[good]
-        keys.q[solved, :nodes], keys.grid[solved] = there.q[good], place.push_s
-        keys.by_force[solved, :nodes] = there.by_force[good]
-        keys.set_linear(solved, self.point, there.pose[good], there.j[good], there.a[good])
-        return set(solved.tolist())
-
-    def _shapes_on(self, place: Place, chosen: list[int]) -> Array:
-        """(B, Q) shapes to start from on a grid."""
-        keys, nodes = self.keys, place.grid.nodes
-        out = keys.q[chosen][:, : len(nodes)]
-        for row, i in zip(out, chosen, strict=True):
-            if keys.grid[i] != place.push_s and keys.grid[i] != 0.0:
-                before = self._places[float(keys.grid[i])].grid.nodes
-                row[:] = np.interp(nodes, before, keys.q[i, : len(before)])
-        return out
-
     def _write(self, frame: Frame, rate: Array) -> int:
         """The frame in the place behind the key frames in use, which is returned."""
         keys = self.keys
@@ -147,7 +114,7 @@ class Smoother:
         keys.measured[i], keys.weight[i] = frame.measured, frame.seen
         keys.set_information(i, frame.information)
         if frame.loaded:
-            self._pushed = grid_place(frame.push_s)
+            self._linear.pushed_at(frame.push_s)
         keys.used += 1
         self._forget_changes(i)
         now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
@@ -259,7 +226,7 @@ class Smoother:
         """Linearise everything anew and solve, several times; then look about the scales once more."""
         for _ in range(rounds):
             self.move()
-            self.linearise(list(range(self.keys.used)))
+            self._linear.renew(self.keys, list(range(self.keys.used)), self.point)
             self.renew()
         if self._habits.adapt:
             for _ in range(2 * self._search.round):
@@ -324,10 +291,6 @@ class Smoother:
         slow = slow_variance(process, float(keys.end[0]) - self.past.time, own)
         self.past.add(information, b, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
         keys.drop(0)
-
-    def _push_s(self, i: int) -> float:
-        """The place of the grid of key frame i; where nothing pushes any will do, and the last one is at hand."""
-        return self._pushed if self.keys.rest[i] else grid_place(float(self.keys.push_s[i]))
 
     def _process(self, scales: LiveScales) -> ForceProcess:
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
