@@ -21,7 +21,7 @@ _CENTRE = 0.25  # share of the node in the middle
 _MOST = 4.0  # sd from what was expected
 _SHORTEST, _LONGEST = 0.05, 0.7  # step of a log
 _NEAR = 0.4  # sd of what was expected: so far out the curvature is looked at
-_CLIMB_EVERY = 3  # trials
+_CLIMB_EVERY = 2  # trials
 _TRUSTED = 1.0  # of a node's log weight: so far above what was expected, its look is not believed
 _LEAST_CURVATURE = 0.5  # the prior alone has one
 _SPREAD = dict(zip(CHOSEN, SPREAD.tolist(), strict=True)) | {"white": 0.7}
@@ -49,7 +49,7 @@ class ScaleSearch:
         self._chosen = chosen
         self._expected = np.log([getattr(expected, name) for name in chosen])
         self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
-        self._steps = np.full(len(chosen), 0.3)
+        self._steps = np.array([0.7 if name == "load" else 0.3 for name in chosen])  # it may be ten times as large
         self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
         self._nodes: dict[int, _Node] = {}
         self._trials, self._climbs, self._at = 0, 0, 0

@@ -21,6 +21,7 @@ from onebend.records import Array, BoolArray
 
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
 _NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
+_WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
 _ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
@@ -175,8 +176,6 @@ class Smoother:
 
     def look_about(self) -> None:
         """Other scales on what the last solution was made from, or a count of what the data have settled."""
-        if self._coarse > 0.0:
-            return
         self._looks += 1
         if self._looks % _NOISE_EVERY == 0:
             self._spent = self._settled_parameters()
@@ -206,7 +205,10 @@ class Smoother:
     def _solve(self, scales: LiveScales) -> Solution:
         """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
         coarse = replace(scales, marker=max(scales.marker, self._coarse))
-        return solve(self._sums, self._start, self._of_k, coarse, self._process(scales))
+        process = self._process(scales)
+        if self._coarse > 0.0:  # it may also be the force that is wrong by more than it is thought to be
+            process = replace(process, load=_WRONG * process.load)
+        return solve(self._sums, self._start, self._of_k, coarse, process)
 
     def _misfit(self) -> float:
         """Root mean square of what the point where frames are linearised leaves of them; 0 where it is noise."""
