@@ -23,6 +23,8 @@ from onebend.learning.live_sizes import OfK
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 
+_ROUNDING = 1e-11  # of the information: what rounding may take from what is folded and subtracted
+
 
 @dataclass(frozen=True)
 class LiveScales:
@@ -189,11 +191,13 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
         _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
         b[:known] = (weight * sums.be + certain[:, None] * sums.log).ravel()
         _put_past(sums.past, known, (h, side, b), (information, right))
+    h.ravel(order="K")[:: known + m + 1] *= 1.0 + _ROUNDING
     factor, info = dpotrf(h, lower=1, overwrite_a=1)
     if info:
         raise np.linalg.LinAlgError("the information is not positive definite")
     both, _ = dtrtrs(factor, np.concatenate([side, b[:, None]], axis=1), lower=1)
     across, ahead = both[:, :p], both[:, p]
+    information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
     told = OfK(information - across.T @ across, right - across.T @ ahead)
     lower, info = dpotrf(told.information + of_k.information, lower=1)
     if info:

@@ -23,6 +23,7 @@ _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where
 _NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
 _WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
 _ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
+_FAR_OFF = 5.0  # of the same: so much is hardly the tags' alone
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
 
@@ -189,7 +190,10 @@ class Smoother:
         if self._sizes is not None:
             self._of_k = self._start.of_k(self._sizes.parts)
         self._coarse = self._misfit()
-        self.solution = solution = self._solve(self.scales)
+        try:
+            self.solution = solution = self._solve(self.scales)
+        except np.linalg.LinAlgError:  # rounding: what was known before stands until the next frame
+            return
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
@@ -206,7 +210,9 @@ class Smoother:
         """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
         coarse = replace(scales, marker=max(scales.marker, self._coarse))
         process = self._process(scales)
-        if self._coarse > 0.0:  # it may also be the force that is wrong by more than it is thought to be
+        if (
+            self._coarse > _FAR_OFF * scales.marker
+        ):  # it may also be the force that is wrong by more than it is thought to be
             process = replace(process, load=_WRONG * process.load)
         return solve(self._sums, self._start, self._of_k, coarse, process)
 
@@ -286,7 +292,7 @@ class Smoother:
     def _fold_oldest(self) -> None:
         """The oldest key frame becomes part of the past."""
         keys, process = self.keys, self._process(self.scales)
-        information, b = keys.quadratic(0, self.scales.marker, process.white)
+        information, b = keys.quadratic(0, max(self.scales.marker, self._coarse), process.white)
         fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
         lately = self._stages.own(np.array([keys.centre[0], self.past.time]))
         own = float(keys.own[0] - self.past.own + lately[0] - lately[1])
