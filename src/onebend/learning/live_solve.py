@@ -128,6 +128,12 @@ class Solution:
         inverse, _ = dpotri(self.lower, lower=1)
         return self.with_k(self.x[: len(self.lower)], _symmetric(inverse))[1]
 
+    def settled(self, start: Start, of_k: OfK) -> float:
+        """How many parameters the data have settled."""
+        p, c = len(self.lower), self.covariance()
+        held = float(np.sum(c[:p, :p] * of_k.information)) + float(start.others @ np.diag(c)[p:])
+        return len(self.x) - held
+
     def error_at(self, time: float, own: float) -> tuple[Array, Array, float]:
         """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
         with_others, alone = with_one_more(self.process, self.spans, time, own)

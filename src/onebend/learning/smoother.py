@@ -179,7 +179,7 @@ class Smoother:
         """Other scales on what the last solution was made from, or a count of what the data have settled."""
         self._looks += 1
         if self._looks % _NOISE_EVERY == 0:
-            self._spent = self._settled_parameters()
+            self._spent = self.solution.settled(self._start, self._of_k)
         else:
             self._try_scale()
 
@@ -273,12 +273,6 @@ class Smoother:
         search.climbed(worse < 0.0)
         if worse < 0.0:
             self.scales, self.solution = tried, there
-
-    def _settled_parameters(self) -> float:
-        """How many parameters the data have settled."""
-        p, c = len(self._of_k.b), self.solution.covariance()
-        held = float(np.sum(c[:p, :p] * self._of_k.information)) + float(self._start.others @ np.diag(c)[p:])
-        return len(self.x) - held
 
     def posterior(self) -> tuple[Array, Array, Array]:
         """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
