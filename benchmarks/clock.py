@@ -9,13 +9,12 @@ more than 1 % of the largest true force.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, Truth, read_truth
+from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.recording.camera import measure_markers
 from onebend.recording.clock import ClockSettings
 from onebend.recording.contact import Contact, find_contact
@@ -147,9 +146,7 @@ def markdown(found: list[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
-    print(markdown(rows(parser.parse_args().recordings)))
+    print(markdown(rows(recordings_asked(__doc__))))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ reads tags that stand still from their whole pattern.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import subprocess
@@ -22,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, Truth, read_truth
-from onebend.recording.entries import TagsEntry, VideoEntry
+from benchmarks.truth import RECORDINGS, Truth, parser_of, read_truth
+from onebend.recording.entries import TagsEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.lens import project
 from onebend.recording.plane import square
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import Frame, Picture, read_frames
 from onebend.records import Array, View
@@ -198,8 +198,7 @@ def markdown(found: list[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser = parser_of(__doc__)
     parser.add_argument("--only", help="one detector, printed as JSON")
     asked = parser.parse_args()
     if not asked.only:

@@ -9,7 +9,6 @@ fit has changed).
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
@@ -26,7 +25,7 @@ import numpy as np
 
 from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
-from benchmarks.truth import RECORDINGS, Truth, read_truth
+from benchmarks.truth import Truth, parser_of, read_truth
 from onebend.errors import OnebendError
 from onebend.lab.chance import Chance, random_bench
 from onebend.lab.film import film
@@ -35,9 +34,10 @@ from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn_recording
 from onebend.progress import Progress, Silent
 from onebend.recording.camera import measure_markers
-from onebend.recording.entries import TagsEntry, VideoEntry
+from onebend.recording.entries import TagsEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections
 
@@ -252,11 +252,10 @@ def odd_runs(runs: Iterable[Run]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--kept", type=Path, default=KEPT / "runs.jsonl", help="file that the runs are added to")
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
     parser.add_argument("--no-twins", action="store_true", help="leave out the films of the named designs")
     asked = parser.parse_args()
     runs = study(asked.runs, asked.jobs, asked.kept)

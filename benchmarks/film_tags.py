@@ -22,7 +22,7 @@ from onebend.lab.chance import Chance, random_camera
 from onebend.lab.designs import DESIGNS
 from onebend.lab.film import film
 from onebend.lab.filming import Filming
-from onebend.lab.strategies import PushName, Wish, filming_of
+from onebend.lab.named import PushName, Wish, filming_of
 from onebend.recording.camera import measure_markers
 from onebend.recording.folder import read_recording
 from onebend.recording.tags import detect_tags

@@ -102,11 +102,11 @@ def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
     """(n,) parts of log k from their prior, that of its sizes included; level and slope drawn narrower."""
     while True:
         tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD * rng.standard_normal(2))
-        steps = rho * np.sqrt(spline.gaps) * rng.standard_cauchy(len(spline.gaps))
-        if rng.random() < np.exp(-0.5 * np.sum((steps / JUMP) ** 2)):
+        local = rho * spline.share * rng.standard_cauchy(len(spline.share))
+        if rng.random() < np.exp(-0.5 * np.sum((local / JUMP) ** 2)):
             break
     line = [LEVEL + LEVEL_SD * rng.standard_normal(), SLOPE_SD * rng.standard_normal()]
-    return np.concatenate([line, tau * rng.standard_normal(spline.count - 2), steps])
+    return np.concatenate([line, tau * rng.standard_normal(spline.count - 2), local])
 
 
 def prepared(o: Observations, spline: Spline) -> tuple[Film, Layout]:

@@ -5,13 +5,12 @@ Two sets of inputs: the files as they are, and perfect markers and forces (what 
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, Truth, perfect, read_truth, stiffness_error
+from benchmarks.truth import RECORDINGS, Truth, perfect, read_truth, recordings_asked, stiffness_error
 from onebend.errors import LearningError
 from onebend.learning.learn import learn
 from onebend.learning.selection import Method, Settings
@@ -83,9 +82,7 @@ def markdown(found: list[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
-    print(markdown(rows(parser.parse_args().recordings)))
+    print(markdown(rows(recordings_asked(__doc__))))
 
 
 if __name__ == "__main__":

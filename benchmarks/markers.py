@@ -9,7 +9,6 @@ speeds are of the same run; that of tracking includes decoding the video, that o
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, Truth, read_truth
+from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.recording.camera import measure_markers
-from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.recording.tracking import Finder
 from onebend.recording.video import Picture, read_frames
@@ -127,9 +126,7 @@ def markdown(table: Iterable[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
-    print(markdown(rows(parser.parse_args().recordings)))
+    print(markdown(rows(recordings_asked(__doc__))))
 
 
 if __name__ == "__main__":

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.studies import LEVELS, S, bench_of, fit_from_nothing
-from benchmarks.truth import RECORDINGS, Truth, read_truth, stiffness_error
+from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError
@@ -133,8 +131,7 @@ def virtual(runs: int, cells: list[str]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser = parser_of(__doc__)
     parser.add_argument("--virtual", type=int, metavar="RUNS", help="virtual recordings with truth instead")
     parser.add_argument("--cells", nargs="+", default=list(CELLS), help="of the virtual recordings")
     parser.add_argument("--repeats", type=int, default=3, help="of each recording, for the time an update takes")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, read_truth, stiffness_error
+from benchmarks.truth import RECORDINGS, read_truth, recordings_asked, stiffness_error
 from onebend.learning.learn import learn
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.observe import observe
@@ -66,11 +65,10 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    found = rows(recordings_asked(__doc__))
     print("| beam | recordings | error of k | truth inside 95 % band | sd of log k, middle / tip | s | stopped |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    for r in rows(parser.parse_args().recordings):
+    for r in found:
         print(
             f"| {r.beam} | {r.recordings} | {r.k_error:.3f} | {100 * r.inside:.0f} % "
             f"| {r.sd_middle:.3f} / {r.sd_tip:.2f} | {r.seconds:.1f} | {r.stopped} |"

@@ -7,7 +7,6 @@ how it was found, brings the point to within 1e-6 m of the goal on a stable bran
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from benchmarks import reach_true
 from benchmarks.reach_goals import Goals, goals, places_under
-from benchmarks.truth import RECORDINGS
+from benchmarks.truth import parser_of
 from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.problem import Resolution, pose
@@ -216,8 +215,7 @@ def say_goals(beams: int, slow: int, wild: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    parser = parser_of(__doc__)
     parser.add_argument("--beams", type=int, default=400, help=f"random beams with {EACH} goals each")
     asked = parser.parse_args()
     say_tasks(asked.recordings, 20, 50)

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.lab.strategies import CameraName, SensorName, Wish
+from onebend.lab.named import CameraName, SensorName, Wish
 from onebend.records import Array
 from onebend.rehearse.advice import advise
 from onebend.rehearse.prediction import Predicted, predict
-from onebend.rehearse.rehearsal import Obtained, obtained_of, thirds
+from onebend.rehearse.rehearsal import Obtained, obtained_of
 from onebend.rehearse.runs import simulate
 from onebend.rehearse.setup import Setup, known_beam, setup_of
 
@@ -84,14 +84,15 @@ def row(name: str, predicted: Predicted, obtained: Obtained) -> str:
     """Sizes of log k over the thirds of the beam."""
     band = float(np.sqrt(np.mean(obtained.sd**2) / np.mean(predicted.sd**2)))
     return (
-        f"| {name} | {obtained.runs} ({obtained.failed}) | {_cells(thirds(predicted.error))} "
-        f"| {_cells(thirds(obtained.rms))} | {_cells(thirds(predicted.sd))} | {_cells(thirds(obtained.sd))} "
+        f"| {name} | {obtained.runs} ({obtained.failed}) | {_thirds(predicted.error)} "
+        f"| {_thirds(obtained.rms)} | {_thirds(predicted.sd)} | {_thirds(obtained.sd)} "
         f"| {band:.2f} | {100.0 * obtained.covered:.0f} ± {100.0 * obtained.covered_error:.0f} |"
     )
 
 
-def _cells(values: Array) -> str:
-    return " / ".join(f"{v:.3f}" for v in values)
+def _thirds(values: Array) -> str:
+    """Root mean squares of (101,) over the thirds of the beam."""
+    return " / ".join(f"{np.sqrt(np.mean(part**2)):.3f}" for part in np.array_split(np.asarray(values), 3))
 
 
 def study(case: Case, runs: int, jobs: int, advice: bool) -> Iterator[str]:

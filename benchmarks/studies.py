@@ -26,7 +26,7 @@ from onebend.learning.film import REST_MODES
 from onebend.learning.parameters import Priors
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.recording.frame import MOUNTING_SD
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything", "stages", "franka")
@@ -34,7 +34,7 @@ OWN = ("drawn scales", "fixed 6")  # drawn from the fit's own model: see `own_ru
 LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
-MOUNTING = Priors().mounting  # rad, one sd of a tag's turn
+MOUNTING = TURN_SD  # rad, one sd of a tag's turn
 CLAMP_SD = float(np.hypot(Priors().clamp, MOUNTING_SD))  # rad, of the clamp's direction where the rest is unknown
 PUSHED = 0.98  # where the push is said to act: off it either way there is beam
 STRAIGHT = Powers((0.0,))

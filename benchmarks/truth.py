@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,19 @@ import numpy as np
 from onebend.records import Array, IntArray, Observations
 
 RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
+
+
+def parser_of(about: str | None) -> argparse.ArgumentParser:
+    """A benchmark's options, with the folder of the recordings; `about`: the benchmark's docstring."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    says = "folder of recordings, each with its truth beside it"
+    parser.add_argument("--recordings", type=Path, default=RECORDINGS, metavar="DIR", help=says)
+    return parser
+
+
+def recordings_asked(about: str | None) -> Path:
+    """The folder of the recordings, for a benchmark that takes nothing else."""
+    return Path(parser_of(about).parse_args().recordings)
 
 
 @dataclass(frozen=True)

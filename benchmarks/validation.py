@@ -5,13 +5,12 @@ With the logged forces the sensor's own error counts too: what the TRUE k gives 
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import RECORDINGS, Truth, read_truth
+from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Table
 from onebend.learning.learn import learn
@@ -75,12 +74,11 @@ def row(name: str, kinds: tuple[str, ...], kind: str, beam: Beam, paper: Beam, s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=Path, default=RECORDINGS)
+    found = rows(recordings_asked(__doc__))
     print("M1, M2, M3 in mm, RMS. `true k`: the same with the true stiffness in place of the learned one.\n")
     print("| beam | learned from | on | true forces | (true k) | logged forces | (true k) | ratio | the paper's |")
     print("| --- " * 9 + "|")
-    for r in rows(parser.parse_args().recordings):
+    for r in found:
         cells = [", ".join(f"{1e3 * v:.2f}" for v in one) for one in (r.true_forces, r.true_k_true_forces)]
         logged = [", ".join(f"{1e3 * v:.2f}" for v in one) for one in (r.logged, r.true_k_logged)]
         paper = ", ".join(f"{1e3 * v:.2f}" for v in r.paper)

@@ -7,7 +7,7 @@ import numpy as np
 
 from onebend.lab.designs import design_named
 from onebend.lab.film import film
-from onebend.lab.strategies import Wish, filming_of
+from onebend.lab.named import Wish, filming_of
 from onebend.recording.camera import measure_markers
 from onebend.recording.folder import read_recording
 from onebend.recording.tags import detect_tags

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "src" / "onebend"
 
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "progress", "blas"),
+    ("errors", "progress", "blas", "workers", "strict_json"),
     ("records",),
     ("beam",),
     ("recording",),
@@ -19,9 +19,9 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("results",),
     ("pipeline", "rehearse"),
     ("reproduce",),
-    ("batch", "terminal"),
+    ("terminal",),
     ("__init__",),
-    ("cli", "studio"),
+    ("cli",),
     ("__main__",),
 )
 LEVEL = {name: level for level, names in enumerate(FLOORS) for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,24 @@ def test_a_plan_for_a_script(model: Path) -> None:
     assert len(data["pair"]) == 2
     assert len(data["sd_log_k"]) == len(data["s"]) == 101
     assert data["proposals"][0]["after"]["mean_width"] < data["before"]["mean_width"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["plan"], ["export", "--to", "numpy"], ["damp", "NOWHERE"], ["validate", "NOWHERE"], ["rerun", "NOWHERE"]],
+)
+def test_a_doubted_model_is_named_wherever_it_is_used(known: Posterior, tmp_path: Path, command: list[str]) -> None:
+    name, *more = command
+    doubted = replace(known.stiffness, doubts=("the fit did not converge",))
+    save_model(tmp_path / "model.json", known.beam, written_by="a test", uncertain=doubted, bench=bench_of(known))
+    out = [] if name in ("plan", "validate") else ["-o", tmp_path / "out"]
+    done = run(name, tmp_path / "model.json", *more, *out)
+    assert "is NOT TO BE TRUSTED: the fit did not converge." in done.stderr
+    assert "NOT TO BE TRUSTED" not in done.stdout
+
+
+def test_a_trusted_model_is_not_doubted(model: Path, tmp_path: Path) -> None:
+    assert run("export", model, "--to", "numpy", "-o", tmp_path / "k.npz").stderr == ""
 
 
 def test_a_regression_has_nothing_to_plan_from(tmp_path: Path) -> None:

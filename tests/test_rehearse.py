@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from onebend.cli import app
 from onebend.errors import MechanicsError, OnebendError, RecordingError
 from onebend.lab.designs import DESIGNS
-from onebend.lab.strategies import Wish
+from onebend.lab.named import Wish
 from onebend.learning.identifiability import STEPS
 from onebend.records import PLACE_SD, Array
 from onebend.rehearse.advice import advise

@@ -93,7 +93,7 @@ class StiffnessDistribution(BaseEstimator):  # type: ignore[misc]
 
     Parameters
     ----------
-    functions : int, default=24
+    functions : int, default=45
         B-splines of log k(s).
     most_frames : int, default=500
         Frames that are used of each recording.
@@ -108,7 +108,7 @@ class StiffnessDistribution(BaseEstimator):  # type: ignore[misc]
         The most probable beam.
     """
 
-    def __init__(self, functions: int = 24, most_frames: int = 500, gain_sd: float = 0.0) -> None:
+    def __init__(self, functions: int = 45, most_frames: int = 500, gain_sd: float = 0.0) -> None:
         self.functions = functions
         self.most_frames = most_frames
         self.gain_sd = gain_sd

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +22,7 @@ from onebend.learning.selection import pairs as trials
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks
-from onebend.progress import Progress, Silent
+from onebend.progress import Progress, Silent, Stopwatch
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
@@ -241,45 +239,3 @@ def check_same_length(beam: Beam, recording: Recording) -> None:
             f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
             f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
         )
-
-
-@dataclass
-class Stopwatch:
-    """A `Progress` that passes everything on and keeps the seconds of each stage, without those of stages inside it."""
-
-    inner: Progress
-    seconds: dict[str, float] = field(default_factory=dict)
-    _open: list[list[float]] = field(default_factory=list)  # begin, and seconds of the stages inside
-    _names: list[str] = field(default_factory=list)
-
-    def start(self, stage: str, total: int | None) -> None:
-        self._begin(stage)
-        self.inner.start(stage, total)
-
-    def advance(self, count: int = 1) -> None:
-        self.inner.advance(count)
-
-    def done(self) -> None:
-        self._end()
-        self.inner.done()
-
-    @contextmanager
-    def whole(self, stage: str) -> Iterator[None]:
-        """Time a stage that has no steps to count."""
-        self._begin(stage)
-        yield
-        self._end()
-
-    def _begin(self, stage: str) -> None:
-        self._names.append(stage)
-        self.seconds.setdefault(": ".join(self._names).lower(), 0.0)
-        self._open.append([time.perf_counter(), 0.0])
-
-    def _end(self) -> None:
-        name = ": ".join(self._names).lower()
-        begin, inside = self._open.pop()
-        self._names.pop()
-        spent = time.perf_counter() - begin
-        self.seconds[name] += spent - inside
-        if self._open:
-            self._open[-1][1] += spent

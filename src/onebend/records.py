@@ -23,6 +23,7 @@ MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  #
 StiffnessAlong = Literal["unknown", "even"]
 
 PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
+TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
 UNKNOWN_ANGLE_SD = float(np.pi)  # rad, stands in a covariance for an angle that is not measured (and is NaN)
 
@@ -34,6 +35,10 @@ class Remark:
     level: Literal["note", "warning"]
     text: str
     doubt: bool = False  # what is learned from the recording is then not to be relied on
+
+    def as_dict(self) -> dict[str, str]:
+        """For JSON: level and text."""
+        return {"level": self.level, "text": self.text}
 
 
 @dataclass(frozen=True)
@@ -208,3 +213,4 @@ class Observations:
     load_error_sd: float = math.nan  # N, of a force error that comes with the load, as declared; NaN: found by the fit
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's
+    turn_sd: float = TURN_SD  # rad, tolerance of the tags' turns

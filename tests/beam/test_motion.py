@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.actions import Actions, Force, Moment
-from onebend.beam.collocation import Method, Tableau
+from onebend.beam.collocation import Method
 from onebend.beam.continuation import equilibrium
 from onebend.beam.dynamics import Body, body
 from onebend.beam.loads import push
@@ -228,12 +228,6 @@ def test_nodes_as_coordinates_move_as_many_modes_do() -> None:
         simulate(many, settle(many, PULL), 0.05, 1e-3).xy(S),
         atol=1e-9,
     )
-
-
-def test_a_stage_table_that_is_no_collocation_is_refused() -> None:
-    half = np.array([0.5])
-    with pytest.raises(MechanicsError, match="not a collocation method"):
-        Tableau(half, np.array([[0.4]]), np.ones(1), np.ones(1), np.eye(1))
 
 
 class Counts:

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from onebend.beam.continuation import Search, equilibrium, follow, refine
 from onebend.beam.loads import Loads, push, twist, weight
-from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
 from onebend.beam.problem import Resolution, pose
 from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import gradient, node_angles, tangent
@@ -272,17 +270,6 @@ def test_no_load_leaves_the_rest_shape() -> None:
     nothing = Loads()
     solved = equilibrium(Beam(1.0, Uniform(1.0), rest_curvature=Uniform(1.0)), nothing)
     np.testing.assert_allclose(solved.angle(S)[0], S, atol=1e-14)
-
-
-def test_modal_equilibrium_approaches_the_exact_one_geometrically() -> None:
-    problem = pose(UNIT, push((0.3, 2.0)), Resolution(32))
-    exact = follow(problem).q
-    errors = []
-    for n in (2, 4, 6, 8, 10):
-        theta = modal_equilibrium(problem, Modes(n))
-        errors.append(np.max(np.abs(theta @ Modes(n).curvature(problem.grid.nodes).T - exact)))
-    ratio = np.diff(np.log(errors))
-    assert np.all(ratio < -1.5)  # at least a factor 4.5 for every two modes
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from onebend.control.path import Path as Way
 from onebend.control.path import PathSettings, follow_goals
 from onebend.control.target_files import read_goals, read_targets
 from onebend.control.targets import curve
-from onebend.control.trajectory_files import write_bag, write_csv, write_yaml
+from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
 from onebend.errors import ControlError
 from tests.control.test_shape import SOFT, S, gripped
 
@@ -31,7 +31,7 @@ def way() -> Way:
 
 
 def test_csv_comes_back(way: Way, tmp_path: Path) -> None:
-    write_csv(tmp_path / "path.csv", way)
+    write_samples(tmp_path / "path.csv", way)
     with (tmp_path / "path.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(way.time) == 51

@@ -15,9 +15,9 @@ from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.chance import random_bench, random_tags
 from onebend.lab.designs import DESIGNS
 from onebend.lab.movement import PLACES, Motive, cubic, shapes_at
+from onebend.lab.named import Wish, filming_of
 from onebend.lab.pushes import Push
 from onebend.lab.raster import LINES, Box, box_around, coverage
-from onebend.lab.strategies import Wish, filming_of
 from onebend.lab.tagprint import as_printed, outlines, placed
 from onebend.lab.viewpoint import Camera, all_seen, view_from
 from onebend.lab.virtual import Bench, Tag, tag_places, tag_poses

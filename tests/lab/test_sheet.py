@@ -18,7 +18,8 @@ from onebend.cli import app
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.paper import PAGES, Fill, Page, pdf, svg, write_pages
 from onebend.lab.sheet import LEFT, RULER, Sheet, strip_page, tag_pages
-from onebend.recording.entries import FAMILIES, BeamEntry, Recording, TagEntry, TagsEntry
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import FAMILIES, Recording, TagEntry, TagsEntry
 from tests.lab.printed import black_run, page_image, tags_in
 
 WITHIN = 0.05  # mm

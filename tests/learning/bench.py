@@ -6,12 +6,12 @@ import numpy as np
 
 from onebend.beam.kinematics import angles, places, positions
 from onebend.beam.loads import push
-from onebend.beam.modal import modal_equilibrium
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
 from onebend.beam.problem import pose
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.records import Array, Observations
+from tests.beam.modal import modal_equilibrium
 
 MARKERS = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
 SOFT = Beam(0.15, Gaussians(equidistant(3), 0.5, (0.02, 0.03, 0.015)))

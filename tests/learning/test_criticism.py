@@ -25,7 +25,7 @@ from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.score import Linear, Score, linear, scores
 from onebend.learning.verdict import fit_remarks
 from onebend.records import Array, Observations
-from onebend.results.summary import plain
+from onebend.strict_json import plain
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 
 NOISE = (2e-5, 1e-3)

@@ -84,7 +84,8 @@ def test_correlations_are_those_of_draws_from_the_posterior() -> None:
         block = next(b for b in one.at.blocks if any(label.startswith(name.split(" error")[0]) for label in b.labels)
                      or (b.name == "force" and "force" in name))  # fmt: skip
         own = draws[:, block.where]
-        value = own[:, 1::2].mean(axis=1) if block.name == "force" else own[:, block.labels.index(name)]
+        over = one.films[0].error.weights[: int(np.sum(one.films[0].frames))].mean(axis=0)
+        value = own[:, 1::2] @ over if block.name == "force" else own[:, block.labels.index(name)]
         assert found[0, names.index(name)] == pytest.approx(np.corrcoef(level, value)[0, 1], abs=0.02), name
 
 

@@ -18,7 +18,7 @@ from onebend.beam.stiffness import Scaled, Uniform
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.film import film
 from onebend.learning.forward import jacobian, predict
-from onebend.learning.held_poses import RESOLUTION, stated_remarks
+from onebend.learning.held_poses import HELD_RESOLUTION, stated_remarks
 from onebend.learning.parameters import Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.spline import Spline
@@ -57,14 +57,14 @@ def learned(o: Observations) -> Posterior:
 
 
 def test_the_equilibrium_near_a_known_shape_is_the_held_one() -> None:
-    there = hold(HEAVY, ENDS, weight(G * DOWN), resolution=RESOLUTION)
-    problem = pose(HEAVY, weight(G * DOWN).spread(len(ENDS)), RESOLUTION)
+    there = hold(HEAVY, ENDS, weight(G * DOWN), resolution=HELD_RESOLUTION)
+    problem = pose(HEAVY, weight(G * DOWN).spread(len(ENDS)), HELD_RESOLUTION)
     rough = there.solved.q * (1.0 + 0.2 * np.sin(9.0 * problem.grid.nodes))
     found, wrench = hold_near(problem, rough, ENDS, fall=True)
     assert found.converged.all()
     np.testing.assert_allclose(found.q, there.solved.q, atol=1e-7)
     np.testing.assert_allclose(wrench, there.wrench, atol=1e-7)
-    loose = follow(pose(ROD, push(wrench[:1, :2]), RESOLUTION))  # the wrench alone is another problem
+    loose = follow(pose(ROD, push(wrench[:1, :2]), HELD_RESOLUTION))  # the wrench alone is another problem
     assert np.abs(loose.q - found.q[:1]).max() > 0.1
 
 

@@ -34,7 +34,7 @@ from onebend.learning.roughness import Told, mixed
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
 from onebend.recording.load_stages import load_changes
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.test_posterior import wrong_force
 
@@ -124,7 +124,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     tags = np.einsum("tmab,tmb->tma", np.linalg.inv(np.linalg.cholesky(o.covariance)), seen - pose).ravel()
     log = ((o.force - error)[at_rest] / (0.05 * noise)).ravel()
     last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, PLACE_SD, DIRECTION_SD]
-    sd = np.concatenate([np.full(6, 5e-4), np.full(3, settings.priors.mounting), last])
+    sd = np.concatenate([np.full(6, 5e-4), np.full(3, TURN_SD), last])
     return np.concatenate([tags, log, of_k @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
 
 
@@ -290,8 +290,8 @@ def drawn(seed: int, count: int) -> tuple[Observations, LogSpline]:
 def test_error_over_band_is_chi_square_over_seeds() -> None:
     """Normalised errors at three places, squared and summed over 16 seeds, within the 99.9 % limits of chi-square."""
     places, total, seeds = np.array([0.15, 0.4, 0.65]), 0.0, 16
-    sizes = {"force_noise": 0.003, "force_white": 0.001, "force_walk": 1e-6, "force_load": 1e-9, "marker_noise": 1.0}
-    settings = OnlineSettings(functions=8, roughness=3.0, steps=0.1, adapt=False, **sizes)
+    plain = OnlineSettings(functions=8, roughness=3.0, steps=0.1, adapt=False, marker_noise=1.0)
+    settings = replace(plain, force_noise=0.003, force_white=0.001, force_walk=1e-6, force_load=1e-9)
     for seed in range(seeds):
         made, truth = drawn(seed, 60)
         made = replace(made, force_sd=np.zeros(2), rest_xy=np.full((3, 2), np.nan))

@@ -186,7 +186,7 @@ def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
 
 def test_weight_without_a_mass_is_refused(curved: Observations) -> None:
     hung = replace(curved, gravity=np.tile([0.0, -9.81], (len(curved.time), 1)))
-    with pytest.raises(LearningError, match=r"beam\.mass_kg"):
+    with pytest.raises(LearningError, match=r"mass_kg in \[beam\]"):
         fit([hung], 0.03)
 
 

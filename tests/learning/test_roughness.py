@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import BSpline
+from scipy.special import ndtri
 
+from onebend.beam.uncertain import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, Told, mixed
 from onebend.learning.spline import LEVEL_SD, SLOPE_SD, Spline
 
@@ -13,14 +16,14 @@ S = np.linspace(0.0, 1.0, 101)
 def drawn(spline: Spline, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (N, p) from the prior, and their weights (N,)."""
     tau, rho = np.array([[TAU], [RHO]]) * np.exp(SPREAD[:, None] * rng.standard_normal((2, count)))
-    steps = rho[:, None] * np.sqrt(spline.gaps) * rng.standard_cauchy((count, spline.count - 1))
+    local = rho[:, None] * spline.share * rng.standard_cauchy((count, 2 * spline.count - 1))
     line = np.array([LEVEL_SD, SLOPE_SD]) * rng.standard_normal((count, 2))
     bent = tau[:, None] * rng.standard_normal((count, spline.count - 2))
-    weight = np.exp(-0.5 * np.sum((steps / JUMP) ** 2, axis=1))
-    return np.concatenate([line, bent, steps], axis=1) @ spline.parts.T, weight
+    weight = np.exp(-0.5 * np.sum((local / JUMP) ** 2, axis=1))
+    return np.concatenate([line, bent, local], axis=1) @ spline.parts.T, weight
 
 
-def test_parts_are_level_slope_bends_and_steps() -> None:
+def test_parts_are_level_slope_bends_steps_and_bumps() -> None:
     spline = Spline(9)
     level, slope = (spline.basis(S) @ spline.parts[:, i] for i in (0, 1))
     np.testing.assert_allclose(level, 1.0, atol=1e-12)
@@ -31,7 +34,39 @@ def test_parts_are_level_slope_bends_and_steps() -> None:
     )
     np.testing.assert_allclose(second.T @ second / 4000, np.eye(7), atol=0.03)
     np.testing.assert_allclose((spline.basis(S) @ bent).mean(axis=0), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.diff(spline.parts[:, spline.count :], axis=0), np.eye(8), atol=1e-12)
+    steps, bumps = spline.parts[:, spline.count : 2 * spline.count - 1], spline.parts[:, 2 * spline.count - 1 :]
+    np.testing.assert_allclose(np.diff(steps, axis=0), np.eye(8), atol=1e-12)
+    level = np.mean(spline.basis(S), axis=0)
+    np.testing.assert_allclose(level @ spline.parts[:, spline.count :], 0.0, atol=1e-12)
+    assert bumps.shape == (9, 9)
+
+
+def test_a_bump_is_a_wider_spline_of_height_one() -> None:
+    spline, s = Spline(23), np.linspace(0.0, 1.0, 401)
+    bump = spline.basis(s) @ spline.parts[:, 2 * spline.count - 1 + 11]
+    bump = bump - bump[0]
+    h = 1.0 / 20.0
+    wide = BSpline.basis_element(0.5 + 2.0 * h * np.arange(-2.0, 3.0), extrapolate=False)(s)
+    np.testing.assert_allclose(bump, 1.5 * np.nan_to_num(wide), atol=1e-12)
+
+
+def test_the_bands_of_a_mixture_are_its_quantiles() -> None:
+    """One step of unknown place, seen from afar: few draws are far off, most are near, and the 50 % band is narrow."""
+    spline, at = Spline(16), np.linspace(0.02, 0.98, 12)
+    rows = spline.basis(at) / 0.05
+    found = mixed(spline, [Told(rows.T @ rows, rows.T @ (20.0 * (at > 0.5)))], 0.0, chains=30, burn=40, kept=60)
+    assert found.shape.shape == (len(SHAPE_LEVELS), len(SHAPE_PLACES))
+    assert np.min(found.shape[0]) < 0.9
+    assert np.all(np.diff(found.shape * ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None], axis=0) > 0.0)
+
+
+def test_finer_splines_have_the_same_prior_of_a_step() -> None:
+    """Half of the beam steps by a Cauchy number of scale rho / 2 whatever the spline."""
+    for count in (16, 45):
+        spline, rng = Spline(count), np.random.default_rng(1)
+        half = spline.share[: spline.count - 1][np.cumsum(spline.gaps) <= 0.5 + 1e-9]
+        total = np.sum(half * rng.standard_cauchy((20000, len(half))), axis=1)
+        assert abs(np.median(np.abs(total)) - half.sum()) < 0.02
 
 
 def test_precision_is_that_of_the_sum_of_the_parts() -> None:

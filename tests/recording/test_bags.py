@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from rosbags.rosbag2 import CompressionMode
@@ -22,8 +22,9 @@ from onebend.recording.bag import natural, open_bag
 from onebend.recording.bag_film import COLOURS, picture_of
 from onebend.recording.bag_force import read_bag_force
 from onebend.recording.dropped import false_zeros, missing
-from onebend.recording.entries import ForceEntry, VideoEntry
+from onebend.recording.entries import ForceEntry
 from onebend.recording.force_log import read_force_log
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.video import frame_at, frame_count, read_frames
 from tests.recording import bagged
 
@@ -176,6 +177,8 @@ def whole(writer: str) -> bytes:
 
 @settings(max_examples=25, deadline=None)
 @given(part=st.floats(0.0, 1.0, exclude_max=True), writer=st.sampled_from(["MCAP", "ROS 1", "sqlite3"]))
+@example(part=0.625, writer="sqlite3")  # within a page of messages, the first of which stand at its end
+@example(part=0.7875, writer="sqlite3")
 def test_a_cut_bag_is_refused_with_its_count_or_used_up_to_the_cut(part: float, writer: str) -> None:
     data = whole(writer)
     with TemporaryDirectory() as folder:

@@ -12,9 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onebend.errors import RecordingError
-from onebend.recording import entries
+from onebend.recording import beam_entry, entries, source_entries
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.schema import keys_of, lines_of_keys
+from onebend.recording.source_entries import CameraEntry
 from onebend.recording.template import template, write_template
 
 FULL = """\
@@ -216,13 +219,13 @@ def test_template_examples_all_keep_the_schema() -> None:
         row[2:] if row.startswith("# ") and (" = " in row or row[2] == "[") else row for row in template().splitlines()
     ]
     data = tomllib.loads("\n".join(uncommented))
-    for record, table in ((entries.BeamEntry, "beam"), (entries.CameraEntry, "camera"), (entries.ForceEntry, "force")):
+    for record, table in ((BeamEntry, "beam"), (CameraEntry, "camera"), (ForceEntry, "force")):
         for entry, _ in keys_of(record).values():
             entry.check(data[table][entry.name])
 
 
 def test_every_entry_is_frozen() -> None:
-    for record in vars(entries).values():
+    for record in (*vars(entries).values(), *vars(beam_entry).values(), *vars(source_entries).values()):
         if dataclasses.is_dataclass(record):
             assert vars(record)["__dataclass_params__"].frozen
 

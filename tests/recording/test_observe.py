@@ -11,20 +11,13 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.entries import (
-    BeamEntry,
-    ForceEntry,
-    GravityEntry,
-    PushEntry,
-    Recording,
-    TagEntry,
-    TagsEntry,
-    VideoEntry,
-)
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.frame import beam_turn, rest_shape, to_beam_frame, turned
 from onebend.recording.gravity import BaseLog, base_clock, gravity_in_frame, read_base_log
 from onebend.recording.lens import project
 from onebend.recording.observe import ObserveSettings, assemble
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import ForceLog, Observations, View
 from tests.made_up import LENGTH, MARKER_S, TAGS
 from tests.recording.pushed import Pushed
@@ -109,6 +102,13 @@ def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
     sensed = (log.force @ np.array([[cos, -sin], [sin, cos]]))[:, ::-1].copy()
     with pytest.raises(ObservationError, match="x and y swapped"):
         observed(replace(log, force=sensed), recording(force=entry))
+
+
+def test_what_is_said_of_the_tags_turns_is_carried_along() -> None:
+    whole = recording()
+    stated = replace(whole, tags=replace(whole.tags, turn_sd=0.05))
+    assert observed(rec=stated).turn_sd == 0.05
+    assert plain().turn_sd == pytest.approx(math.radians(1.5))
 
 
 def test_robot_and_rotation_are_undone() -> None:

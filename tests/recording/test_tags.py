@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError
-from onebend.recording.entries import TagEntry, TagsEntry, VideoEntry
+from onebend.recording.entries import TagEntry, TagsEntry
 from onebend.recording.pattern import CELLS, correct_still
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags, in_order
 from onebend.recording.tracking import Finder, track_block
 from onebend.recording.video import Frame

@@ -55,10 +55,7 @@ def track_folder(
     xy = np.einsum("tab,tmb->tma", rotation, points) + np.array([0.3, 0.2]) + way[:, None, :2]
     columns = ["x_m", "y_m"]
     if axes is not None:
-        height = out_of_plane * np.random.default_rng(2).normal(size=xy.shape[:2]) + np.array(
-            [0.0, 0.004, -0.003, 0.002, 0.004]
-        )
-        xy = np.concatenate([xy, height[..., None]], axis=-1) @ axes.T
+        xy = _in_space(xy, axes, out_of_plane)
         columns.append("z_m")
     lines = [",".join(["time_s", "id", *columns, *(["angle_rad"] if angles else [])])]
     for t in range(count):
@@ -69,17 +66,28 @@ def track_folder(
                 turns = [f"{(seen.angle[t, i - 2] if i > 1 else 0.0) + turn[t]:.6f}"] if angles else []
                 lines.append(",".join([*cells, *turns]))
     (folder / "markers.csv").write_text("\n".join(lines) + "\n")
+    if force:
+        write_log(folder)
+    _write_entries(folder, base=base, force=force, markers=markers)
+    return folder
+
+
+def _in_space(xy: Array, axes: Array, out_of_plane: float) -> Array:
+    """(T, m, 3) the tracks off their plane by each marker's height and by noise."""
+    height = np.array([0.0, 0.004, -0.003, 0.002, 0.004])
+    height = out_of_plane * np.random.default_rng(2).normal(size=xy.shape[:2]) + height
+    return np.asarray(np.concatenate([xy, height[..., None]], axis=-1) @ axes.T)
+
+
+def _write_entries(folder: Path, *, base: bool, force: bool, markers: str) -> None:
     tags = "".join(f"[[tags.on_beam]]\nid = {i}\ns = {i / 3}\n" for i in (1, 2, 3))
     if base:
         tags = "[[tags.on_base]]\nid = 0\ns = 0.0\n[[tags.on_base]]\nid = 9\ns = 0.0\n" + tags
     log = '[force]\nfile = "force.csv"\n[push]\nat_s = 1.0\n' if force else ""
-    if force:
-        write_log(folder)
     (folder / "recording.toml").write_text(
         f"format = 1\n[beam]\nlength_m = {LENGTH}\n[tags]\nplacement_sd_m = 0.0005\n{tags}"
         f'[markers]\nfile = "markers.csv"\nstart_s = {START}\n{markers}{log}'
     )
-    return folder
 
 
 ROD = Beam(0.5, Table((0.0, 0.5, 1.0), (0.4, 0.2, 0.08)), mass_per_length=Uniform(0.06))  # 30 g

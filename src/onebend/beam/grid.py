@@ -7,6 +7,7 @@ the tangent (cos, sin) it gives the position over L (4).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -117,9 +118,9 @@ def solve_each(matrices: Array, right: Array) -> Array:
         return np.asarray(np.linalg.solve(matrices, right))
     except np.linalg.LinAlgError:
         out = np.full_like(right, np.nan)
-        for i, matrix in enumerate(matrices):
-            if np.linalg.cond(matrix) < 1.0 / np.finfo(float).eps:
-                out[i] = np.linalg.solve(matrix, right[i])
+        for one, matrix, side in zip(out, matrices, right, strict=True):
+            with suppress(np.linalg.LinAlgError):
+                one[:] = np.linalg.solve(matrix, side)
         return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.beam.grid import apply
+from onebend.beam.grid import apply, solve_each
 from onebend.beam.problem import Problem
 from onebend.beam.statics import balance
 from onebend.records import Array, BoolArray
@@ -52,13 +52,4 @@ def correct(
 
 def solve_batch(matrices: Array, right: Array) -> Array:
     """(T, n) solutions of (T, n, n) systems; frames whose matrix is singular come back as NaN."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0])
-    except np.linalg.LinAlgError:
-        out = np.full_like(right, np.nan)
-        for i, (matrix, r) in enumerate(zip(matrices, right, strict=True)):
-            try:
-                out[i] = np.linalg.solve(matrix, r)
-            except np.linalg.LinAlgError:
-                continue
-        return out
+    return solve_each(matrices, right[..., None])[..., 0]

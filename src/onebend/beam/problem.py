@@ -35,6 +35,11 @@ class Rod(Protocol):
     def mass_per_length(self) -> Profile: ...
 
 
+def has_mass(rod: Rod) -> bool:
+    """Whether it weighs anything: without, gravity does nothing and nothing swings."""
+    return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
+
+
 @dataclass(frozen=True)
 class Resolution:
     """How finely a beam is resolved: `order` Gauss nodes a panel, no panel wider than `widest`."""

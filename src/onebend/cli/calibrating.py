@@ -11,7 +11,6 @@ from rich.console import Console
 from onebend.cli.common import BY, clean_errors, print_json, progress_of
 from onebend.errors import RecordingError
 from onebend.recording.boards import Board, BoardKind
-from onebend.recording.calibration import NAMES
 from onebend.recording.calibration import calibrate as calibrate_camera
 from onebend.results.single import free_place, write_file
 from onebend.terminal.calibrating import (
@@ -50,25 +49,8 @@ def calibrate(
             found = calibrate_camera(video, wanted, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
     if as_json:
-        numbers = {name: {"value": v, "sd": s} for name, v, s in zip(NAMES, found.values, found.sd, strict=True)}
-        said = [{"level": remark.level, "text": remark.text} for remark in found.remarks]
-        print_json(
-            {
-                "format": CALIBRATE_FORMAT,
-                "written_by": BY,
-                "video": str(video),
-                "width": found.width,
-                "height": found.height,
-                "parameters": numbers,
-                "error_px": found.error,
-                "frames": found.frames,
-                "view_error_px": found.view_error,
-                "coverage": found.coverage,
-                "turned_rad": found.turned,
-                "remarks": said,
-                "output": str(output),
-            }
-        )
+        said = {"format": CALIBRATE_FORMAT, "written_by": BY, "video": str(video), **found.as_dict()}
+        print_json({**said, "output": str(output)})
     else:
         show_calibration(Console(), found, output)
 

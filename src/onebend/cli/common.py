@@ -12,11 +12,13 @@ import typer
 from rich.console import Console
 
 import onebend
-from onebend.errors import OnebendError
+from onebend.beam.model import Beam
+from onebend.beam.problem import has_mass
+from onebend.errors import ControlError, OnebendError
 from onebend.progress import Progress, Silent
 from onebend.results.folder import Workplace, abandon, prepare
 from onebend.results.model import StoredModel, read_model
-from onebend.results.summary import to_json
+from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars
 
 BY = f"onebend {onebend.__version__}"
@@ -78,6 +80,15 @@ def read_trusted(model: Path) -> StoredModel:
     return stored
 
 
+def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
+    """The gravity [m/s^2] that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
+    if not all(math.isfinite(one) for one in gravity):
+        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
+    if any(gravity) and not has_mass(beam):
+        raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
+    return gravity
+
+
 def print_json(data: object) -> None:
     typer.echo(to_json(data))
 
@@ -90,3 +101,8 @@ def print_summary(summary: dict[str, Any], output: Path | None) -> None:
 def or_nan(value: float | None) -> float:
     """An option that was not given as a number that is not known."""
     return math.nan if value is None else value
+
+
+def or_unlimited(limit: float | None) -> float:
+    """A limit, or infinity where none was given."""
+    return math.inf if limit is None else limit

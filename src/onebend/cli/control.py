@@ -7,10 +7,10 @@ import math
 import numpy as np
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_summary, read_trusted, workplace
-from onebend.control.reach import ReachSettings
+from onebend.cli.common import BY, clean_errors, gravity_on, print_summary, read_trusted, workplace
+from onebend.control.reach import Reach, ReachSettings
 from onebend.control.reach import reach as solve_reach
-from onebend.control.reachable import reachable
+from onebend.control.reachable import ReachableSet, reachable
 from onebend.control.uncertainty import predicted_error
 from onebend.errors import ControlError
 from onebend.report.reaching import reaching
@@ -30,7 +30,6 @@ from onebend.terminal.reaching import (
     ReachMaxForce,
     ReachMethod,
     show_reach,
-    weight_of,
 )
 
 
@@ -54,14 +53,9 @@ def reach(
     """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
     with clean_errors():
         stored = read_trusted(model)
-        settings = ReachSettings(
-            method=method,
-            max_force=max_force,
-            max_curvature=max_curvature,
-            direction=None if direction is None else math.radians(direction),
-            moment=moment,
-            gravity=weight_of(stored.beam, gravity),
-        )
+        way = None if direction is None else math.radians(direction)
+        weight = gravity_on(stored.beam, gravity)
+        settings = ReachSettings(method, max_force, max_curvature, direction=way, moment=moment, gravity=weight)
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
         found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
         if not found.converged:
@@ -69,20 +63,25 @@ def reach(
         error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
-            within = None
-            if settings.max_force is not None:
-                within = reachable(
-                    stored.beam,
-                    push_s=push_at,
-                    point_s=point,
-                    max_force=settings.max_force,
-                    max_curvature=settings.max_curvature,
-                    gravity=gravity,
-                )
             with workplace(output, REACH_FORMAT, overwrite) as place:
-                picture = png_of(reaching(found, error, within))
+                picture = png_of(reaching(found, error, _within(found)))
                 publish(place, reach_writer(found, picture, summary))
     if as_json:
         print_summary(summary, output)
     else:
         show_reach(Console(), found, error, output)
+
+
+def _within(found: Reach) -> ReachableSet | None:
+    """All that forces of the asked size can do; None where the force has no bound."""
+    settings = found.settings
+    if settings.max_force is None:
+        return None
+    return reachable(
+        found.beam,
+        push_s=found.push_s,
+        point_s=found.point_s,
+        max_force=settings.max_force,
+        max_curvature=settings.max_curvature,
+        gravity=settings.gravity,
+    )

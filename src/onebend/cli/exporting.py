@@ -7,14 +7,14 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from onebend.cli.common import clean_errors, progress_of
+from onebend.cli.common import clean_errors, progress_of, read_trusted
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
 from onebend.pipeline import compare
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
-from onebend.results.model import StoredModel, read_model
+from onebend.results.model import StoredModel
 from onebend.results.single import fresh_file, write_file
 from onebend.terminal.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.terminal.options_export import DampingTime, Every, ExportTo, Hinges, MassKg, OutFile, RerunFile
@@ -33,7 +33,7 @@ def export_command(
     """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
     kind: Kind = to
     with clean_errors():
-        stored = read_model(model)
+        stored = read_trusted(model)
         path = output or Path(f"beam{suffix_of(kind)}")
         content = export(
             stored.beam,
@@ -68,7 +68,7 @@ def rerun_command(
 ) -> None:
     """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
     with clean_errors():
-        stored = read_model(model)
+        stored = read_trusted(model)
         path = output or Path(f"{recording.resolve().name}.rrd")
         with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
             observing = ObserveSettings(threads=threads)

@@ -14,7 +14,7 @@ from onebend.lab.chance import random_bench
 from onebend.lab.design_file import find_design
 from onebend.lab.film import film as make_film
 from onebend.lab.filming import Filming
-from onebend.lab.strategies import Wish, filming_of
+from onebend.lab.named import Wish, filming_of
 from onebend.terminal.options import Json, Quiet
 from onebend.terminal.options_film import (
     BaseAngle,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from rich.console import Console
 
 import onebend
-from onebend.cli.common import BY, clean_errors, print_json, progress_of, workplace
+from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted, workplace
 from onebend.learning.candidates import Limits
 from onebend.learning.parameters import Priors
 from onebend.learning.planning import PlanSettings
@@ -21,7 +22,6 @@ from onebend.recording.observe import ObserveSettings
 from onebend.report.drawing import draw, draw_all, validation_figures
 from onebend.results.folder import publish
 from onebend.results.kept import KeptDetections
-from onebend.results.model import read_model
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -110,20 +110,20 @@ def validate(
     quiet: Quiet = False,
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
-    observing = _observing(threads, epsilon)
     with clean_errors():
-        beam = read_model(model).beam
+        beam = read_trusted(model).beam
+        work = partial(compare, beam, recordings, observing=_observing(threads, epsilon))
         if output is None:
             with progress_of(quiet) as progress:
-                pairs = compare(beam, recordings, observing=observing, progress=progress)
+                pairs = work(progress=progress)
+            summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                detect = KeptDetections(place.partial, onebend.__version__).detect
-                pairs = compare(beam, recordings, observing=observing, detect=detect, progress=progress)
-                figures = draw(validation_figures(beam, pairs), progress)
-                publish(place, validation_writer(pairs, figures, validation_summary(str(model), pairs, written_by=BY)))
+                pairs = work(detect=KeptDetections(place.partial, onebend.__version__).detect, progress=progress)
+                summary = validation_summary(str(model), pairs, written_by=BY)
+                publish(place, validation_writer(pairs, draw(validation_figures(beam, pairs), progress), summary))
     if as_json:
-        print_json(validation_summary(str(model), pairs, written_by=BY))
+        print_json(summary)
     else:
         show_validation(Console(), pairs, output)
 
@@ -141,6 +141,7 @@ def plan(
     turn = None if max_tip_angle is None else math.radians(max_tip_angle)
     settings = PlanSettings(limits=Limits(force=max_force, tip_turn=turn), count=count)
     with clean_errors(), progress_of(quiet) as progress:
+        read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
     if as_json:
         print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_summary, read_trusted, workplace
+from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
 from onebend.control.feedback import ControllerSettings, controller
 from onebend.control.loop import Eye
 from onebend.control.margins import Timing
@@ -16,9 +14,9 @@ from onebend.report.looping import looping
 from onebend.report.style import png_of
 from onebend.results.folder import publish
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
-from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, say_written, show_loop
+from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, show_loop
 from onebend.terminal.options import Json, Model, Output, Overwrite
-from onebend.terminal.reaching import Goal, Gravity, Point, PushAt, weight_of
+from onebend.terminal.reaching import Goal, Gravity, Point, PushAt
 
 
 def loop(
@@ -45,10 +43,10 @@ def loop(
             timing=Timing(fps=fps, delay=delay),
             longest_delay=max(0.1, delay),
             wanted=Wanted(k_error=k_error),
-            most_force=math.inf if max_force is None else max_force,
+            most_force=or_unlimited(max_force),
         )
         control = controller(
-            beam, goal, push_s=push_at, point_s=point, gravity=weight_of(beam, gravity), settings=settings
+            beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
         trials = prospect(control, k_error=k_error, eye=Eye(fps=fps, delay=delay), duration=duration)
         known = control.margins()
@@ -59,6 +57,4 @@ def loop(
     if as_json:
         print_summary(summary, output)
     else:
-        console = Console()
-        show_loop(console, control, known, trials)
-        say_written(console, output)
+        show_loop(Console(), control, known, trials, output)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import typer
@@ -19,20 +17,19 @@ from onebend.lab.design_file import find_design, write_design_template
 from onebend.lab.designs import Design
 from onebend.lab.expected import expect
 from onebend.lab.materials import Stiffness, from_shore_00, from_shore_a, silicone
-from onebend.lab.mould import Mould, MouldSettings, PrintedPart
+from onebend.lab.mould import MouldSettings, PrintedPart
 from onebend.lab.mould import mould as make_mould
 from onebend.lab.paper import files_of
 from onebend.lab.sheet import Sheet, strip_page, tag_pages
-from onebend.lab.solids import write_mesh
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.parts import design_figure, parts_figure
 from onebend.report.style import png_of
-from onebend.results.folder import SUMMARY, files_in, publish
+from onebend.results.folder import publish
+from onebend.results.making import DESIGN_FORMAT, MOULD_FORMAT, TAGS_FORMAT, design_csv, parts_summary, parts_writer
 from onebend.results.model import StoredModel, model_text
 from onebend.results.single import free_place, write_file
-from onebend.results.summary import to_json
-from onebend.terminal.making import show_design, show_parts, stiffness_rows
+from onebend.terminal.making import show_design, show_parts
 from onebend.terminal.options import Json, Overwrite
 from onebend.terminal.options_making import (
     Csv,
@@ -65,9 +62,6 @@ from onebend.terminal.options_making import (
     Wall,
 )
 
-DESIGN_FORMAT = "onebend-design-1"
-MOULD_FORMAT = "onebend-mould-1"
-TAGS_FORMAT = "onebend-tags-1"
 MOST_TAGS = 1000
 RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
@@ -132,11 +126,12 @@ def mould(
         seat = TagSeat(1e-3 * size)
         others = (*clamp(made.design, settings, seat), carriers(made.design, settings, seat))
         parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
-        publish(place, _parts_writer(made, parts, shape))
+        summary = parts_summary(made, parts, written_by=BY)
+        publish(place, parts_writer(parts, shape, summary))
         if picture is not None:
             write_file(picture, png_of(parts_figure(parts)), overwrite=overwrite)
     if as_json:
-        print_json(_parts_summary(made, parts))
+        print_json(summary)
     else:
         show_parts(Console(), made, parts, output)
 
@@ -218,11 +213,7 @@ def _design_files(
     """What was asked for of a design, by where it goes."""
     files: dict[Path, str | bytes] = {}
     if csv_file is not None:
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(("s", "width_m", "EI_N_m2", "k_N_m", "mass_kg_m"))
-        writer.writerows([f"{value:.9g}" for value in row] for row in stiffness_rows(found))
-        files[csv_file] = text.getvalue()
+        files[csv_file] = design_csv(found)
     if picture is not None:
         files[picture] = png_of(design_figure(found))
     if model is not None:
@@ -236,25 +227,3 @@ def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
         free_place(path, overwrite=overwrite)
     for path, data in files.items():
         write_file(path, data, overwrite=overwrite)
-
-
-def _parts_summary(made: Mould, parts: tuple[PrintedPart, ...]) -> dict[str, object]:
-    return {
-        "format": MOULD_FORMAT,
-        "written_by": BY,
-        "design": made.design.name,
-        "kind": made.settings.kind,
-        "pour_m3": made.volume,
-        "pour_kg": made.pour,
-        "parts": {part.name: {"size_mm": part.mesh.extents.tolist(), "volume_mm3": part.mesh.volume} for part in parts},
-    }
-
-
-def _parts_writer(made: Mould, parts: tuple[PrintedPart, ...], shape: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        for part in parts:
-            write_mesh(folder / f"{part.name}.{shape}", part.mesh)
-        summary = {**_parts_summary(made, parts), "files": [*files_in(folder), SUMMARY]}
-        (folder / SUMMARY).write_text(to_json(summary) + "\n", encoding="utf-8")
-
-    return write

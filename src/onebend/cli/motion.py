@@ -6,13 +6,13 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, progress_of
+from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted
 from onebend.learning.damping import DampingSettings, learn_damping
 from onebend.learning.swing import Part
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
-from onebend.results.model import model_text, read_model
+from onebend.results.model import model_text
 from onebend.results.single import free_place, write_file
 from onebend.results.summary import damp_summary
 from onebend.terminal.damping import FromS, MassAlong, ModelFile, ToS, show_damping
@@ -34,7 +34,7 @@ def damp(
 ) -> None:
     """Learn a learned beam's damping from a recording in which it swings freely, and check k over mass."""
     with clean_errors():
-        stored = read_model(model)
+        stored = read_trusted(model)
         if output is not None:
             free_place(output, overwrite=overwrite)
         files = read_recording(recording)

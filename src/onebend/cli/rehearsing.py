@@ -13,8 +13,8 @@ from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of, workplace
 from onebend.errors import RecordingError
-from onebend.lab.strategies import Wish
-from onebend.rehearse.rehearsal import Rehearsal, cores
+from onebend.lab.named import Wish
+from onebend.rehearse.rehearsal import Rehearsal
 from onebend.rehearse.rehearsal import rehearse as make_rehearsal
 from onebend.rehearse.setup import Setup, known_beam, setup_of
 from onebend.rehearse.writing import REHEARSE_FORMAT, summary_of, writer_of
@@ -40,6 +40,7 @@ from onebend.terminal.options_rehearse import (
     TurnSd,
 )
 from onebend.terminal.rehearsals import show_rehearsal
+from onebend.workers import available_cores
 
 
 def rehearse(
@@ -83,7 +84,7 @@ def rehearse(
             turn_sd=math.radians(turn),
             clock_sd=or_nan(clock_sd),
         )
-        work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or cores(), count=count)
+        work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
         found = _carried_out(work, output, overwrite=overwrite, quiet=quiet)
     if as_json:
         print_json(summary_of(found, written_by=BY))
@@ -121,12 +122,7 @@ def wishes_of(first: Wish, at: list[float], force: list[float], direction: list[
         return values[min(i, len(values) - 1)] if values else math.nan
 
     return [
-        Wish(
-            **(
-                vars(first)
-                | {"at_s": pick(at, i), "force": pick(force, i), "direction": math.radians(pick(direction, i))}
-            )
-        )
+        replace(first, at_s=pick(at, i), force=pick(force, i), direction=math.radians(pick(direction, i)))
         for i in range(count)
     ]
 

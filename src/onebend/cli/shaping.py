@@ -7,9 +7,9 @@ import math
 from rich.console import Console
 
 from onebend.beam.model import Beam
-from onebend.cli.common import BY, clean_errors, print_summary, read_trusted, workplace
+from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
 from onebend.control.force_way import by_force
-from onebend.control.goals import Goals
+from onebend.control.goals import Between, Goals
 from onebend.control.grip import Grip, Push
 from onebend.control.path import PathSettings, follow_goals
 from onebend.control.path_spread import path_spread
@@ -24,7 +24,7 @@ from onebend.report.style import png_of
 from onebend.results.folder import publish
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
 from onebend.terminal.options import Json, Model, Output, Overwrite
-from onebend.terminal.reaching import Gravity, weight_of
+from onebend.terminal.reaching import Gravity
 from onebend.terminal.shaping import (
     Arm,
     BetweenGoals,
@@ -72,7 +72,7 @@ def shape(
             wanted,
             pushes=pushes,
             grip=holding,
-            gravity=weight_of(stored.beam, gravity),
+            gravity=gravity_on(stored.beam, gravity),
             uncertain=stored.uncertain,
             settings=ShapeSettings(arm=arm),
         )
@@ -117,26 +117,15 @@ def path(
     with clean_errors():
         stored = read_trusted(model)
         pushes, holding = _hands(grip, push_at, max_force, max_moment)
-        limits = Rates(
-            force=_limit(max_force_rate),
-            speed=_limit(max_speed),
-            turning=math.radians(_limit(max_turn_rate)),
-        )
+        turning = math.radians(or_unlimited(max_turn_rate))
+        limits = Rates(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
         settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
-        weight = weight_of(stored.beam, gravity)
-        wanted = read_goals(
-            goals, point_s=point, between="smooth" if between is None or between == "force" else between
-        )
+        weight = gravity_on(stored.beam, gravity)
+        by_points: Between = "smooth" if between is None or between == "force" else between
+        wanted = read_goals(goals, point_s=point, between=by_points)
         if between == "force" or (between is None and _alone(wanted, pushes, holding)):
             wanted = _led(stored.beam, wanted, pushes, holding, weight)
-        way = follow_goals(
-            stored.beam,
-            wanted,
-            pushes=pushes,
-            grip=holding,
-            gravity=weight,
-            settings=settings,
-        )
+        way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
         summary = path_summary(str(model), way, sure, written_by=BY)
         if output is not None:
@@ -166,10 +155,5 @@ def _hands(
 ) -> tuple[tuple[Push, ...], Grip | None]:
     """Without a word a push at the tip; with a grip only the pushes that are named."""
     places = push_at if push_at is not None else ([] if grip else [1.0])
-    pushes = tuple(Push(place, _limit(max_force)) for place in places)
-    return pushes, Grip(_limit(max_force), _limit(max_moment)) if grip else None
-
-
-def _limit(limit: float | None) -> float:
-    """The limit, or infinity where there is none."""
-    return math.inf if limit is None else limit
+    pushes = tuple(Push(place, or_unlimited(max_force)) for place in places)
+    return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None

@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
-from onebend.beam.problem import Rod
+from onebend.beam.problem import Rod, has_mass
 from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.vibration import vibration
 from onebend.errors import MechanicsError
@@ -73,7 +73,7 @@ def plant_at(
         raise MechanicsError(f"the beam has no stable shape under {np.asarray(force)} N to control it about")
     at = np.array([point_s])
     compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(at)[0, 0]
-    if not np.any(np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0):
+    if not has_mass(beam):
         return Plant(np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), compliance)
     small = vibration(beam, solved, most=MODES)
     omega = np.sqrt(small.squared)

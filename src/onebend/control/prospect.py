@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from onebend.beam.model import Beam
+from onebend.beam.problem import has_mass
 from onebend.beam.stiffness import Scaled, Uniform
 from onebend.control.feedback import Controller
 from onebend.control.loop import Eye, Hand, Rehearsal, Truth, rehearse
 from onebend.errors import ControlError, MechanicsError
-from onebend.records import Array
 
+SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
 _LEAST_MASS = 0.01  # kg/m of a beam whose mass is not known: it then swings, quickly, as any beam does
 
 
@@ -53,8 +52,7 @@ def prospect(
 
 
 def _swinging(beam: Beam) -> Beam:
-    known: Array = np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11)))
-    return beam if np.any(known > 0.0) else replace(beam, mass_per_length=Uniform(_LEAST_MASS))
+    return beam if has_mass(beam) else replace(beam, mass_per_length=Uniform(_LEAST_MASS))
 
 
 def _run(control: Controller, beam: Beam, factor: float, eye: Eye, duration: float, seed: int) -> Rehearsal | None:

@@ -125,10 +125,6 @@ def _spread(weight: ArrayLike, count: int) -> Array:
     return np.array(np.broadcast_to(np.asarray(weight, dtype=float), (count,)))
 
 
-BEYOND = 2.0  # of the length, from the clamp: nobody wants a beam there
-METRES = "Positions are in metres: is this in millimetres?"
-
-
 @dataclass(frozen=True)
 class Misses:
     """How far T shapes are from their targets, and how that goes with the curvature at the nodes. Lengths over L."""

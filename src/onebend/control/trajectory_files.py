@@ -59,7 +59,7 @@ def columns(path: Path) -> dict[str, Array]:
     return out
 
 
-def write_csv(file: File, path: Path) -> None:
+def write_samples(file: File, path: Path) -> None:
     """One row a sample; units stand at the end of the columns' names."""
     table = columns(path)
     with file.open("w", newline="", encoding="utf-8") as stream:

@@ -17,6 +17,8 @@ from onebend.control.reach import Reach
 from onebend.errors import ControlError
 from onebend.records import Array
 
+SURE = 0.95  # probability of the ellipse that is shown and written
+
 
 @dataclass(frozen=True)
 class Ellipse:
@@ -42,7 +44,7 @@ class PredictedError:
     covariance: Array  # (2, 2) m^2
     lost: float  # share of the beams within the band that do not stand in a shape near by: they would snap away
 
-    def ellipse(self, level: float = 0.95) -> Ellipse:
+    def ellipse(self, level: float = SURE) -> Ellipse:
         """The ellipse around `mean` that holds the real point with probability `level`."""
         values, vectors = np.linalg.eigh(self.covariance)
         size = np.sqrt(np.maximum(values[::-1], 0.0) * chi2.ppf(level, 2))
@@ -53,7 +55,7 @@ class PredictedError:
         away = np.asarray(xy, dtype=float) - self.mean
         return np.asarray(np.einsum("...i,ij,...j->...", away, np.linalg.pinv(self.covariance), away))
 
-    def holds(self, xy: Array, level: float = 0.95) -> bool:
+    def holds(self, xy: Array, level: float = SURE) -> bool:
         """Whether a place lies in the ellipse of `level`."""
         return bool(self.distance(xy) <= chi2.ppf(level, 2))
 

@@ -26,19 +26,17 @@ def mjcf(
         ExportError: the damping time is not positive (the integrator needs it: the links are light, the hinges stiff).
     """
     checked_damping(damping_time)
-    length = float(chain.link_length.sum())
+    places = [chain.link_of(s) for s in sites]
     root = Xml.Element("mujoco", model="onebend")
     root.append(Xml.Comment(" x along the clamp, y to its left; the spring of a hinge rests at its springref "))
     Xml.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="true")
     Xml.SubElement(root, "option", timestep=plain(min(0.002, damping_time / 2)), integrator="implicitfast")
     parent = Xml.SubElement(root, "worldbody")
     for i in range(len(chain.link_length)):
-        parent = _link(parent, chain, i, damping_time, radius or 0.02 * length)
-        begins = 0.0 if i == 0 else float(chain.hinge_s[i - 1])
-        ends = 1.0 if i == len(chain.hinge_s) else float(chain.hinge_s[i])
-        for s in sites:
-            if begins < s <= ends or s == begins == 0.0:
-                Xml.SubElement(parent, "site", name=f"s_{s:.3f}", pos=f"{plain((s - begins) * length)} 0 0")
+        parent = _link(parent, chain, i, damping_time, radius or 0.02 * float(chain.link_length.sum()))
+        for s, (link, along) in zip(sites, places, strict=True):
+            if link == i:
+                Xml.SubElement(parent, "site", name=f"s_{s:.3f}", pos=f"{plain(along)} 0 0")
     Xml.SubElement(parent, "site", name="tip", pos=f"{plain(chain.link_length[-1])} 0 0")
     Xml.indent(root)
     return Xml.tostring(root, encoding="unicode") + "\n"

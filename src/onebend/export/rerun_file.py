@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import ExportError
 from onebend.learning.outcome import Comparison
-from onebend.learning.validation import simulate
+from onebend.learning.validation import solved_frames
 from onebend.recording.lens import project
 from onebend.recording.video import Frame
 from onebend.records import Array, Observations
@@ -98,10 +97,8 @@ def _log_stiffness(rr: Any, stream: Any, beam: Beam, uncertain: UncertainStiffne
 
 def _log_markers(rr: Any, stream: Any, beam: Beam, one: Comparison, seen: Observations) -> None:
     """In every compared frame: tags as seen and as simulated, the beam, and how far they are apart."""
-    place = {int(frame): i for i, frame in enumerate(seen.frame)}
-    gravity = seen.gravity[[place[int(frame)] for frame in one.frame]]
-    loads = push(one.force, one.push_s) + weight(gravity)
-    lines = np.concatenate([solved.xy(_LINE) for solved in simulate(beam, loads)])
+    compared = np.isin(seen.frame, one.frame)
+    lines = np.concatenate([solved.xy(_LINE) for solved in solved_frames(beam, seen, compared)])
     apart = np.linalg.norm(one.measured - one.predicted, axis=-1)
     index = [rr.TimeColumn(CLOCK, duration=one.time)]
     for i, tag in enumerate(one.tag_id):

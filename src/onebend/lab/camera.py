@@ -27,12 +27,7 @@ class TagNoise:
 
 
 def filmed(noise: TagNoise, pose: Array, step: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Poses (T, m, 3) [m, m, rad] as seen every `step` [s], NaN where missing, and their stated covariance.
-
-    Returns
-    -------
-    (T, m, 3) and (T, m, 3, 3)
-    """
+    """Poses (T, m, 3) [m, m, rad] as seen every `step` [s], NaN where missing, and their covariance (T, m, 3, 3)."""
     count, tags = pose.shape[:2]
     white = np.array([noise.white_xy, noise.white_xy, noise.white_angle])
     slow = np.array([noise.slow_xy, noise.slow_xy, noise.slow_angle])

@@ -11,10 +11,10 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Scaled, Table
 from onebend.lab.filming import Filming
+from onebend.lab.named import SENSORS, SensorName
 from onebend.lab.pushes import Push
 from onebend.lab.scene import Backdrop, Scene
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.strategies import SENSORS, SensorName
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.viewpoint import Camera
 from onebend.lab.virtual import Bench, Clock, Said, Tag

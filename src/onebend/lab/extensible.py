@@ -26,10 +26,8 @@ def stretched(
 ) -> tuple[Array, Array]:
     """(T, S, 2) m positions and (T, S) rad angles at `s` (S,), from the shapes `start` of the unstretched beam.
 
-    Raises
-    ------
-    MechanicsError
-        No shape was found: the axial stiffness is too small for the force.
+    Raises:
+        MechanicsError: no shape was found: the axial stiffness is too small for the force.
     """
     edges = np.unique(np.concatenate([np.linspace(0.0, 1.0, STEPS + 1), [at_s], beam.stiffness.jumps, s]))
     tip = start.xy(np.array([at_s]))[:, 0]

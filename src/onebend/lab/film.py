@@ -24,7 +24,8 @@ from onebend.lab.video_out import write_video
 from onebend.lab.viewpoint import calibration, view_from
 from onebend.lab.virtual import DENSE, riding, tag_places, written
 from onebend.progress import Progress, Silent, track
-from onebend.recording.entries import BeamEntry, ForceEntry, GravityEntry, Recording
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, GravityEntry, Recording
 from onebend.recording.folder import FILE_NAME
 from onebend.recording.lens import project
 from onebend.records import Array, ForceLog, View
@@ -38,12 +39,9 @@ SHARPEST = 0.8  # half widths a radius
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
     """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
 
-    Raises
-    ------
-    MechanicsError
-        The beam snaps through, or its mass is needed and not known.
-    RecordingError
-        The folder holds something, the camera cannot show the push, or the film cannot be encoded.
+    Raises:
+        MechanicsError: the beam snaps through, or its mass is needed and not known.
+        RecordingError: the folder holds something, the camera cannot show the push, or the film cannot be encoded.
     """
     folder, bench = Path(folder), filming.bench
     check(filming, folder)

@@ -18,6 +18,6 @@ def in_log_axes(force: Array, rotation: float, acts_on: str) -> Array:
 
 
 def write_log(path: Path, log: ForceLog) -> None:
-    """`time_s, fx_N, fy_N`, to a tenth of a millisecond and of a millinewton's tenth."""
+    """`time_s, fx_N, fy_N`, to 0.1 ms and 0.01 mN."""
     rows = np.column_stack([log.time, log.force])
     np.savetxt(path, rows, fmt=("%.4f", "%.5f", "%.5f"), delimiter=",", header="time_s,fx_N,fy_N", comments="")

@@ -71,10 +71,8 @@ def cubic(values: Array, s: Array) -> Array:
 def shapes_at(beam: Beam, pushing: Push, time: Array, motive: Motive = Motive()) -> Shapes:
     """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest.
 
-    Raises
-    ------
-    MechanicsError
-        The beam snaps through, or weight or inertia are asked for and its mass is not known.
+    Raises:
+        MechanicsError: the beam snaps through, or weight or inertia are asked for and its mass is not known.
     """
     if (motive.swings or any(motive.gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
@@ -92,7 +90,7 @@ def standing(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
             loads = loads + weight(np.tile(motive.gravity, (len(part), 1)))
         solved = equilibrium(beam, loads, resolution=RESOLUTION)
         if not np.all(solved.converged):
-            raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller --force-N")
+            raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller force")
         xy.append(solved.xy(PLACES))
         angle.append(solved.angle(PLACES))
     return Shapes(time, force, np.concatenate(xy), np.concatenate(angle))

@@ -80,10 +80,8 @@ def log_of(
 
     The force runs straight between its samples, so that these should be at least as dense as the sensor's.
 
-    Raises
-    ------
-    RecordingError
-        Times that do not rise, or shapes that do not fit.
+    Raises:
+        RecordingError: times that do not rise, or shapes that do not fit.
     """
     if force.shape != (len(time), 2) or len(time) < 2 or not np.all(np.diff(time) > 0.0):
         raise RecordingError(f"a log needs a force (N, 2) at rising times (N,), got {force.shape} at {time.shape}")

@@ -131,12 +131,7 @@ def _refuse_overlap(entries: Sequence[TagEntry], length: float, outer: float) ->
 def tag_polygons(tag: PrintedTag, size: float, centre: tuple[float, float], turn: float = 0.0) -> Array:
     """(n, 4, 2) mm: the black runs of a tag of `size` m about `centre` mm, turned counter-clockwise by `turn` rad."""
     cell, half = 1e3 * size / tag.border, 0.5 * len(tag.cells)
-    boxes = []
-    for row, white in enumerate(tag.cells):
-        steps = np.flatnonzero(np.diff(np.concatenate([[True], white, [True]]).astype(int)))
-        for start, end in steps.reshape(-1, 2):
-            boxes.append([[start, row], [end, row], [end, row + 1], [start, row + 1]])
-    flat = cell * (np.array(boxes, dtype=float) - half)
+    flat = cell * (tag.ink - half)
     cos, sin = math.cos(turn), math.sin(turn)
     return np.asarray(flat @ np.array([[cos, -sin], [sin, cos]]) + np.array(centre))  # y runs down the page
 

@@ -31,10 +31,8 @@ def observe_quickly(
     With an `error` (T, 2) [N] the force is the true one plus this, and the log is not used; without it the log is
     zeroed in the true rests and low-passed at `cutoff` [Hz].
 
-    Raises
-    ------
-    RecordingError
-        An error whose shape is not that of the force at the frames.
+    Raises:
+        RecordingError: an error whose shape is not that of the force at the frames.
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
@@ -62,6 +60,7 @@ def observe_quickly(
         gravity=np.zeros_like(force)[known],
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
+        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=_clock(bench, clock_error, clock_sd),
         clean_force=clean,

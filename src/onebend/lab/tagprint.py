@@ -24,21 +24,15 @@ class Outlines:
 def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Outlines:
     """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
 
-    Raises
-    ------
-    RecordingError
-        A family that is not known, or a number that it does not have.
+    Raises:
+        RecordingError: a family that is not known, or a number that it does not have.
     """
     tag = printed_tag(tag_id, family)
     count = len(tag.cells)
-    patches = []
-    for row in range(count):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], ~tag.cells[row], [0]]).astype(int)))
-        patches += [rectangle(left, right, row, row + 1) for left, right in edges.reshape(-1, 2).tolist()]
     beyond = max(margin - tag.margin, 0.0)
     scale, middle = np.array([1.0, -1.0]) / tag.border, 0.5 * count
     paper = (rectangle(-beyond, count + beyond, -beyond, count + beyond) - middle) * scale
-    return Outlines(paper[None], (np.stack(patches) - middle) * scale)
+    return Outlines(paper[None], (tag.ink - middle) * scale)
 
 
 def as_printed(made: Outlines, size: float, dot: float, phase: Array) -> Outlines:

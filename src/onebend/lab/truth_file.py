@@ -1,10 +1,9 @@
-"""The truth beside a filmed recording, in the form of the development recordings: `truth.npz` and `truth.json`."""
+"""The truth beside a filmed recording: `truth.npz` and `truth.json`."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from onebend.lab.filming import Filming
 from onebend.lab.movement import PLACES, Shapes
 from onebend.records import Array, ForceLog, View
+from onebend.strict_json import plain
 
 S = np.linspace(0.0, 1.0, 401)
 
@@ -31,7 +31,7 @@ class Made:
 
 
 def write_truth(folder: Path, made: Made) -> None:
-    """Write both files into `folder`, which is made. No program under test may read them."""
+    """Write both files into `folder`, which is made; they are to compare with, nothing that learns reads them."""
     folder.mkdir(parents=True, exist_ok=True)
     filming, shapes = made.filming, made.shapes
     beam = filming.bench.beam
@@ -58,15 +58,6 @@ def write_truth(folder: Path, made: Made) -> None:
     )
     text = json.dumps(plain(facts_of(made)), indent=1, allow_nan=False)
     (folder / "truth.json").write_text(text + "\n", encoding="utf-8")
-
-
-def plain(value: Any) -> Any:
-    """The same for JSON, which knows no infinity: null where a number is not finite."""
-    if isinstance(value, dict):
-        return {name: plain(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def facts_of(made: Made) -> dict[str, Any]:

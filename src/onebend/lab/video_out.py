@@ -21,10 +21,8 @@ def write_video(
 ) -> int:
     """Write frames (time [s], 8 bit planes) that come in order; return their number.
 
-    Raises
-    ------
-    RecordingError
-        The encoder is missing or refuses.
+    Raises:
+        RecordingError: the encoder is missing or refuses.
     """
     count = 0
     try:

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import RecordingError
-from onebend.recording.entries import CameraEntry
 from onebend.recording.lens import project
 from onebend.recording.plane import FACING
+from onebend.recording.source_entries import CameraEntry
 from onebend.records import Array, View
 
 MARGIN = 0.06  # of the picture's shorter side: what has to be seen stays this far from the edges
@@ -52,10 +52,8 @@ class Camera:
 def view_from(camera: Camera, points: Array) -> View:
     """How `camera` sees the table when it looks at the middle of `points` (N, 2) [m].
 
-    Raises
-    ------
-    RecordingError
-        Not all of the points are in the picture.
+    Raises:
+        RecordingError: not all of the points are in the picture.
     """
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     distance = camera.distance

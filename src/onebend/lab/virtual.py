@@ -21,8 +21,10 @@ from onebend.lab.extensible import stretched
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor, log_of
 from onebend.lab.truths import RESOLUTION
-from onebend.recording.entries import BeamEntry, ForceEntry, PushEntry, Recording, TagEntry, TagsEntry, VideoEntry
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.observe import ObserveSettings, assemble
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceLog, Markers, Observations, Rest
 
 LOG_BEFORE = 1.0  # s, the log begins before the film and ends after it
@@ -95,12 +97,9 @@ class Virtual:
 def virtual_recording(bench: Bench, *, seed: int) -> Virtual:
     """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other.
 
-    Raises
-    ------
-    MechanicsError
-        The beam snaps through under the push.
-    RecordingError
-        A frame rate that is not positive, or no tag.
+    Raises:
+        MechanicsError: the beam snaps through under the push.
+        RecordingError: a frame rate that is not positive, or no tag.
     """
     if not bench.fps > 0.0 or not bench.tags:
         raise RecordingError("a virtual recording needs a frame rate above zero and at least one tag on the beam")
@@ -127,10 +126,8 @@ def virtual_recording(bench: Bench, *, seed: int) -> Virtual:
 def observe_virtual(virtual: Virtual, settings: ObserveSettings = ObserveSettings()) -> Observations:
     """The real way from markers and log to observations: clocks, contact, zero, filter, frame.
 
-    Raises
-    ------
-    ObservationError
-        As for a real recording.
+    Raises:
+        ObservationError: as for a real recording.
     """
     return assemble(virtual.recording, virtual.markers, virtual.log, None, settings)
 

@@ -122,14 +122,15 @@ def _shear(value: Array, _: Posterior) -> _Words:
 
 def _length(value: Array, posterior: Posterior) -> _Words:
     said = posterior.films[0].observations.length
-    words = f"the beam is about {1000 * said * (1 + value[0]):.0f} mm long, not {1000 * said:.0f} mm"
+    side = "longer" if value[0] > 0.0 else "shorter"
+    words = f"the beam is about {_millimetres(said * abs(value[0]))} {side} than the {1000 * said:.4g} mm written down"
     return words, "Measure length_m from the clamp's edge to the tip, the tags' s, and the size of the tags' squares"
 
 
 def _place(value: Array, posterior: Posterior) -> _Words:
     said = float(np.median(posterior.films[0].push_s))
-    where = f"at about s = {said + value[0]:.2f}, " if 0.0 < said + value[0] < _OUT else ""
-    words = f"the push acts {where}not at {said:.2f}"
+    where = f"at about s = {said + value[0]:.3g}, " if 0.0 < said + value[0] < _OUT else ""
+    words = f"the push acts {where}not at {said:.3g}"
     return words, "Check [push] at_s; if it is not known, state at_sd_m, and the fit finds it within that"
 
 

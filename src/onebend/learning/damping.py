@@ -235,9 +235,10 @@ def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
     if fit.rms[worst] > _FAR_OFF * travel[worst]:
         text = (
             f"The tag at s = {fit.swing.s[worst]:.3g} is {1000 * fit.rms[worst]:.2g} mm (RMS) from the fitted motion, "
+            f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) or "
+            "mass along it), or is touched while it swings."
         )
-        text += f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) "
-        out.append(Remark("warning", text + "or mass along it), or is touched while it swings."))
+        out.append(Remark("warning", text))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:
         out.append(Remark("warning", "The damping is hardly seen: film the swing for longer, or from further out."))
     if fit.mass_known:

@@ -9,19 +9,18 @@ import numpy as np
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.modes import Modes
-from onebend.beam.problem import Problem, Resolution, pose
+from onebend.beam.problem import Problem, pose
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, push_places, typical, whitening
-from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
-from onebend.learning.held_poses import HeldEnds, held_ends, is_held
+from onebend.learning.held_poses import HeldEnds, held_ends, resolution_of
+from onebend.learning.mass import NEEDS_MASS
 from onebend.learning.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.spline import Spline
 from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations
 
-RESOLUTION = Resolution(order=12, widest=0.5)
 REST_MODES = Modes(3)
 MASS_MODES = Modes(4)
 _SLOW = 0.5  # of the cut-off, which is twice the bandwidth of the tags' motion
@@ -71,12 +70,11 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         other = _rested(other)
     weighs = bool(np.any(gravity != 0.0))
     if weighs and not np.isfinite(o.mass):
-        raise LearningError(f"{o.name}: gravity acts in the plane, so beam.mass_kg must be given")
+        raise LearningError(f"{o.name}: {NEEDS_MASS}")
     line = mass_profile(o)
     written = line if weighs and o.mass_along not in POWERS else Uniform(0.0)
     carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
-    fine = HELD_RESOLUTION if is_held(o) else RESOLUTION
-    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, fine)
+    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     return Film(

@@ -122,20 +122,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         no, alike = filtered(empty, np.inf), np.zeros((0, 0))
         return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, no, 0.0, 0.0, alike, np.zeros((0, 2)))
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
-    rest_time, rest_force = np.zeros(0), np.zeros((0, 2))
-    if clean is not None:
-        if np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
-            cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
-        loaded = observations.time[observations.loaded]
-        if len(loaded):
-            free = np.zeros(len(clean.time), dtype=bool)
-            if not observations.loaded[0]:
-                free |= clean.time < loaded[0] - _MARGIN
-            if not observations.loaded[-1]:  # held to the end of the film, the log after it says nothing
-                free |= clean.time > loaded[-1] + _MARGIN
-            free &= np.all(np.isfinite(clean.force), axis=1)
-            pick = _spread(clean.time, np.flatnonzero(free).astype(np.int64), 0.5 * spacing)
-            rest_time, rest_force = clean.time[pick], clean.force[pick]
+    if clean is not None and np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
+        cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
+    rest_time, rest_force = _in_rests(observations, 0.5 * spacing)
     everything = np.concatenate([time, rest_time])
     begin, end = float(np.min(everything)), float(np.max(everything))
     count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
@@ -150,10 +139,25 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=o_load if (o_load := observations.load_error_sd) > 0.0 else LOAD * largest,
+        load=LOAD * largest if np.isnan(observations.load_error_sd) else observations.load_error_sd,
         stages=_stages(observations, knots, cutoff),
         mean=ramp(clean, knots),
     )
+
+
+def _in_rests(observations: Observations, step: float) -> tuple[Array, Array]:
+    """(R,) s and (R, 2) N: instants at least `step` [s] apart at which nothing touches the beam, and the log there."""
+    clean, loaded = observations.clean_force, observations.time[observations.loaded]
+    if clean is None or not len(loaded):
+        return np.zeros(0), np.zeros((0, 2))
+    free = np.zeros(len(clean.time), dtype=bool)
+    if not observations.loaded[0]:
+        free |= clean.time < loaded[0] - _MARGIN
+    if not observations.loaded[-1]:  # held to the end of the film, the log after it says nothing
+        free |= clean.time > loaded[-1] + _MARGIN
+    free &= np.all(np.isfinite(clean.force), axis=1)
+    pick = _spread(clean.time, np.flatnonzero(free).astype(np.int64), step)
+    return clean.time[pick], clean.force[pick]
 
 
 def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:

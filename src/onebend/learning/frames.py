@@ -10,7 +10,7 @@ from onebend.beam.loads import Loads, push, weight
 from onebend.beam.stiffness import Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray, IntArray, Observations
 
 _BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
 _SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
@@ -80,16 +80,20 @@ def chosen_frames(o: Observations, most: int) -> BoolArray:
     Raises:
         LearningError: fewer than can be learned from.
     """
-    usable = np.flatnonzero(learnable_frames(o))
+    usable = np.flatnonzero(learnable_frames(o)).astype(np.int64)
     least = 1 if o.static else _FEWEST
     if len(usable) < least:
         raise LearningError(
             f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. Push "
             "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
         )
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
-    out = np.zeros(len(o.time), dtype=bool)
-    out[chosen] = True
+    return evenly_spread(usable, most, len(o.time))
+
+
+def evenly_spread(rows: IntArray, most: int, count: int) -> BoolArray:
+    """(count,) at most `most` of the `rows`, evenly spread among them."""
+    out = np.zeros(count, dtype=bool)
+    out[rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]] = True
     return out
 
 
@@ -152,6 +156,15 @@ def distances(difference: Array) -> Array:
     there = np.isfinite(difference)
     length = np.sqrt(np.sum(np.where(there, difference, 0.0) ** 2, axis=-1))
     return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
+
+
+def marker_rms(difference: Array) -> Array:
+    """(m,) m, root mean square length of differences (T, m, 2) over the frames in which a tag was seen; NaN where in
+    none."""
+    squared = distances(difference) ** 2
+    seen = np.isfinite(squared)
+    count, total = np.sum(seen, axis=0), np.sum(np.where(seen, squared, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
 
 
 def typical(values: Array) -> Array:

@@ -24,7 +24,8 @@ from onebend.learning.mass import forced, weighs
 from onebend.learning.parameters import Layout
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
-RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
+RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
+HELD_RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
 _REACH = 0.999  # of the length: an end that was read as farther away is put where the way to it ends
 _SETTLE = 3  # steps of the ends towards the points
 _STRIDE = 0.3  # of the length, rad: the longest of them
@@ -45,6 +46,11 @@ class HeldEnds:
 def is_held(o: Observations) -> bool:
     """Whether in some pose an unknown wrench holds the end."""
     return o.held is not None and bool(np.any(o.held))
+
+
+def resolution_of(o: Observations) -> Resolution:
+    """What the beam of this recording is solved with."""
+    return HELD_RESOLUTION if is_held(o) else RESOLUTION
 
 
 def sets_no_scale(recordings: Sequence[Observations]) -> bool:

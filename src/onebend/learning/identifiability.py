@@ -2,9 +2,8 @@
 
 Tags see the beam while the force grows evenly from nothing. With J the derivatives of the tags' poses and A those with
 each frame's force, the poses' covariance is `D + A E A'`: D the tags' noise, E the force's doubt over the frames, as
-the log's rests leave it. So the parameters' information is `J' (D + A E A')^-1 J`. What belongs to this push alone (the
-clamp, the origin, the camera's scale, the push's place, the force log's axes, a new tag's place) is taken out by a
-Schur complement with its prior.
+the log's rests leave it. So the parameters' information is `J' (D + A E A')^-1 J`. What is this push's alone (clamp,
+origin, camera scale, place, the log's axes, a new tag's place) is taken out by a Schur complement with its prior.
 """
 
 from __future__ import annotations

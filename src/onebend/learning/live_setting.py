@@ -10,7 +10,7 @@ from onebend.beam.grid import Grid, make_grid
 from onebend.learning.film import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
-from onebend.records import DIRECTION_SD, PLACE_SD, Array
+from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array
 
 ORDER, WIDEST = 12, 0.5
 _GRIDS = 50  # over the length: a push between two is moved there along the tangent
@@ -55,6 +55,7 @@ def live_layout(
     """The parameters of one beam under one camera; the force's error is a process and not among them."""
     placement = placement_sd if priors.placement is None else priors.placement
     origin = placement_sd if priors.origin is None else priors.origin
+    mounted = TURN_SD if priors.mounting is None else priors.mounting
     pushed = PLACE_SD if priors.place is None else priors.place
     turned = DIRECTION_SD if priors.direction is None else priors.direction
     numbers = range(1, tags + 1)
@@ -64,7 +65,7 @@ def live_layout(
         ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
         ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
-        ("turn", "rad", priors.mounting, tuple(f"tag {i} turn" for i in numbers)),
+        ("turn", "rad", mounted, tuple(f"tag {i} turn" for i in numbers)),
         ("clamp", "rad", priors.clamp, ("clamp angle",)),
         ("origin", "m", origin, ("origin x", "origin y")),
         ("scale", "1", 0.0 if calibrated else priors.scale, ("camera scale",)),

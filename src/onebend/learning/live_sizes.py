@@ -38,7 +38,7 @@ class Sizes:
         self._spline, self._level = spline, level
         self._rng = np.random.default_rng(0)
         self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
-        self._own = np.ones((_CHAINS, spline.count - 1))
+        self._own = np.ones((_CHAINS, len(spline.share)))
         self._expected = np.log([TAU, RHO])
         self._drawn = np.tile(self._variances(self._logs, self._own), (_KEPT, 1))  # (B KEPT, n)
         self._at = 0
@@ -62,8 +62,8 @@ class Sizes:
         chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
         self._logs = logs[chosen]
         step = self._steps(variance[chosen], [factors[i] for i in chosen.tolist()], on_parts, seen)
-        scale = np.exp(2.0 * self._logs[:, 1:]) * self._spline.gaps
-        self._own = (0.5 + 0.5 * step**2 / scale) / rng.standard_exponential(step.shape)
+        scale = np.exp(self._logs[:, 1:]) * self._spline.share
+        self._own = (0.5 + 0.5 * (step / scale) ** 2) / rng.standard_exponential(step.shape)
         self._drawn[self._at : self._at + b] = self._variances(self._logs, self._own)
         self._at = (self._at + b) % len(self._drawn)
 
@@ -81,7 +81,7 @@ class Sizes:
         mean, draws = np.mean(means, axis=0), len(self._drawn)
         out = (weights * self.parts) @ weights.T - half.T @ half / draws
         out += (means - mean).T @ (means - mean) / draws
-        return mean + self._level, 0.5 * (out + out.T), np.mean(parts, axis=0)[-(count - 1) :]
+        return mean + self._level, 0.5 * (out + out.T), np.mean(parts, axis=0)[count : 2 * count - 1]
 
     def _rows(self, told: OfK) -> tuple[Array, Array]:
         """(p, p) and (p,): what the data say, as rows of unit noise on log k less its level."""
@@ -96,7 +96,7 @@ class Sizes:
     def _variances(self, logs: Array, own: Array) -> Array:
         """(B, n) of the parts."""
         out = self._spline.variances(*np.exp(logs.T))
-        free = out[:, self._spline.count :] * own
+        free = (np.exp(logs[:, 1:]) * self._spline.share) ** 2 * own
         out[:, self._spline.count :] = free / (1.0 + free / JUMP**2)
         return out
 
@@ -106,7 +106,7 @@ class Sizes:
         """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""
         spread = (on_parts * variance[:, None]) @ on_parts.T
         spread.reshape(len(spread), -1)[:, :: len(seen) + 1] += 1.0
-        free = np.exp(2.0 * logs[:, 1:]) * self._spline.gaps * own
+        free = (np.exp(logs[:, 1:]) * self._spline.share) ** 2 * own
         value = -0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
         value -= 0.5 * np.sum(((logs - self._expected) / SPREAD) ** 2, axis=1)
         factors = []
@@ -118,7 +118,8 @@ class Sizes:
         return factors, value
 
     def _steps(self, variance: Array, factors: list[Array], on_parts: Array, seen: Array) -> Array:
-        """(B, p - 1) steps from their posterior at these sizes: a draw from the prior, corrected by what it misses."""
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
+        misses."""
         drawn = np.sqrt(variance) * self._rng.standard_normal(variance.shape)
         missed = seen - drawn @ on_parts.T - self._rng.standard_normal((len(factors), len(seen)))
         pull = np.stack([dpotrs(root, one, lower=1)[0] for root, one in zip(factors, missed, strict=True)])

@@ -16,6 +16,8 @@ from onebend.records import MassAlong, Observations, Remark
 
 FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowledge
 TOLD = 0.7  # of the prior's sd: a weighed mass that stays less sure than this was hardly learned
+KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
+NEEDS_MASS = "gravity acts in the plane, so the beam's mass must be given: mass_kg in [beam]"
 _SPREAD = {  # what is stated of it
     "even": "evenly spread",
     "width": "per metre taken as the third root of k(s), as where only the width varies",
@@ -23,7 +25,6 @@ _SPREAD = {  # what is stated of it
     "both": "per metre taken as the root of k(s), as where width and thickness vary together",
     "table": "spread as in mass_file",
 }
-KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.learning.film import Film
 from onebend.learning.forward import Prediction
-from onebend.learning.frames import distances
+from onebend.learning.frames import distances, marker_rms
 from onebend.records import Array
 
 MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
@@ -43,10 +43,7 @@ class Miss:
 
 def film_rms(film: Film, fitted: Prediction) -> Array:
     """(m,) m: distance of the tags from the fit; NaN for a tag that was never seen."""
-    squared = distances((film.measured - fitted.pose)[..., :2]) ** 2
-    count = np.sum(np.isfinite(squared), axis=0)
-    total = np.nansum(squared, axis=0)
-    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+    return marker_rms((film.measured - fitted.pose)[..., :2])
 
 
 def misses(films: Sequence[Film], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:

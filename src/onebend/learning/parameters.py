@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from onebend.learning.mass import weighs
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import Array, IntArray, Observations
@@ -21,7 +22,7 @@ class Priors:
     """One sd of each nuisance before the data; 0 freezes it."""
 
     curvature: float = 0.15  # rad, Legendre states of q0; frozen where rest = "straight"
-    mounting: float = np.deg2rad(1.5)  # rad, a tag's turn on the beam
+    mounting: float | None = None  # rad, a tag's turn on the beam; None: as the recording says
     placement: float | None = None  # m, a tag's place along and across; None: as the recording says
     clamp: float = 3e-3  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
     origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
@@ -99,16 +100,17 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]
     placement = first.placement_sd if priors.placement is None else priors.placement
+    mounting = first.turn_sd if priors.mounting is None else priors.mounting
     curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
-    weighs = any(bool(np.any(r.gravity != 0.0)) for r in recordings)
+    heavy = any(weighs(r) for r in recordings)
     mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", -1, "1", mass if weighs else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
-        ("turn", -1, "rad", priors.mounting, tuple(f"{t} turn" for t in tags)),
+        ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),
     ]
     for r, one in enumerate(recordings):
         origin = one.placement_sd if priors.origin is None else priors.origin

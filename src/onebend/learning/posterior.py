@@ -29,6 +29,7 @@ from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.misses import Miss, misses
 from onebend.learning.own_weight import following
 from onebend.learning.parameters import Block, Layout, Priors, layout
+from onebend.learning.quantities import quantities
 from onebend.learning.scales import noise_before
 from onebend.learning.search import Effort, Optimum, conclude, search
 from onebend.learning.spline import RHO, TAU, Spline
@@ -42,7 +43,7 @@ CONTRADICTED = "the force contradicts the bending"
 class FitSettings:
     """How the marker-space fit runs."""
 
-    functions: int = 24  # of the spline of log k
+    functions: int = 45  # of the spline of log k
     most_frames: int = 500  # of each recording, evenly chosen
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
     priors: Priors = field(default_factory=Priors)
@@ -126,14 +127,16 @@ class Posterior:
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
 
     def nuisances(self) -> list[Nuisance]:
-        """Every parameter but k's and the force error's, before and after the data."""
+        """Every parameter but k's, before and after the data; of the force's slow error its mean and drift."""
         out = []
         for block in self.at.blocks:
-            if block.start < 0 or block.name in ("stiffness", "force"):
+            if block.start < 0 or block.name == "stiffness":
                 continue
-            sd = np.sqrt(np.diag(self.covariance)[block.where])
-            values = zip(block.labels, self.mean[block.where], sd, block.prior_sd, strict=True)
-            out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
+            these, where = quantities(block, self.films), block.where
+            after = np.sqrt(np.diag(these.weights @ self.covariance[where, where] @ these.weights.T))
+            value = these.weights @ self.mean[where]
+            values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
+            out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
         return out
 
     @property
@@ -207,7 +210,8 @@ def stiffness_of(at: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiff
     where, fine, onto = at.index["stiffness", -1].where, at.spline.finer, at.spline.on_finer
     covariance = onto @ optimum.covariance[where, where] @ onto.T
     covariance += np.tensordot(optimum.jumps**2, at.spline.unseen, 1)
-    return UncertainStiffness(fine.knots, onto @ optimum.x[where], 0.5 * (covariance + covariance.T), gain_sd)
+    covariance = 0.5 * (covariance + covariance.T)
+    return UncertainStiffness(fine.knots, onto @ optimum.x[where], covariance, gain_sd, shape=optimum.shape)
 
 
 def _from_legendre(states: Array) -> Profile:

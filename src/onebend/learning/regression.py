@@ -22,6 +22,7 @@ from onebend.beam.modes import Modes
 from onebend.beam.stiffness import Gaussians, Powers, Profile, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError
 from onebend.learning.frames import push_places
+from onebend.learning.mass import NEEDS_MASS, weighs
 from onebend.learning.states import States
 from onebend.records import Array, BoolArray, Observations
 
@@ -141,8 +142,8 @@ def least_squares(x: Array, y: Array) -> tuple[Array, Array]:
 
 def _weight_beyond(observations: Observations) -> Array:
     """(T, Q, 2) N: the weight of the beam beyond each node, its mass spread evenly."""
-    if not np.any(observations.gravity != 0.0):
+    if not weighs(observations):
         return np.zeros((len(observations.time), len(_GRID.nodes), 2))
     if not np.isfinite(observations.mass):
-        raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
+        raise LearningError(f"{observations.name}: {NEEDS_MASS}")
     return observations.mass * (1.0 - _GRID.nodes)[None, :, None] * observations.gravity[:, None, :]

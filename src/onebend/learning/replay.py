@@ -78,7 +78,9 @@ def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     """What the fit takes as known before the data."""
     at = layout(Spline(settings.functions), [o], [0], settings.priors)
     sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
-    return replace(settings.priors, placement=float(at.index["along", -1].prior_sd[0]), **sd)
+    of_tags = {"placement": "along", "mounting": "turn"}
+    sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in of_tags.items()}
+    return replace(settings.priors, **sd)
 
 
 def _memory(error: ForceError, times: float) -> float:

@@ -13,18 +13,12 @@ import numpy as np
 
 from onebend.beam.kinematics import angles, jacobians, places, positions
 from onebend.beam.modes import Modes
+from onebend.learning.parameters import Priors
 from onebend.recording.chords import chord_angles
 from onebend.records import Array, BoolArray, Observations
 
 _REST_MODES = Modes(3)
-
-
-@dataclass(frozen=True)
-class RestPrior:
-    """What is likely before any data."""
-
-    mounting_sd: float = np.deg2rad(1.5)  # rad, a tag's turn against the beam's tangent
-    curvature_sd: float = 0.15  # rad, each Legendre state of the rest shape
+_EXACT = 1e-6  # m, rad: what is taken for it where a tag is said to sit exactly
 
 
 @dataclass(frozen=True)
@@ -44,7 +38,7 @@ class AtRest:
         return out
 
 
-def at_rest(observations: Observations, prior: RestPrior = RestPrior()) -> AtRest:
+def at_rest(observations: Observations, priors: Priors = Priors()) -> AtRest:
     """Natural curvature and mounting from the frames before contact (maximum a posteriori, Gauss-Newton)."""
     m = len(observations.marker_s)
     known: BoolArray = np.asarray(np.isfinite(observations.rest_xy).all(axis=1))
@@ -52,7 +46,7 @@ def at_rest(observations: Observations, prior: RestPrior = RestPrior()) -> AtRes
         return AtRest(np.zeros(_REST_MODES.n), np.zeros((m, 2)), np.zeros(m), seen=False)
     theta = np.zeros(_REST_MODES.n)
     if observations.rest == "unknown":
-        theta = _rest_states(observations, known, prior)
+        theta = _rest_states(observations, known, priors)
     at = places(observations.length, _REST_MODES, observations.marker_s)
     alpha = angles(at, theta[None])[0]
     away = observations.rest_xy - positions(at, theta[None])[0]
@@ -76,10 +70,11 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
     return observations.xy - shift, tangent
 
 
-def _rest_states(observations: Observations, known: BoolArray, prior: RestPrior) -> Array:
+def _rest_states(observations: Observations, known: BoolArray, priors: Priors) -> Array:
     """States that balance curvature against mounting, each measured by its own sd."""
     at = places(observations.length, _REST_MODES, observations.marker_s[known])
-    sd = np.concatenate([np.full(2 * len(at.s), observations.placement_sd), np.full(len(at.s), prior.mounting_sd)])
+    of_tags = np.repeat([observations.placement_sd, observations.turn_sd], [2 * len(at.s), len(at.s)])
+    sd = np.maximum(of_tags, _EXACT)
     theta = np.zeros(_REST_MODES.n)
     for _ in range(5):
         jacobian = np.concatenate([jacobians(at, theta[None])[0].reshape(-1, _REST_MODES.n), at.to_places])
@@ -90,7 +85,7 @@ def _rest_states(observations: Observations, known: BoolArray, prior: RestPrior)
             ]
         )
         jacobian[2 * len(at.s) :] *= np.isfinite(observations.rest_angle[known])[:, None]
-        rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / prior.curvature_sd])
-        right = np.concatenate([away / sd, -theta / prior.curvature_sd])
+        rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / priors.curvature])
+        right = np.concatenate([away / sd, -theta / priors.curvature])
         theta = theta + np.linalg.lstsq(rows, right, rcond=None)[0]
     return theta

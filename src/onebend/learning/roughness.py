@@ -1,10 +1,11 @@
 """What data say of log k where the sizes in its prior are not known: their posterior, sampled.
 
-Given the sizes of the smooth part (`tau`), of the steps (`rho`) and of every single step beside the others, log k is
-normal. The sizes are not: a beam may be even but for one glued joint, and several answers may fit. So they are drawn:
-`tau` and `rho` by Metropolis steps with log k integrated out, every step's own size given the step (it is Student's t
-with one degree of freedom: most are small, a few are large). Mean and covariance of log k are averages of those given
-the sizes, so that few draws are enough. Chains run side by side, and every run is the same.
+Given the sizes of the smooth part (`tau`), of the steps and bumps (`rho`) and of every single one beside the others,
+log k is normal. The sizes are not: a beam may be even but for one glued joint, and several answers may fit. So they are
+drawn: `tau` and `rho` by Metropolis steps with log k integrated out, the own size of every step and bump given itself
+(Student's t with one degree of freedom: most are small, a few are large; its scale goes with the distance that it
+stands for, so that finer splines add up to the same process). Mean, covariance and quantiles of log k are those of the
+mixture of normals given the sizes, so that few draws are enough. Chains run side by side, and every run is the same.
 """
 
 from __future__ import annotations
@@ -13,15 +14,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
+from onebend.beam.uncertain import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.learning.spline import Spline
 from onebend.records import Array
 
-TAU, RHO = 3.0, 0.1  # expected roughness and size of steps of log k
-SPREAD = np.array([1.2, 1.2])  # one sd of their logs: a factor of ten either way
-JUMP = 1.0  # of log k: a single step is hardly ever larger than two of these
+TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per unit of s
+SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
+JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
 _TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
 MIX = 0.3  # share of wide proposals
+_STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Mixed:
     mean: Array  # (p,)
     covariance: Array  # (p, p)
     steps: Array  # (p - 1,) means of the steps
+    shape: Array  # (levels, S) how wide its bands are over those of a normal, see `UncertainStiffness`
     parts: Array  # (n,) mean variances of the parts: the normal prior that comes nearest
     tau: float  # medians
     rho: float
@@ -50,7 +55,7 @@ class _Chains:
     """Where B chains stand."""
 
     logs: Array  # (B, 2) of tau and rho
-    own: Array  # (B, p - 1) variance of every step beside the others
+    own: Array  # (B, 2 p - 1) variance of every step and bump beside the others
     variance: Array  # (B, n) of the parts
     root: Array  # (B, r, r) Cholesky factors of the data's covariance
     white: Array  # (B, r) the data, whitened by them
@@ -73,13 +78,13 @@ class _Target:
         self.seen = np.repeat(np.stack(seen)[:, -kept:], each, axis=0)  # (B, r)
         self.on_parts = self.rows @ self.weights  # (B, r, n)
         self.share = np.repeat([t.weight for t in told], each) / each
-        self.steps = slice(self.weights.shape[1] - spline.count + 1, self.weights.shape[1])
+        self.local = slice(spline.count, self.weights.shape[1])  # steps and bumps
 
     def at(self, logs: Array, own: Array) -> _Chains:
         """The chains with these sizes."""
         variance = self.spline.variances(*np.exp(logs.T))
-        free = variance[:, self.steps] * own
-        variance[:, self.steps] = free / (1.0 + free / JUMP**2)
+        free = self._scale(logs) ** 2 * own
+        variance[:, self.local] = free / (1.0 + free / JUMP**2)
         spread = (self.on_parts * variance[:, None]) @ np.swapaxes(self.on_parts, 1, 2)
         root = np.asarray(np.linalg.cholesky(spread + np.eye(spread.shape[-1])), dtype=float)
         white = np.linalg.solve(root, self.seen[..., None])[..., 0]
@@ -98,28 +103,33 @@ class _Target:
         logs = np.where(taken[:, None], tried.logs, now.logs)
         variance = np.where(taken[:, None], tried.variance, now.variance)
         root = np.where(taken[:, None, None], tried.root, now.root)
-        step = self._drawn_steps(variance, root, rng)
-        scale = np.exp(2.0 * logs[:, 1:]) * self.spline.gaps
-        own = (0.5 + 0.5 * step**2 / scale) / rng.standard_exponential(step.shape)
+        drawn = self._drawn(variance, root, rng)
+        own = (0.5 + 0.5 * (drawn / self._scale(logs)) ** 2) / rng.standard_exponential(drawn.shape)
         return self.at(logs, own)
 
-    def _drawn_steps(self, variance: Array, root: Array, rng: np.random.Generator) -> Array:
-        """(B, p - 1) steps from their posterior at these sizes: a draw from the prior, corrected by what it misses."""
+    def _scale(self, logs: Array) -> Array:
+        """(B, 2 p - 1) of every step and bump."""
+        return np.asarray(np.exp(logs[:, 1:]) * self.spline.share)
+
+    def _drawn(self, variance: Array, root: Array, rng: np.random.Generator) -> Array:
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
+        misses."""
         drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
         missed = self.seen - (self.on_parts @ drawn[..., None])[..., 0] - rng.standard_normal(self.seen.shape)
         pull = np.linalg.solve(np.swapaxes(root, 1, 2), np.linalg.solve(root, missed[..., None]))
-        steps = np.swapaxes(self.on_parts[..., self.steps], 1, 2) @ pull
-        return np.asarray(drawn[:, self.steps] + variance[:, self.steps] * steps[..., 0])
+        local = np.swapaxes(self.on_parts[..., self.local], 1, 2) @ pull
+        return np.asarray(drawn[:, self.local] + variance[:, self.local] * local[..., 0])
 
 
 def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, burn: int, kept: int) -> Mixed:
-    """Mean and covariance of log k around `level`, over `chains` chains for each of `told`."""
+    """What is known of log k around `level`, over `chains` chains for each of `told`."""
     target, rng = _Target(spline, told, level, chains), np.random.default_rng(0)
     count, p = chains * len(told), spline.count
     logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
-    now = target.at(logs, np.ones((count, p - 1)))
-    mean, second, sizes = np.zeros(p), np.zeros((p, p)), []
+    now = target.at(logs, np.ones((count, 2 * p - 1)))
+    mean, second, sizes, marginals = np.zeros(p), np.zeros((p, p)), [], []
     parts, variance = np.zeros(now.variance.shape[1]), np.zeros(now.variance.shape[1])
+    on_places = spline.basis(SHAPE_PLACES) @ target.weights  # (S, n)
     for i in range(burn + kept):
         now = target.moved(now, rng)
         if i < burn:
@@ -136,8 +146,27 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, bu
         parts += target.share @ of_parts
         variance += target.share @ now.variance
         sizes.append(now.logs)
+        left = now.variance @ (on_places**2).T - np.sum((across @ on_places.T) ** 2, axis=1)
+        marginals.append(np.stack([of_parts @ on_places.T, np.sqrt(np.maximum(left, 0.0))]))
     mean, second = mean / kept, second / kept
     tau, rho = np.exp(np.median(np.concatenate(sizes), axis=0)).tolist()
     covariance = second - np.outer(mean, mean)
     covariance = 0.5 * (covariance + covariance.T)
-    return Mixed(mean + level, covariance, parts[target.steps] / kept, variance / kept, tau, rho)
+    means, sds = np.concatenate(marginals, axis=1)
+    shape = _shape(means, sds, np.tile(target.share, kept) / kept)
+    return Mixed(mean + level, covariance, parts[p : 2 * p - 1] / kept, shape, variance / kept, tau, rho)
+
+
+def _shape(means: Array, sds: Array, weight: Array) -> Array:
+    """(levels, S) half the distance between quantiles of mixtures of normals (N, S) of weights (N,), over that between
+    those of one normal of the same sd."""
+    middle = weight @ means
+    sd = np.sqrt(weight @ (sds**2 + (means - middle) ** 2))
+    values = (means[:, None] + sds[:, None] * ndtri(_STRATA)[:, None]).reshape(-1, means.shape[1])
+    weights = np.repeat(weight / len(_STRATA), len(_STRATA))
+    order = np.argsort(values, axis=0)
+    below = np.cumsum(weights[order], axis=0) - 0.5 * weights[order]
+    rising = np.take_along_axis(values, order, axis=0)
+    asked = 0.5 + 0.5 * np.stack([-SHAPE_LEVELS, SHAPE_LEVELS])
+    low, high = np.stack([np.interp(asked, b, v) for b, v in zip(below.T, rising.T, strict=True)], axis=-1)
+    return np.asarray((high - low) / (2.0 * ndtri(asked[1])[:, None] * sd))

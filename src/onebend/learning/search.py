@@ -60,6 +60,7 @@ class Optimum:
     x: Array  # (P,) log k's mean, its scales averaged over, and what is most probable with it
     covariance: Array  # (P, P)
     jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, what is smooth apart
+    shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
     scales: Scales
     predictions: tuple[Prediction, ...]
     log_evidence: float
@@ -122,6 +123,7 @@ def conclude(films: list[Film], at: Layout, found: Found, level: float, expected
         x=x,
         covariance=covariance,
         jumps=of_k.steps,
+        shape=of_k.shape,
         scales=scales,
         predictions=now,
         log_evidence=known.solve(scales)[1],

@@ -1,8 +1,10 @@
 """log k(s) as a cubic B-spline with a smoothness prior.
 
-The prior is a sum of three: a broad one for level and slope; a smooth part whose second derivative is white noise of
-size `tau` (an integrated Wiener process); and steps from each coefficient to the next, of size `rho` (a random walk:
-glued pieces, joints). Rough data earn a rough k, and where nothing is seen the band opens as the prior does.
+The prior is a sum of four: a broad one for level and slope; a smooth part whose second derivative is white noise of
+size `tau` (an integrated Wiener process); steps from each coefficient to the next (glued pieces); and bumps that are
+three or four coefficients wide (joints, nodes of a stem). Where all steps are taken to be alike they are a random walk
+of size `rho`, without bumps; where each has a size of its own, see `roughness.py`. Rough data earn a rough k, and where
+nothing is seen the band opens as the prior does.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from onebend.records import Array
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
 TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
+SPREAD = 1.2  # one sd of their logs: a factor of ten either way
 _DEGREE = 3
+_BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on intervals twice as long, of height one
 _WITHIN = 20  # places of a step between two coefficients that are averaged over
 
 
@@ -27,7 +31,7 @@ _WITHIN = 20  # places of a step between two coefficients that are averaged over
 class Spline:
     """`count` B-splines on equal intervals of [0, 1]."""
 
-    count: int = 16
+    count: int = 45
 
     @cached_property
     def knots(self) -> Array:
@@ -49,11 +53,11 @@ class Spline:
         return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
 
     def variances(self, tau: float | Array, rho: float | Array) -> Array:
-        """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2` and `count - 1` steps."""
-        out = np.empty((*np.shape(tau), 2 * self.count - 1))
+        """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
+        out = np.zeros((*np.shape(tau), 3 * self.count - 1))
         out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
         out[..., 2 : self.count] = np.square(tau)[..., None]
-        out[..., self.count :] = np.square(rho)[..., None] * self.gaps
+        out[..., self.count : 2 * self.count - 1] = np.square(rho)[..., None] * self.gaps
         return out
 
     @cached_property
@@ -72,14 +76,22 @@ class Spline:
         bent = null_space(both)
         values, vectors = np.linalg.eigh(bent.T @ self._bending @ bent)
         steps = np.tril(np.ones((self.count, self.count)), -1)[:, :-1]
+        wide = len(_BUMP) // 2
+        bumps = sum(height * np.eye(self.count, k=i - wide) for i, height in enumerate(_BUMP))
+        local = np.concatenate([steps, bumps], axis=1)
         return np.concatenate(
-            [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), steps - level @ steps], axis=1
+            [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), local - level @ local], axis=1
         )
 
     @cached_property
+    def share(self) -> Array:
+        """(2 count - 1,) of the beam that each step and each bump stands for."""
+        return np.concatenate([self.gaps, np.full(self.count, 1.0 / self.count)])
+
+    @cached_property
     def finer(self) -> Spline:
-        """The splines on intervals a third as long."""
-        return Spline(3 * (self.count - _DEGREE) + _DEGREE)
+        """The splines on intervals half as long."""
+        return Spline(2 * (self.count - _DEGREE) + _DEGREE)
 
     @cached_property
     def on_finer(self) -> Array:

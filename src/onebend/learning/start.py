@@ -11,12 +11,10 @@ from onebend.beam.problem import pose
 from onebend.beam.stiffness import Profile, Uniform
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import distances, loads_of, mass_profile, nothing_moves, usable_frames
-from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
-from onebend.learning.held_poses import is_held, sets_no_scale, shapes_of
-from onebend.learning.mass import check_mass_can_be_learned, mass_is_open, shared_mass, weighs
+from onebend.learning.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
+from onebend.learning.held_poses import is_held, resolution_of, sets_no_scale, shapes_of
+from onebend.learning.mass import NEEDS_MASS, check_mass_can_be_learned, mass_is_open, shared_mass, weighs
 from onebend.learning.outcome import Learned
-from onebend.learning.validation import RESOLUTION
 from onebend.records import BoolArray, Observations
 
 _FRAMES = 40  # of each recording
@@ -36,17 +34,15 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     frames = [_some(o) for o in recordings]
     if mass_is_open(recordings):
         names = ", ".join(o.name for o in recordings if weighs(o))
-        raise LearningError(
-            f"{names}: gravity acts in the plane, so beam.mass_kg must be given (or guessed first, with `with_mass`)"
-        )
+        raise LearningError(f"{names}: {NEEDS_MASS}, or guess it first, with `with_mass`")
     if sets_no_scale(recordings):
         return Uniform(1.0)  # as good as any
     tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
     beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in tried]
     beams += [] if learned is None else [learned.beam]
-    distances = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
-    return beams[int(np.argmin(distances))].stiffness  # the stiffest hardly bends: one at least is finite
+    away = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
+    return beams[int(np.argmin(away))].stiffness  # the stiffest hardly bends: one at least is finite
 
 
 @one_blas_thread
@@ -73,22 +69,20 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
 
 def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
     """A few of the usable frames, evenly spread."""
-    usable, still = np.flatnonzero(usable_frames(o)), nothing_moves(o)
+    usable, still = np.flatnonzero(usable_frames(o)).astype(np.int64), nothing_moves(o)
     if len(usable) == 0 or still:
         raise LearningError(
             f"{o.name}: {still or 'no frame has a load, a force and a tag'}, so nothing can be learned from it. Film a "
             "push (or a beam that its weight bends), with the tags in view, and let the force log cover it"
         )
-    out = np.zeros(len(o.time), dtype=bool)
-    out[usable[np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int)]] = True
-    return out
+    return evenly_spread(usable, most, len(o.time))
 
 
 def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolArray]) -> float:
     """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = shapes_of(o, some, pose(beam, loads_of(o, some), HELD_RESOLUTION if is_held(o) else RESOLUTION))
+        solved = shapes_of(o, some, pose(beam, loads_of(o, some), resolution_of(o)))
         if not np.all(solved.converged):
             return float("inf")
         squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2
@@ -102,7 +96,7 @@ def _largest_load(o: Observations, some: BoolArray) -> float:
     if o.known is not None:
         moment = np.sum(np.abs(o.known.moment[some]), axis=1) / o.length
         loads = loads + np.sum(np.linalg.norm(o.known.force[some], axis=-1), axis=1) + moment
-    if np.any(o.gravity != 0.0):
+    if weighs(o):
         loads = loads + np.nan_to_num(o.mass) * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from onebend.errors import LearningError
+from onebend.learning.frames import whitening
 from onebend.records import Array, Observations
 
 _MARGIN = 0.1  # s after the last contact found: the tool leaves the beam within it
@@ -73,13 +74,14 @@ def find_swing(o: Observations, part: Part = Part()) -> Swing:
         raise LearningError(f"{o.name}: not every tag is seen at rest. Begin the film with the free beam at rest")
     if np.ptp(o.gravity[chosen], axis=0).max() > 0.2:
         raise LearningError(f"{o.name}: the base turns while the beam swings. Let it swing from a base that stands")
+    shown = np.where(there[chosen][..., None], seen[chosen], np.nan)
     swing = Swing(
         name=o.name,
         time=o.time[chosen] - o.time[chosen][0],
         begin=float(film_time[chosen][0]),
         s=o.marker_s,
-        seen=np.where(there[chosen][..., None], seen[chosen], np.nan),
-        whiten=_whitening(o.covariance[chosen], there[chosen]),
+        seen=shown,
+        whiten=whitening(shown, o.covariance[chosen]),
         rest=rest,
         gravity=np.asarray(o.gravity[chosen].mean(axis=0)),
         rate=1.0 / float(np.median(np.diff(o.time))),
@@ -137,14 +139,6 @@ def _release(o: Observations, film_time: Array) -> float:
             "freely in a part of the film, say from when on: --from-s"
         )
     return float(film_time[touched[-1]]) + _MARGIN
-
-
-def _whitening(covariance: Array, there: Array) -> Array:
-    """(T, m, 3, 3)."""
-    safe = np.where(there[..., None, None], covariance, np.eye(3))
-    out = np.linalg.inv(np.linalg.cholesky(safe))
-    out[~there.astype(bool)] = 0.0
-    return np.asarray(out)
 
 
 def _clearest(swing: Swing) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from onebend.errors import MechanicsError
 from onebend.learning.swing import shortened
 from onebend.learning.swing_motion import Problem, predict
 from onebend.progress import Progress
+from onebend.recording.signals import MAD_TO_SD
 from onebend.records import Array
 
 _ROUNDS, _ENOUGH = 25, 1e-3  # of Gauss-Newton; the step in sd at which it stops
@@ -106,8 +107,8 @@ def _slope(problem: Problem, x: Array, left: Array) -> Array:
 
 
 def _scale(left: Array) -> float:
-    """Spread of the residuals in sd of the tags' noise, at least 1 tenth of it."""
-    return max(1.4826 * float(np.median(np.abs(left))), 0.1)
+    """Spread of the residuals in sd of the tags' noise, at least a tenth of it."""
+    return max(MAD_TO_SD * float(np.median(np.abs(left))), 0.1)
 
 
 def _covariance(problem: Problem, rows: Array, left: Array, scale: float) -> Array:

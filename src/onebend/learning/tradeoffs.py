@@ -1,7 +1,7 @@
 """What the data cannot tell apart: the largest correlations of the posterior.
 
 Two quantities that are strongly correlated trade off: the data fix a combination of them, and what one is depends on
-the prior of the other. The quantities are the nuisances, the mean error of each force log and axis, and the mean level
+the prior of the other. The quantities are the nuisances, mean and drift of each force log's error, and the mean level
 of log k over the places where k(s) is identified.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from onebend.learning.parameters import Block
 from onebend.learning.posterior import Posterior
+from onebend.learning.quantities import quantities
 from onebend.records import Array
 
 LEVEL = "level of k(s)"
@@ -60,12 +61,9 @@ def correlations(posterior: Posterior) -> tuple[list[str], Array]:
     for block in posterior.at.blocks:
         if block.start < 0 or block.name == "stiffness":
             continue
-        if block.name == "force":
-            labels, weights = _mean_error(block)
-        else:
-            labels, weights = list(block.labels), np.eye(len(block.labels))
-        names += labels
-        rows += list(_wide(weights, block, posterior.at.size))
+        these = quantities(block, posterior.films)
+        names += these.labels
+        rows += list(_wide(these.weights, block, posterior.at.size))
     functionals = np.stack(rows)
     covariance = functionals @ posterior.covariance @ functionals.T
     sd = np.sqrt(np.diag(covariance))
@@ -80,15 +78,6 @@ def _level(posterior: Posterior) -> Array:
     out = np.zeros(posterior.at.size)
     out[posterior.at.index["stiffness", -1].where] = np.mean(basis, axis=0)
     return out
-
-
-def _mean_error(block: Block) -> tuple[list[str], Array]:
-    """The mean over time of a force log's error, per axis; its knots come as x, y, x, y, ..."""
-    knots = len(block.labels) // 2
-    weights = np.zeros((2, len(block.labels)))
-    weights[0, 0::2], weights[1, 1::2] = 1.0 / knots, 1.0 / knots
-    whose = block.labels[0].rpartition(": ")[0]
-    return [f"{whose}: mean force error {axis}" for axis in "xy"], weights
 
 
 def _wide(weights: Array, block: Block, size: int) -> Array:

@@ -7,20 +7,18 @@ import numpy as np
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, pose
+from onebend.beam.problem import has_mass, pose
 from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import distances, loads_of, nothing_moves, push_places, usable_frames
-from onebend.learning.held_poses import RESOLUTION as HELD_RESOLUTION
-from onebend.learning.held_poses import is_held, shapes_of
+from onebend.learning.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
+from onebend.learning.held_poses import RESOLUTION, is_held, resolution_of, shapes_of
+from onebend.learning.mass import NEEDS_MASS, weighs
 from onebend.learning.outcome import Comparison
 from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
 
-RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
-_PLACES = np.linspace(0.0, 1.0, 11)
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -45,8 +43,8 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
         raise LearningError(f"{observations.name}: {why}; nothing to compare")
-    if np.any(observations.gravity != 0.0) and not np.any(beam.mass_per_length(_PLACES) > 0.0):
-        raise LearningError(f"{observations.name}: gravity acts in the plane, so beam.mass_kg must be given")
+    if weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.name}: {NEEDS_MASS}")
     solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
     predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
@@ -63,7 +61,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         force=observations.force[frames],
         push_s=push_places(observations)[frames],
         stable=stable,
-        rms=_rms(measured - predicted),
+        rms=marker_rms(measured - predicted),
         sensor_rms=_sensor_rms(solved, observations, frames),
         remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
         static=observations.static,
@@ -74,7 +72,7 @@ def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> 
     """Under the measured loads; an end held by an unknown one stands where it was seen."""
     loads = loads_of(observations, frames)
     if is_held(observations):
-        return [shapes_of(observations, frames, pose(beam, loads, HELD_RESOLUTION))]
+        return [shapes_of(observations, frames, pose(beam, loads, resolution_of(observations)))]
     return simulate(beam, loads)
 
 
@@ -94,16 +92,6 @@ def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
     dx, dy = offset[:, 0], offset[:, 1]
     out = solved.xy(s) + np.stack([cos * dx - sin * dy, sin * dx + cos * dy], axis=-1)
     return np.asarray(np.where(solved.converged[:, None, None], out, np.nan))
-
-
-def _rms(difference: Array) -> Array:
-    """(m,) root mean square distance per marker; NaN for one that was never compared."""
-    squared = distances(difference) ** 2
-    seen = np.isfinite(squared)
-    count = np.sum(seen, axis=0)
-    total = np.sum(np.where(seen, squared, 0.0), axis=0)
-    mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-    return np.asarray(np.sqrt(mean))
 
 
 def _sensor_rms(solved: list[Equilibrium], observations: Observations, frames: BoolArray) -> Array:

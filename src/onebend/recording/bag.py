@@ -14,7 +14,9 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_scan import BrokenOffError, Channel, lacking, scan
+from onebend.recording.bag_items import BrokenOffError, Channel
+from onebend.recording.bag_scan import scan
+from onebend.recording.bag_sqlite import lacking
 from onebend.recording.bag_types import decoder
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
@@ -73,10 +75,9 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
 
     A bag that was not closed is read without its index. With `keep` one that is damaged is, too, up to the damage.
 
-    Raises
-    ------
-    RecordingError
-        There is none, or it is damaged and `keep` is false; with the place and how many messages come before it.
+    Raises:
+        RecordingError: there is none, or it is damaged and `keep` is false; with the place and how many messages come
+            before it.
     """
     files = files_of(path) if path.exists() else ()
     if not files:
@@ -176,10 +177,8 @@ def together(parts: Iterator[list[tuple[Channel, int]]]) -> dict[str, Topic]:
 def topic_of(bag: Bag, name: str, where: str) -> Topic:
     """The topic `name`; `where` says who asks for it.
 
-    Raises
-    ------
-    RecordingError
-        No such topic, or no message of it; those there are listed.
+    Raises:
+        RecordingError: no such topic, or no message of it; those there are listed.
     """
     found = bag.topics.get(name) or bag.topics.get(f"/{name}")
     if found is not None and found.count:
@@ -200,10 +199,8 @@ def listed(bag: Bag) -> str:
 def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     """When each message of the topic was received, ns, and its bytes, in the bag's order.
 
-    Raises
-    ------
-    RecordingError
-        The bag is damaged within, though its index is good.
+    Raises:
+        RecordingError: the bag is damaged within, though its index is good.
     """
     name = topic.channel.topic
     if bag.scanned:
@@ -230,10 +227,8 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
 def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterator[tuple[int, Any]]:
     """When each message of the topic was received, ns, and the message as an object.
 
-    Raises
-    ------
-    RecordingError
-        Its type is not known, a message does not fit it, or the bag is damaged.
+    Raises:
+        RecordingError: its type is not known, a message does not fit it, or the bag is damaged.
     """
     decode = decoder(bag.path, topic.channel, definitions)
     for count, (received, data) in enumerate(raw_messages(bag, topic)):

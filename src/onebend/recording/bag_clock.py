@@ -25,10 +25,8 @@ class Clock:
 def clock_of(bag: Bag, topic: Topic, definitions: Path | None = None) -> Clock:
     """By the headers' stamps if one of the first messages has any, else by receipt.
 
-    Raises
-    ------
-    RecordingError
-        As `messages` does, or no message of the topic can be read.
+    Raises:
+        RecordingError: as `messages` does, or no message of the topic can be read.
     """
     received = None
     for at, message in islice(messages(bag, topic, definitions), FIRST):

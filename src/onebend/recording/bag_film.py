@@ -14,7 +14,7 @@ from PIL import Image, UnidentifiedImageError
 from onebend.errors import RecordingError
 from onebend.recording.bag import Bag, Topic, open_bag, topic_of
 from onebend.recording.bag_clock import clock_of, timed
-from onebend.recording.entries import VideoEntry
+from onebend.recording.source_entries import VideoEntry
 
 Pixels = NDArray[np.uint8]
 
@@ -31,10 +31,8 @@ MOSAICS = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
 def bag_film(video: VideoEntry) -> tuple[Bag, Topic]:
     """The bag and its image topic.
 
-    Raises
-    ------
-    RecordingError
-        No such topic, or it holds no images.
+    Raises:
+        RecordingError: no such topic, or it holds no images.
     """
     bag = open_bag(video.file, keep=video.damaged == "keep")
     topic = topic_of(bag, video.topic, "[video] topic")
@@ -49,10 +47,8 @@ def bag_film(video: VideoEntry) -> tuple[Bag, Topic]:
 def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
     """Time since the first, s, and message of every image, in order.
 
-    Raises
-    ------
-    RecordingError
-        As `bag_film`, or a time that is missing or does not rise.
+    Raises:
+        RecordingError: as `bag_film`, or a time that is missing or does not rise.
     """
     bag, topic = bag_film(video)
     clock = clock_of(bag, topic, video.definitions)
@@ -69,10 +65,8 @@ def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
 def picture_of(message: Any, where: str, *, colour: bool = False) -> Pixels:
     """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message.
 
-    Raises
-    ------
-    RecordingError
-        An encoding that is not known, or fewer bytes than the size asks for.
+    Raises:
+        RecordingError: an encoding that is not known, or fewer bytes than the size asks for.
     """
     if not hasattr(message, "encoding"):
         return unpacked(message, where, colour)

@@ -26,10 +26,9 @@ AXES = {"x": 0, "y": 1, "z": 2}
 def read_bag_force(entry: ForceEntry) -> ForceLog:
     """The force along `entry.axes` of every message of `entry.topic`, on the headers' clock; its zero is the first one.
 
-    Raises
-    ------
-    RecordingError
-        No such topic or field, a damaged bag, too few messages, forces in several frames, or zero throughout.
+    Raises:
+        RecordingError: no such topic or field, a damaged bag, too few messages, forces in several frames, or zero
+            throughout.
     """
     bag = open_bag(entry.file, keep=entry.damaged == "keep")
     topic = topic_of(bag, entry.topic, "[force] topic")
@@ -73,10 +72,8 @@ def default_field(topic: Topic, entry: ForceEntry) -> str:
 def force_of(message: Any, field: str, where: str) -> tuple[Array, str]:
     """(3,) N at `field` of the message, and the frame it is in ("" where nothing says).
 
-    Raises
-    ------
-    RecordingError
-        There is no such field, or it holds no force.
+    Raises:
+        RecordingError: there is no such field, or it holds no force.
     """
     value, frame = message, frame_of(message)
     for name in (*field.split("."), "wrench", "force"):

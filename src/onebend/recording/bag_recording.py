@@ -12,8 +12,9 @@ from onebend.recording.bag import Bag, Topic, is_bag, listed, open_bag, raw_mess
 from onebend.recording.bag_clock import Clock, clock_of
 from onebend.recording.bag_film import bag_film
 from onebend.recording.bag_topics import guess
-from onebend.recording.entries import ForceEntry, Recording, VideoEntry
+from onebend.recording.entries import ForceEntry, Recording
 from onebend.recording.schema import Mistakes
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import Remark
 
 HEADERS_DOUBT = 0.1  # s: exposure, transfer and filters between an event and the stamp of its message
@@ -55,10 +56,8 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
 
     `written` is recording.toml as data: a start that stands there is kept.
 
-    Raises
-    ------
-    RecordingError
-        A bag cannot be read.
+    Raises:
+        RecordingError: a bag cannot be read.
     """
     video = rec.video if rec.video is not None and rec.video.topic else None
     force = rec.force if rec.force is not None and rec.force.topic else None

@@ -3,10 +3,8 @@ holds, and where it breaks off."""
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,39 +15,21 @@ from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, decompress
 from rosbags.typesys.msg import normalize_msgtype
 
+from onebend.recording.bag_items import BrokenOffError, Channel, Item
+from onebend.recording.bag_sqlite import SQLITE_MAGIC, scan_sqlite
+
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
-SQLITE_MAGIC = b"SQLite format 3\0"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no message begins so: CDR begins with a zero
 SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 3, 4, 5, 6, 15  # records of MCAP
 ROS1_MESSAGE, ROS1_HEADER, ROS1_CHUNK, ROS1_CHUNK_INFO, ROS1_CONNECTION = 2, 3, 5, 6, 7
 
 
-class BrokenOffError(Exception):
-    """The file cannot be read beyond a place; the text says which and why."""
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One topic as the file declares it."""
-
-    topic: str
-    type: str  # "geometry_msgs/msg/Wrench"
-    encoding: str  # of the messages: "cdr" or "ros1"
-    definition: str  # the message's definition as text; "" where the file has none
-    idl: bool  # whether that is IDL, not MSG
-
-
-Item = tuple[Channel, int, bytes] | Channel  # a message (received at, ns) or the declaration of a topic
-
-
 def scan(path: Path) -> Iterator[Item]:
     """Topics and messages of one file in its own order, read without its index.
 
-    Raises
-    ------
-    BrokenOffError
-        Where it cannot be read further; what came before is good.
+    Raises:
+        BrokenOffError: where it cannot be read further; what came before is good.
     """
     try:
         with path.open("rb") as stream:
@@ -243,40 +223,3 @@ def ros1_fields(body: bytes) -> dict[str, bytes]:
         found[name.decode()] = value
         at += 4 + long
     return found
-
-
-def scan_sqlite(path: Path) -> Iterator[Item]:
-    """Topics, then messages in the order they were written, up to the first page that is not there."""
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as base:
-            base.execute("PRAGMA writable_schema=ON")  # else a file shorter than it says is refused as a whole
-            tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
-            texts = {}
-            if "message_definitions" in tables:
-                rows = base.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
-                texts = {kind: (text, encoding.endswith("idl")) for kind, encoding, text in rows}
-            channels = {}
-            for key, name, kind, encoding in base.execute("SELECT id, name, type, serialization_format FROM topics"):
-                channels[key] = Channel(name, kind, encoding, *texts.get(kind, ("", False)))
-                yield channels[key]
-            for key, received, data in base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
-                if key in channels:
-                    yield channels[key], received, data
-    except sqlite3.Error as wrong:
-        raise BrokenOffError(lacking(path) or str(wrong)) from None
-    if lack := lacking(path):
-        raise BrokenOffError(lack)
-
-
-def lacking(path: Path) -> str:
-    """What a database lacks of the length that it says it has, in words; "" for a whole one, or for another file.
-
-    The database's own reader does not always notice."""
-    with path.open("rb") as stream:
-        head = stream.read(100)
-    if not head.startswith(SQLITE_MAGIC) or len(head) < 100:
-        return ""
-    page, pages = struct.unpack(">H", head[16:18])[0], struct.unpack(">I", head[28:32])[0]
-    said, size = (65536 if page == 1 else page) * pages, path.stat().st_size
-    known = head[24:28] == head[92:96]  # else an old writer did not keep the number of pages
-    return f"it ends at byte {size} and says that it has {said}" if known and size < said else ""

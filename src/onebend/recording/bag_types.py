@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_scan import Channel
+from onebend.recording.bag_items import Channel
 
 IDL_PART = "=" * 80 + "\n"
 
@@ -22,10 +22,8 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
 
     `definitions` is a folder with .msg files, for a bag that does not carry them.
 
-    Raises
-    ------
-    RecordingError
-        The type is not known, or its definition cannot be read.
+    Raises:
+        RecordingError: the type is not known, or its definition cannot be read.
     """
     if channel.encoding not in ("cdr", "ros1"):
         raise RecordingError(f"{path}: {channel.topic} is packed as {channel.encoding!r}; cdr and ros1 can be read.")

@@ -47,6 +47,21 @@ class Calibration:
         """(4,) or (5,): without k3 where it is 0."""
         return self.values[4:] if self.values[8] != 0.0 else self.values[4:8]
 
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; pixels and radians."""
+        pairs = zip(NAMES, self.values, self.sd, strict=True)
+        return {
+            "width": self.width,
+            "height": self.height,
+            "parameters": {name: {"value": value, "sd": sd} for name, value, sd in pairs},
+            "error_px": self.error,
+            "frames": self.frames,
+            "view_error_px": self.view_error,
+            "coverage": self.coverage,
+            "turned_rad": self.turned,
+            "remarks": [remark.as_dict() for remark in self.remarks],
+        }
+
     def camera_table(self) -> str:
         """A `[camera]` table for recording.toml."""
         numbers = dict(zip(NAMES, zip(self.values, self.sd, strict=True), strict=True))

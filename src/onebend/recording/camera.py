@@ -9,10 +9,11 @@ import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.base import base_pose, motion_remarks
-from onebend.recording.entries import CameraEntry, Recording
+from onebend.recording.entries import Recording
 from onebend.recording.lens import to_plane
 from onebend.recording.plane import PlaneFit, fit_plane, lay_square
 from onebend.recording.poses import Poses, drop, measure_poses, part, relative_to, unwrap
+from onebend.recording.source_entries import CameraEntry
 from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
 
 CALIBRATION_FRAMES = 150  # frames that fix the camera's plane, spread evenly over the tags' travel
@@ -30,12 +31,9 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
     size whose corners, seen through the lens, come nearest to the detected ones. The noise of a corner is that of the
     recording (from what no square explains), more where a tag's own corners fit worse.
 
-    Raises
-    ------
-    RecordingError
-        The calibration is of another picture size.
-    ObservationError
-        No plane explains the tags, or their distances contradict the beam's length.
+    Raises:
+        RecordingError: the calibration is of another picture size.
+        ObservationError: no plane explains the tags, or their distances contradict the beam's length.
     """
     tags, base = recording.tags, len(recording.tags.on_base)
     check_picture(detections, recording.camera)
@@ -118,11 +116,18 @@ def lasting_base(corners: Array) -> Array:
     return np.asarray(corners[nearest, tag : tag + 1])
 
 
+def chord_fits(farthest: float, arc: float, slack: float) -> bool:
+    """Whether two places on a beam with `arc` [m] of it between them can be `farthest` [m] apart at most.
+
+    A chord is never longer than its arc, and it is 0.6 of it only where the beam turns by 200 degrees in between.
+    """
+    return TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack
+
+
 def check_lengths(xy: Array, recording: Recording) -> None:
     """An error where neighbouring tags are farther apart than the beam between them, or always much nearer.
 
-    `xy` (T, m, 2) m in the base's frame. A chord is never longer than its arc, and it is 0.6 of it only where the beam
-    turns by 200 degrees between two tags.
+    `xy` (T, m, 2) m in the base's frame.
     """
     tags, length = recording.tags, recording.beam.length
     places = [(0.0, "the base", np.zeros((len(xy), 2)))]
@@ -136,7 +141,7 @@ def check_lengths(xy: Array, recording: Recording) -> None:
             continue
         farthest = float(np.nanpercentile(apart, FARTHEST))
         ratios.append(farthest / arc)
-        if not worst and not TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack:
+        if not worst and not chord_fits(farthest, arc, slack):
             worst = (
                 f"{name} and {other} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
                 f"{1000 * arc:.3g} mm of beam between them"

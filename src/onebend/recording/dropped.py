@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.recording.signals import runs, step, within_noise
+from onebend.recording.signals import MAD_TO_SD, runs, step, within_noise
 from onebend.records import Array, BoolArray, Remark
 
 EVEN = 0.1  # of the samples: more that are off their place mean that the log has no rate to miss samples of
@@ -46,10 +46,9 @@ def false_zeros(force: Array) -> BoolArray:
         return np.zeros(len(force), dtype=bool)
     size = np.linalg.norm(force, axis=1)
     pairs = ~zero[1:] & ~zero[:-1]
-    noise = 1.4826 * float(np.median(np.linalg.norm(np.diff(force, axis=0), axis=1)[pairs])) if pairs.any() else 0.0
-    edges = np.diff(zero.astype(int), prepend=0, append=0)
+    noise = MAD_TO_SD * float(np.median(np.linalg.norm(np.diff(force, axis=0), axis=1)[pairs])) if pairs.any() else 0.0
     found = np.zeros(len(force), dtype=bool)
-    spans = list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+    spans = runs(zero).tolist()
     sure = []
     for begin, end in spans:
         beside = [size[i] for i in (begin - 1, end) if 0 <= i < len(size)]

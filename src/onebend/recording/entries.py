@@ -11,56 +11,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.schema import degrees, flag, key, number, one_of, several, text, whole
-from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
-from onebend.records import DIRECTION_SD, PLACE_SD, MassAlong, Remark, Rest, StiffnessAlong
+from onebend.recording.source_entries import (
+    CameraEntry,
+    Damaged,
+    MarkersEntry,
+    PhotosEntry,
+    PosesEntry,
+    VideoEntry,
+    damaged_bag,
+    message_definitions,
+)
+from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Remark
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
-DAMAGED = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
-
-
-@dataclass(frozen=True)
-class BeamEntry:
-    """[beam]: what is known of the beam."""
-
-    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
-    mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
-    mass_file: Path | None = key(
-        "mass_file",
-        text,
-        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
-        example='"mass.csv"',
-        default=None,
-    )
-    stiffness_along: StiffnessAlong = key(
-        "stiffness_along",
-        one_of("unknown", "even"),
-        'what is known of how k varies: "even" where it is one number (one section and material), or "unknown"',
-        example='"even"',
-        default="unknown",
-    )
-    mass_along: MassAlong = key(
-        "mass_along",
-        one_of("unknown", "even", "width", "thickness", "both", "table"),
-        'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
-        '"table" in mass_file, or "unknown"',
-        example='"even"',
-        default="unknown",
-    )
-    width: float = key(
-        "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
-    )
-    thickness: float = key(
-        "thickness_m", number(above=0), "the beam's size along the bending axis, m", example="0.03", default=math.nan
-    )
-    rest: Rest = key(
-        "rest",
-        one_of("straight", "unknown"),
-        'its shape with no force on it: "straight", or "unknown" if it may be curved',
-        example='"straight"',
-        default="straight",
-    )
 
 
 @dataclass(frozen=True)
@@ -91,64 +57,19 @@ class TagsEntry:
     placement_sd: float = key(
         "placement_sd_m",
         number(least=0),
-        "how far off its written place a tag may sit (one standard deviation), m",
+        "how far off its written place a tag may sit (one standard deviation), m; 0: exact",
         example=f"{DEFAULT_PLACEMENT_SD}",
         default=DEFAULT_PLACEMENT_SD,
     )
+    turn_sd: float = key(
+        "turn_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        "how far off its written turn a tag may be (one standard deviation), degrees; 0: exact",
+        example="1.5",
+        default=TURN_SD,
+    )  # rad
     on_base: tuple[TagEntry, ...] = ()  # at least one where a camera looks; the first is the origin
     on_beam: tuple[TagEntry, ...] = ()  # at least one
-
-
-@dataclass(frozen=True)
-class CameraEntry:
-    """[camera]: a pinhole camera with OpenCV's lens model, as calibrated."""
-
-    width: int = key("width", whole(least=1), "the picture's width in the calibration, px", example="1280")
-    height: int = key("height", whole(least=1), "the picture's height in the calibration, px", example="720")
-    fx: float = key("fx", number(least=10), "the focal length along x, px", example="1200.0")
-    fy: float = key("fy", number(least=10), "the focal length along y, px", example="1200.0")
-    cx: float = key("cx", number(), "the principal point's x, px (pixel centres at whole numbers)", example="639.5")
-    cy: float = key("cy", number(), "the principal point's y, px (pixel centres at whole numbers)", example="359.5")
-    dist: tuple[float, ...] = key(
-        "dist",
-        several(number(), 4, 5),
-        "the lens: k1, k2, p1, p2 and, if known, k3, as OpenCV calibrates it",
-        example="[0.0, 0.0, 0.0, 0.0]",
-    )
-
-
-@dataclass(frozen=True)
-class VideoEntry:
-    """[video]: the film and its clock."""
-
-    file: Path = key("file", text, "the video file or a bag, relative to this folder", example='"video.mp4"')
-    fps: float = key(
-        "fps", number(above=0), "the frame rate, only checked against the file's own", example="30", default=math.nan
-    )
-    frame_times: Path | Literal["container"] = key(
-        "frame_times",
-        text,
-        '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
-        example='"container"',
-        default="container",
-    )
-    topic: str = key("topic", text, "the image topic, where file is a bag", example='"/camera/image_raw"', default="")
-    definitions: Path | None = key(
-        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
-    )
-    damaged: Literal["refuse", "keep"] = key(
-        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
-    )
-    start: float = key(
-        "start_s", number(), "the time of the first frame on the force log's clock, s", example="0.0", default=math.nan
-    )
-    start_uncertainty: float = key(
-        "start_uncertainty_s",
-        number(least=0),
-        "how far off start_s may be (its largest error), s",
-        example="2.0",
-        default=2.0,
-    )  # s; infinity where start_s is not given
 
 
 @dataclass(frozen=True)
@@ -181,12 +102,8 @@ class ForceEntry:
         example='["x", "y"]',
         default=("x", "y"),
     )
-    definitions: Path | None = key(
-        "definitions", text, "a folder with .msg files, for a bag without them", example='"msgs"', default=None
-    )
-    damaged: Literal["refuse", "keep"] = key(
-        "damaged", one_of("refuse", "keep"), DAMAGED, example='"refuse"', default="refuse"
-    )
+    definitions: Path | None = message_definitions()
+    damaged: Damaged = damaged_bag()
     rotation: float = key(
         "rotation_deg",
         degrees(),
@@ -219,7 +136,7 @@ class ForceEntry:
     bias_sd: float = key(
         "bias_sd_N",
         number(least=0),
-        "the sensor's error under load that no rest shows (one sd), N",
+        "the sensor's error under load that no rest shows (one sd), N; 0: none",
         example="0.2",
         default=math.nan,
     )

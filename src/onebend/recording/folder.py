@@ -12,20 +12,11 @@ from typing import Any
 from onebend.errors import RecordingError
 from onebend.recording.bag import is_bag
 from onebend.recording.bag_recording import check_bag, with_bags
-from onebend.recording.entries import (
-    BeamEntry,
-    CameraEntry,
-    ForceEntry,
-    GravityEntry,
-    PushEntry,
-    Recording,
-    TagEntry,
-    TagsEntry,
-    VideoEntry,
-)
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.odd_entries import entry_remarks
 from onebend.recording.schema import Mistakes, read_table, report_unknown
-from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
+from onebend.recording.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 from onebend.records import Remark
 
 FILE_NAME = "recording.toml"
@@ -48,10 +39,8 @@ TABLES = ("beam", "tags", *SECTIONS)
 def read_recording(folder: Path | str) -> Recording:
     """Read and check `recording.toml` of `folder`, and that the files it names exist.
 
-    Raises
-    ------
-    RecordingError
-        Everything that is wrong, each with its line and what to do.
+    Raises:
+        RecordingError: everything that is wrong, each with its line and what to do.
     """
     folder = Path(folder)
     content, data = load(folder)

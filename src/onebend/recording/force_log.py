@@ -40,11 +40,9 @@ def read_force_log(
     Rows with an empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how
     many.
 
-    Raises
-    ------
-    RecordingError
-        Unreadable, a missing column (those found are listed), text instead of a number, times that fall, too few
-        rows, a force that is zero throughout; with the line.
+    Raises:
+        RecordingError: unreadable, a missing column (those found are listed), text instead of a number, times that
+            fall, too few rows, a force that is zero throughout; with the line.
     """
     path = Path(path)
     if other := unit_in_name(columns, time_unit):
@@ -76,10 +74,8 @@ def read_force_log(
 def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:
     """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall.
 
-    Raises
-    ------
-    RecordingError
-        Too few rows are left, or every force is zero.
+    Raises:
+        RecordingError: too few rows are left, or every force is zero.
     """
     full = np.isfinite(read).all(axis=1)
     lost = false_zeros(read[full, 1:3])

@@ -27,10 +27,8 @@ class BaseLog:
 def read_base_log(path: Path) -> BaseLog:
     """Read a CSV with the columns time_s and base_deg.
 
-    Raises
-    ------
-    RecordingError
-        A missing column, text or NaN, times that do not rise, fewer than two rows; with the line.
+    Raises:
+        RecordingError: a missing column, text or NaN, times that do not rise, fewer than two rows; with the line.
     """
     time: list[float] = []
     angle: list[float] = []

@@ -12,20 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.base import running_median
+from onebend.recording.base import MOVED, RUNNING, running_median
+from onebend.recording.camera import FARTHEST, chord_fits
 from onebend.recording.chords import with_angles
 from onebend.recording.contact import ContactSettings, find_contact
 from onebend.recording.entries import Recording
 from onebend.recording.plane_fit import best_plane, plane_remarks
 from onebend.recording.poses import unwrap
+from onebend.recording.signals import MAD_TO_SD
 from onebend.recording.tables import Columns, read_columns
 from onebend.records import UNKNOWN_ANGLE_SD, Array, Markers, Remark
 
 LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, of a tracker's noise: it has errors that do not show as noise
-MAD_TO_SD = 1.4826
-MOVED = 5.0  # sd: a base marker further from its middle place, after a running median, moves
-RUNNING = 5  # frames of that running median
-TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the beam between two markers: as for tags in a film
 
 
 @dataclass(frozen=True)
@@ -44,12 +42,10 @@ class Tracks:
 def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
     """Every beam marker of the recording's table, relative to the base.
 
-    Raises
-    ------
-    RecordingError
-        The table cannot be used.
-    ObservationError
-        A marker is missing throughout, nothing says where the clamp is, or lengths contradict the beam's.
+    Raises:
+        RecordingError: the table cannot be used.
+        ObservationError: a marker is missing throughout, nothing says where the clamp is, or lengths contradict the
+            beam's.
     """
     tracks = read_tracks(rec)
     base = len(rec.tags.on_base)
@@ -212,8 +208,8 @@ def check_scale(rec: Recording, xy: Array) -> None:
         mine = chords[np.isfinite(chords[:, i]), i]
         if arc <= slack or not len(mine):
             continue
-        farthest = float(np.percentile(mine, 99))
-        if not TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack:
+        farthest = float(np.percentile(mine, FARTHEST))
+        if not chord_fits(farthest, arc, slack):
             raise ObservationError(
                 f"{rec.name}: two neighbouring markers (or the clamp and the first) are {1000 * farthest:.4g} mm apart "
                 f"at most, recording.toml puts {1000 * arc:.4g} mm of beam between them. Are x_m and y_m in metres? "

@@ -15,10 +15,8 @@ from onebend.records import MassLine
 def beam_mass(rec: Recording) -> tuple[float, MassLine | None]:
     """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given.
 
-    Raises
-    ------
-    RecordingError
-        Fewer than two rows, places outside the beam or that do not rise, a mass that is not positive.
+    Raises:
+        RecordingError: fewer than two rows, places outside the beam or that do not rise, a mass that is not positive.
     """
     if (rec.beam.mass_along == "table") > (rec.beam.mass_file is not None):
         raise RecordingError(

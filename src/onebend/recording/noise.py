@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
+from onebend.recording.signals import MAD_TO_SD
 from onebend.records import Array, ForceNoise
 
 
@@ -36,7 +37,7 @@ def log_evidence(root: Array, design: Array, values: Array) -> float:
 def first_guess(values: Array, spacing: float) -> ForceNoise:
     """A noise of plausible size for `values` (N, a) sampled every `spacing` [s]."""
     jumps = np.diff(values, n=2, axis=0)
-    white = float(np.median(np.abs(jumps))) * 1.4826 / np.sqrt(6) if len(jumps) else 0.0
+    white = float(np.median(np.abs(jumps))) * MAD_TO_SD / np.sqrt(6) if len(jumps) else 0.0
     size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
     return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
 

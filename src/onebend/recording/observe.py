@@ -15,7 +15,7 @@ from onebend.recording.camera import measure_markers
 from onebend.recording.chords import with_angles
 from onebend.recording.clock import ClockFit, ClockSettings
 from onebend.recording.contact import Contact, ContactSettings, find_contact
-from onebend.recording.entries import Recording, TagsEntry, VideoEntry
+from onebend.recording.entries import Recording, TagsEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.force import ForceSettings
 from onebend.recording.frame import RestShape, rest_shape, to_beam_frame
@@ -25,6 +25,7 @@ from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.photos import photo_observations
 from onebend.recording.pose_tables import pose_observations
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.recording.turns import check_turns
 from onebend.records import (
@@ -76,12 +77,9 @@ def observe(
     `detections` are tags found earlier in the same video; without them the video is searched by `detect`, once the
     other files are known to be good.
 
-    Raises
-    ------
-    RecordingError
-        A file is missing or cannot be read.
-    ObservationError
-        No tags, no overlap of film and log, or a force that contradicts the bending.
+    Raises:
+        RecordingError: a file is missing or cannot be read.
+        ObservationError: no tags, no overlap of film and log, or a force that contradicts the bending.
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
     if rec.poses is not None:
@@ -188,6 +186,7 @@ def _observations(
         gravity=acting.gravity[kept],
         mass=mass,
         placement_sd=rec.tags.placement_sd,
+        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=acting.clock,
         clean_force=acting.clean,

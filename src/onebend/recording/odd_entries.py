@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from onebend.recording.entries import BeamEntry, CameraEntry
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.source_entries import CameraEntry
 from onebend.records import Remark
 
 PIXELS = 0.05  # by which fx and fy may differ: pixels are square

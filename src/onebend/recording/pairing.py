@@ -12,7 +12,7 @@ from onebend.errors import ObservationError
 from onebend.recording.bag_force import read_bag_force
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
 from onebend.recording.contact import Contact
-from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording.entries import Recording
 from onebend.recording.force import (
     ForceSettings,
     choose_cutoff,
@@ -27,6 +27,7 @@ from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.odd_force import size_remarks
 from onebend.recording.plausible import read_force
 from onebend.recording.signals import at_times, bandwidth, step
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 
@@ -45,10 +46,8 @@ def match_clocks(
 ) -> ClockFit:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
-    Raises
-    ------
-    ObservationError
-        Film and log do not overlap, or nothing says when the film starts.
+    Raises:
+        ObservationError: film and log do not overlap, or nothing says when the film starts.
     """
     said, uncertainty = rec.start
     if log is None and base is None:
@@ -152,10 +151,8 @@ def pair(
 def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
     """(T,) frames with a force and at least one marker, and what was left out.
 
-    Raises
-    ------
-    ObservationError
-        No frame is left.
+    Raises:
+        ObservationError: no frame is left.
     """
     forced: BoolArray = np.isfinite(force).min(axis=1)
     seen: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
@@ -176,10 +173,8 @@ def check_direction(
 ) -> tuple[Remark, ...]:
     """A remark where another reading of the force's axes explains the bending far better.
 
-    Raises
-    ------
-    ObservationError
-        Where `refuse`, if the force as it is contradicts the bending.
+    Raises:
+        ObservationError: where `refuse`, if the force as it is contradicts the bending.
     """
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)

@@ -24,12 +24,9 @@ from onebend.records import BoolArray, Detections, Markers, Observations, Remark
 def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
     """All that a folder of photos and its table of loads say.
 
-    Raises
-    ------
-    RecordingError
-        A picture or the table cannot be used.
-    ObservationError
-        Tags that are not seen, or that no flat plane explains.
+    Raises:
+        RecordingError: a picture or the table cannot be used.
+        ObservationError: tags that are not seen, or that no flat plane explains.
     """
     assert rec.photos is not None
     loads = read_loads(rec.photos.loads, rec, rec.photos.axes)

@@ -16,8 +16,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError
-from onebend.recording.entries import CameraEntry
 from onebend.recording.lens import project, to_plane
+from onebend.recording.source_entries import CameraEntry
 from onebend.records import Array, View
 
 FACING: Array = np.diag(
@@ -61,22 +61,16 @@ class PlaneFit:
 def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
     """Camera and plane that make all sightings squares of the known size.
 
-    Parameters
-    ----------
-    corners : (K, 4, 2) px, in the order of `records.Detections`, from any frames; all finite
-    size : side of the tags, m
-    camera : the calibration, or None
-    picture : width and height, px
+    The plane's frame has its origin on the optical axis and x towards the picture's right.
 
-    Returns
-    -------
-    PlaneFit
-        The plane's frame has its origin on the optical axis and x towards the picture's right.
+    Args:
+        corners: (K, 4, 2) px, in the order of `records.Detections`, from any frames; all finite.
+        size: m, side of the tags.
+        camera: the calibration, or None.
+        picture: px, width and height.
 
-    Raises
-    ------
-    ObservationError
-        No camera in front of the plane explains the sightings.
+    Raises:
+        ObservationError: no camera in front of the plane explains the sightings.
     """
     side = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)

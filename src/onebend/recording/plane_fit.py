@@ -44,10 +44,8 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     each other counts little. `seen_from` (3,) says which side one looks from. Points along one line leave the plane
     open: then the one that is seen most nearly face on is taken.
 
-    Raises
-    ------
-    ObservationError
-        Too few points, or the plane is seen edge on.
+    Raises:
+        ObservationError: too few points, or the plane is seen edge on.
     """
     there: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
     if np.sum(there) < 3:

@@ -34,10 +34,9 @@ class PoseLoads:
 def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
     """The loads of every pose that the table names; a row without a load names a pose of the bare beam.
 
-    Raises
-    ------
-    RecordingError
-        A load without a place, a weight or a room axis without the clamp's angle, angles that differ within a pose.
+    Raises:
+        RecordingError: a load without a place, a weight or a room axis without the clamp's angle, angles that differ
+            within a pose.
     """
     columns = ("s", "clamp_deg", *AMOUNTS)
     table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)

@@ -37,12 +37,9 @@ class PosePoints:
 def pose_observations(rec: Recording) -> Observations:
     """All that a table of poses says.
 
-    Raises
-    ------
-    RecordingError
-        A table cannot be used.
-    ObservationError
-        No point of any loaded pose, or a point farther from the clamp than the beam reaches.
+    Raises:
+        RecordingError: a table cannot be used.
+        ObservationError: no point of any loaded pose, or a point farther from the clamp than the beam reaches.
     """
     assert rec.poses is not None
     loads = read_loads(rec.poses.loads, rec, rec.poses.axes)
@@ -78,6 +75,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         gravity=loads.gravity,
         mass=mass,
         placement_sd=rec.tags.placement_sd,
+        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=None,
         clean_force=None,

@@ -13,7 +13,8 @@ from pyapriltags import Detector
 
 from onebend.errors import RecordingError
 from onebend.recording.entries import FAMILIES
-from onebend.records import BoolArray
+from onebend.recording.signals import runs
+from onebend.records import Array, BoolArray
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,16 @@ class PrintedTag:
         """Cells between the edge of `cells` and the detected square."""
         return (len(self.cells) - self.border) // 2
 
+    @property
+    def ink(self) -> Array:
+        """(n, 4, 2) corners of the black runs of each row, in cells right of and below the upper left corner."""
+        boxes = [
+            [[left, row], [right, row], [right, row + 1], [left, row + 1]]
+            for row, white in enumerate(self.cells)
+            for left, right in runs(~white).tolist()
+        ]
+        return np.array(boxes, dtype=float)
+
 
 @dataclass(frozen=True)
 class _Family:
@@ -39,15 +50,6 @@ class _Family:
     reversed_border: bool
     bit_x: tuple[int, ...]
     bit_y: tuple[int, ...]
-
-
-def tag_count(family: str = FAMILIES[0]) -> int:
-    """How many tags a family has; their ids run from 0.
-
-    Raises:
-        RecordingError: an unknown family.
-    """
-    return len(_family(family).codes)
 
 
 def printed_tag(tag_id: int, family: str = FAMILIES[0]) -> PrintedTag:

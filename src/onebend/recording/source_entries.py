@@ -1,16 +1,89 @@
 # ruff: noqa: RUF009  (key() returns a dataclass field, which is what a default may be)
-"""What stands in `recording.toml` in place of a film: tracked markers, bench poses, photos."""
+"""What shows the beam, in `recording.toml`: a film and its camera, or tracked markers, bench poses, photos."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from onebend.recording.schema import flag, key, number, one_of, several, text
+from onebend.recording.schema import flag, key, number, one_of, several, text, whole
 
 Axes = Literal["beam", "room"]
+Damaged = Literal["refuse", "keep"]
+
+
+def message_definitions() -> Any:
+    """The key `definitions`, where the file may be a bag."""
+    says = "a folder with .msg files, for a bag without them"
+    return key("definitions", text, says, example='"msgs"', default=None)
+
+
+def damaged_bag() -> Any:
+    """The key `damaged`, where the file may be a bag."""
+    says = 'whether a damaged bag is refused ("refuse") or used up to the damage ("keep")'
+    return key("damaged", one_of("refuse", "keep"), says, example='"refuse"', default="refuse")
+
+
+def load_sd() -> Any:
+    """The key `load_sd_N`, where loads are weighed."""
+    says = "how exactly the loads are known (one sd), N"
+    return key("load_sd_N", number(least=0), says, example="0.001", default=0.0)
+
+
+def clamp_sd(default: float) -> Any:
+    """The key `clamp_sd_deg`, kept in rad, where nothing shows the clamp's direction but the pose itself."""
+    says = "how exactly the clamp's angle is known (one sd), degrees"
+    return key("clamp_sd_deg", number(least=0, scale=math.pi / 180), says, example="1.0", default=default)
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """[camera]: a pinhole camera with OpenCV's lens model, as calibrated."""
+
+    width: int = key("width", whole(least=1), "the picture's width in the calibration, px", example="1280")
+    height: int = key("height", whole(least=1), "the picture's height in the calibration, px", example="720")
+    fx: float = key("fx", number(least=10), "the focal length along x, px", example="1200.0")
+    fy: float = key("fy", number(least=10), "the focal length along y, px", example="1200.0")
+    cx: float = key("cx", number(), "the principal point's x, px (pixel centres at whole numbers)", example="639.5")
+    cy: float = key("cy", number(), "the principal point's y, px (pixel centres at whole numbers)", example="359.5")
+    dist: tuple[float, ...] = key(
+        "dist",
+        several(number(), 4, 5),
+        "the lens: k1, k2, p1, p2 and, if known, k3, as OpenCV calibrates it",
+        example="[0.0, 0.0, 0.0, 0.0]",
+    )
+
+
+@dataclass(frozen=True)
+class VideoEntry:
+    """[video]: the film and its clock."""
+
+    file: Path = key("file", text, "the video file or a bag, relative to this folder", example='"video.mp4"')
+    fps: float = key(
+        "fps", number(above=0), "the frame rate, only checked against the file's own", example="30", default=math.nan
+    )
+    frame_times: Path | Literal["container"] = key(
+        "frame_times",
+        text,
+        '"container" for the times in the video file, or a CSV file with a column time_s, one row a frame',
+        example='"container"',
+        default="container",
+    )
+    topic: str = key("topic", text, "the image topic, where file is a bag", example='"/camera/image_raw"', default="")
+    definitions: Path | None = message_definitions()
+    damaged: Damaged = damaged_bag()
+    start: float = key(
+        "start_s", number(), "the time of the first frame on the force log's clock, s", example="0.0", default=math.nan
+    )
+    start_uncertainty: float = key(
+        "start_uncertainty_s",
+        number(least=0),
+        "how far off start_s may be (its largest error), s",
+        example="2.0",
+        default=2.0,
+    )  # s; infinity where start_s is not given
 
 
 @dataclass(frozen=True)
@@ -98,16 +171,8 @@ class PosesEntry:
         example="0.001",
         default=math.nan,
     )
-    load_sd: float = key(
-        "load_sd_N", number(least=0), "how exactly the loads are known (one sd), N", example="0.001", default=0.0
-    )
-    clamp_sd: float = key(
-        "clamp_sd_deg",
-        number(least=0, scale=math.pi / 180),
-        "how exactly the clamp's angle is known (one sd), degrees",
-        example="1.0",
-        default=math.radians(0.2),
-    )  # rad
+    load_sd: float = load_sd()
+    clamp_sd: float = clamp_sd(math.radians(0.2))  # rad
 
 
 @dataclass(frozen=True)
@@ -131,13 +196,5 @@ class PhotosEntry:
     camera_moves: bool = key(
         "camera_moves", flag, "whether the camera was moved between the pictures", example="false", default=False
     )
-    load_sd: float = key(
-        "load_sd_N", number(least=0), "how exactly the loads are known (one sd), N", example="0.001", default=0.0
-    )
-    clamp_sd: float = key(
-        "clamp_sd_deg",
-        number(least=0, scale=math.pi / 180),
-        "how exactly the clamp's angle is known (one sd), degrees",
-        example="1.0",
-        default=math.nan,
-    )  # rad
+    load_sd: float = load_sd()
+    clamp_sd: float = clamp_sd(math.nan)  # rad

@@ -54,11 +54,9 @@ def read_columns(
     Other columns are ignored; where `strict`, only those without a number. `kind` names the table in messages. In the
     columns `unknown` that word may stand for a number, and becomes infinity.
 
-    Raises
-    ------
-    RecordingError
-        Unreadable, a missing column (those found are listed), text where a number belongs, no rows, or numbers in a
-        column that is not known.
+    Raises:
+        RecordingError: unreadable, a missing column (those found are listed), text where a number belongs, no rows, or
+            numbers in a column that is not known.
     """
     cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     missing = [name for name in (*labels, *needed) if name not in cells]

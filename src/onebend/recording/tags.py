@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,10 +13,12 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
+from onebend.recording.entries import FAMILIES, TagsEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tracking import BlockTracks, Finder, track_block
 from onebend.recording.video import Frame, frame_count, rate_remarks, read_frames
 from onebend.records import Detections, Remark
+from onebend.workers import available_cores
 
 BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
 MOST_THREADS = 8
@@ -37,12 +38,9 @@ def detect_tags(
     The video is cut into blocks of frames that do not know of each other, so that the result does not depend on the
     number of `threads` (default: one a core) nor on their timing.
 
-    Raises
-    ------
-    RecordingError
-        The video cannot be read to its end.
-    ObservationError
-        No tag, no base tag or no beam tag was found, or one id is in the picture twice.
+    Raises:
+        RecordingError: the video cannot be read to its end.
+        ObservationError: no tag, no base tag or no beam tag was found, or one id is in the picture twice.
     """
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
@@ -63,11 +61,6 @@ def detect_tags(
         for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
             blocks += [block] if block else []
     return summary(video, tags, tag_id, blocks)
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:

@@ -5,19 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from onebend.errors import RecordingError
-from onebend.recording.entries import (
-    BeamEntry,
-    CameraEntry,
-    ForceEntry,
-    GravityEntry,
-    PushEntry,
-    TagEntry,
-    TagsEntry,
-    VideoEntry,
-)
+from onebend.recording.beam_entry import BeamEntry
+from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.folder import FILE_NAME, FORMAT
 from onebend.recording.schema import keys_of
-from onebend.recording.source_entries import MarkersEntry, PhotosEntry, PosesEntry
+from onebend.recording.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 
 INTRODUCTION = f"""\
 # What was filmed, for onebend. Fill in your own values; lines that start with # are optional and show an example.
@@ -37,10 +29,8 @@ GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in 
 def write_template(folder: Path | str) -> Path:
     """Write a commented `recording.toml` into `folder` (made if need be) and return its path.
 
-    Raises
-    ------
-    RecordingError
-        The folder holds one already, or cannot be written.
+    Raises:
+        RecordingError: the folder holds one already, or cannot be written.
     """
     path = Path(folder) / FILE_NAME
     try:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from onebend.errors import RecordingError
 from onebend.recording.bag_film import bag_film, bag_frames, picture_of
 from onebend.recording.dropped import missing_remarks
-from onebend.recording.entries import VideoEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.records import Array, Remark
 
 Picture = NDArray[np.uint8]
@@ -41,10 +41,9 @@ def read_frames(video: VideoEntry) -> Iterator[Frame]:
     bag the stamps of its images. A frame's time is taken as the middle of its exposure; a constant delay is part of
     the clock offset found later.
 
-    Raises
-    ------
-    RecordingError
-        Not a video, no frame, truncated or damaged (with the last good frame), no or falling frame times.
+    Raises:
+        RecordingError: not a video, no frame, truncated or damaged (with the last good frame), no or falling frame
+            times.
     """
     if video.topic:
         for index, (time, message) in enumerate(bag_frames(video)):
@@ -82,10 +81,8 @@ def read_frames(video: VideoEntry) -> Iterator[Frame]:
 def frame_at(video: VideoEntry, index: int) -> Picture:
     """Frame `index` in colour, (H, W, 3) RGB, as a person sees it.
 
-    Raises
-    ------
-    RecordingError
-        The video has no such frame, or cannot be read.
+    Raises:
+        RecordingError: the video has no such frame, or cannot be read.
     """
     if video.topic:
         for count, (_, message) in enumerate(bag_frames(video)):
@@ -127,10 +124,8 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
 def read_times(path: Path) -> Array:
     """The column `time_s` of a CSV file, (T,) s.
 
-    Raises
-    ------
-    RecordingError
-        No such column, or an entry that is not a finite number.
+    Raises:
+        RecordingError: no such column, or an entry that is not a finite number.
     """
     rows = path.read_text(encoding="utf-8-sig").splitlines()
     names = [name.strip() for name in rows[0].split(",")] if rows else []
@@ -238,10 +233,8 @@ def luma_of(frame: av.VideoFrame) -> Picture:
 def upright(picture: Picture, rotation: int) -> Picture:
     """The picture turned as the camera's orientation says (degrees counter-clockwise), in memory of its own.
 
-    Raises
-    ------
-    RecordingError
-        The turn is not a multiple of 90 degrees.
+    Raises:
+        RecordingError: the turn is not a multiple of 90 degrees.
     """
     if rotation % 90:
         raise RecordingError(f"The video is stored turned by {rotation} degrees. Only multiples of 90 can be read.")

@@ -8,6 +8,7 @@ misses are of its peak (within a factor of two for pushes of 4 to 13 s; docs/reh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from onebend.recording.frame import MOUNTING_SD
 from onebend.records import DIRECTION_SD, PLACE_SD
 from onebend.rehearse.setup import Setup
 
-FUNCTIONS = 24  # of log k, as the fit has
+FUNCTIONS = 45  # of log k, as the fit has
 MOST_FRAMES = 200  # of a push that prediction and fit use
 _CUTOFF = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
 _WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
@@ -62,7 +63,7 @@ def instruments(setup: Setup) -> Instruments:
     shared = ("along", "across", "turn") if setup.rest == "straight" else ("curvature", "along", "across", "turn")
     sd = {"curvature": [priors.curvature] * 3, "turn": [setup.turn_sd] * tags}
     prior = np.concatenate([sd.get(name, [setup.placement_sd] * tags) for name in shared])
-    clock = setup.clock_sd if setup.clock_sd == setup.clock_sd else clock_sd(setup.sensor, push)
+    clock = clock_sd(setup.sensor, push) if math.isnan(setup.clock_sd) else setup.clock_sd
     bench = Bench(
         length=setup.beam.length,
         tags=setup.tags,

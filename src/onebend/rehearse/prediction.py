@@ -9,7 +9,6 @@ the fit is expected to choose for this k: of the greatest expected evidence.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import minimize
@@ -21,8 +20,8 @@ from onebend.blas import one_blas_thread
 from onebend.lab.pushes import Push
 from onebend.learning.identifiability import STEPS, Seen, alone, eliminate, joint_information, mass_of, see, solve_push
 from onebend.learning.proposals import PLACES, Quality
-from onebend.learning.roughness import SPREAD
-from onebend.learning.spline import RHO, TAU, Spline
+from onebend.learning.spline import RHO, SPREAD, TAU, Spline
+from onebend.recording.signals import runs
 from onebend.records import Array, BoolArray
 from onebend.rehearse.instruments import FUNCTIONS, Instruments, even_push, instruments
 from onebend.rehearse.setup import Setup
@@ -225,5 +224,4 @@ def quality_of(sd: Array, own_sd: Array) -> Quality:
 
 def ranges(known: BoolArray) -> list[tuple[float, float]]:
     """Stretches of s where `known` (101,) holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return [(float(PLACES[a]), float(PLACES[b - 1])) for a, b in list(pairwise(edges.tolist()))[::2]]
+    return [(float(PLACES[first]), float(PLACES[end - 1])) for first, end in runs(known)]

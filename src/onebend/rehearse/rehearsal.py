@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -21,7 +20,6 @@ from onebend.rehearse.setup import Setup, check_bending
 
 LEVEL_SD = 1.959964  # half the 95 % band
 MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
-THIRDS = 3
 
 
 @dataclass(frozen=True)
@@ -143,16 +141,6 @@ def _share(hits: Array, counts: Array) -> tuple[float, float]:
     value, n = float(np.sum(hits)) / total, len(hits)
     spread = np.sqrt(np.sum((hits - value * counts) ** 2) * n / (n - 1)) / total if n > 1 else nan
     return value, float(spread)
-
-
-def thirds(values: Array) -> Array:
-    """(3,) root mean squares of (101,) over the thirds of the beam."""
-    return np.array([np.sqrt(np.mean(part**2)) for part in np.array_split(np.asarray(values), THIRDS)])
-
-
-def cores() -> int:
-    """Processes that can run at once here."""
-    return max(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 1)
 
 
 def setup_words(setup: Setup) -> str:

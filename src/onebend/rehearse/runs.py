@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import multiprocessing
-import signal
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -26,8 +26,10 @@ from onebend.progress import Progress, Silent, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
 from onebend.rehearse.instruments import FUNCTIONS, MOST_FRAMES
 from onebend.rehearse.setup import Setup
+from onebend.workers import leave_interrupts_to_parent
 
 BASE_TURN = np.deg2rad(1.0)  # one sd of the base tag's turn on the clamp
+OFFSET = 250.0  # s, of the log's clock against the film's
 CLOCK_SAID = 1.5  # s, largest error of the film's start as written down, where the clock is found from the data
 
 
@@ -64,7 +66,6 @@ def benches(setup: Setup, seed: int) -> tuple[Bench, ...]:
     base = rng.standard_normal(3) * np.array([setup.placement_sd, setup.placement_sd, BASE_TURN])
     gain = setup.sensor.gain + setup.sensor.gain_sd * rng.standard_normal()
     sensor = replace(setup.sensor, gain=float(gain), gain_sd=0.0)
-    offset = 250.0
     missed = PLACE_SD / setup.beam.length * rng.standard_normal(len(setup.pushes))
     return tuple(
         Bench(
@@ -75,7 +76,7 @@ def benches(setup: Setup, seed: int) -> tuple[Bench, ...]:
             sensor=sensor,
             camera=setup.noise,
             fps=setup.fps,
-            clock=Clock(offset, offset + float(rng.uniform(-CLOCK_SAID, CLOCK_SAID)), 2.0),
+            clock=Clock(OFFSET, OFFSET + float(rng.uniform(-CLOCK_SAID, CLOCK_SAID)), 2.0),
             said=Said(placement_sd=setup.placement_sd, rest=setup.rest, gain_sd=setup.gain_sd, push_s=push.at_s),
             name=f"push {i + 1}",
         )
@@ -95,7 +96,7 @@ def run(setup: Setup, seed: int) -> Run:
         return Run(seed, failure=str(wrong), seconds=time.perf_counter() - began)
     band = found.band(PLACES)
     mean, own = found.stiffness.log_at(PLACES)
-    clocks = [o.clock.offset - 250.0 for o in seen if o.clock is not None]
+    clocks = [o.clock.offset - OFFSET for o in seen if o.clock is not None]
     return Run(
         seed,
         error=tuple((mean - np.log(np.asarray(setup.beam.stiffness(PLACES)))).tolist()),
@@ -108,7 +109,7 @@ def run(setup: Setup, seed: int) -> Run:
 
 def _observed(setup: Setup, bench: Bench, seed: int) -> Observations:
     virtual = _axes_missed(virtual_recording(bench, seed=seed), seed)
-    if setup.clock_sd != setup.clock_sd:
+    if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
     return observe_quickly(virtual, clock_error=error, clock_sd=0.5 * setup.clock_sd)  # the fit doubles what is stated
@@ -168,16 +169,12 @@ def _each(setup: Setup, seeds: list[int], jobs: int) -> Iterator[Run]:
         yield from (run(setup, seed) for seed in seeds)
         return
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context, initializer=_deaf)
+    pool = ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context, initializer=leave_interrupts_to_parent)
     try:
         for one in as_completed([pool.submit(run, setup, seed) for seed in seeds]):
             yield one.result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _deaf() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def errors_of(runs: Iterable[Run]) -> tuple[Array, Array, BoolArray]:

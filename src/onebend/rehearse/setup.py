@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,14 @@ from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.camera import TagNoise
 from onebend.lab.design_file import find_design
+from onebend.lab.named import SENSORS, SWINGING, SensorName, Wish, camera_of, check_name, push_of
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import FRANKA, ForceSensor
-from onebend.lab.strategies import SENSORS, SWINGING, SensorName, Wish, camera_of, check_name, push_of
 from onebend.lab.viewpoint import Camera, view_from
 from onebend.lab.virtual import Bench, tag_poses
 from onebend.lab.virtual import Tag as LabTag
-from onebend.learning.parameters import Priors
 from onebend.recording.lens import project
-from onebend.records import Rest
+from onebend.records import TURN_SD, Rest
 from onebend.results.model import FILE_NAME, read_model
 
 THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
@@ -44,7 +43,7 @@ class Setup:
     noise: TagNoise = field(default_factory=TagNoise)
     fps: float = 30.0
     placement_sd: float = 5e-4  # m, a tag's place along and across
-    turn_sd: float = Priors().mounting  # rad, a tag's turn on the beam
+    turn_sd: float = TURN_SD  # rad, a tag's turn on the beam
     clock_sd: float = nan  # s, how well the two clocks are known; NaN: found from the data
 
     def __post_init__(self) -> None:
@@ -156,7 +155,7 @@ def setup_of(
             raise RecordingError(f"a {wish.push} push makes the beam swing, and is not learned from. Take a slow one")
     camera, fps = camera_of(first)
     sensor = SENSORS[check_name(first.sensor, SensorName, "sensor")][0]
-    sensor = replace(sensor, gain_sd=gain_sd) if gain_sd == gain_sd else sensor
+    sensor = sensor if isnan(gain_sd) else replace(sensor, gain_sd=gain_sd)
     places = tuple(sorted(float(s) for s in tags)) or known.tags
     pushes = tuple(push_of(wish, known.beam) for wish in wishes)
     setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, placement_sd, turn_sd, clock_sd)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from onebend.rehearse.rehearsal import MEDIAN, NINETY, Rehearsal
 from onebend.report.style import png_of
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
+from onebend.results.tables import write_csv
 
 REHEARSE_FORMAT = "onebend-rehearse-1"
 COLUMNS = (
@@ -56,10 +56,7 @@ def write_table(path: Path, rehearsal: Rehearsal) -> None:
     columns = [PLACES, p.k, p.sd, MEDIAN * p.error, NINETY * p.error, p.identified]
     unknown = np.full(len(PLACES), np.nan)
     columns += [unknown] * 5 if o is None else [o.sd, o.median, o.ninety, o.identified, o.coverage]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(COLUMNS)
-        out.writerows([_cell(value) for value in row] for row in zip(*columns, strict=True))
+    write_csv(path, COLUMNS, ([_cell(value) for value in row] for row in zip(*columns, strict=True)))
 
 
 def _cell(value: Any) -> str:

@@ -133,5 +133,5 @@ def nuisances(found: Sequence[Nuisance]) -> Figure:
     axes.grid(visible=False, axis="y")
     reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in found)
     axes.set(xlim=(-max(reach, 1.3), max(reach, 1.3)))
-    axes.set(xlabel="value [sd before the data]  (grey: one sd before; blue: value and one sd after)")
+    axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
     return figure

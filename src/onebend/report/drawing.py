@@ -13,7 +13,7 @@ from onebend.errors import OnebendError
 from onebend.learning.explained import explained
 from onebend.learning.outcome import Comparison, Explained
 from onebend.progress import Progress, Silent, track
-from onebend.recording.entries import VideoEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.records import Observations
 from onebend.report import curves, figures

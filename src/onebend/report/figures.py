@@ -17,6 +17,7 @@ from onebend.beam.model import Beam
 from onebend.learning.frames import distances
 from onebend.learning.outcome import Comparison, Explained, Learned, Trial
 from onebend.recording.lens import project
+from onebend.recording.signals import runs
 from onebend.records import Array, Observations, View
 from onebend.report.simulated import centreline, largest_push, same_frame, spread_of_pushes
 from onebend.report.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
@@ -236,8 +237,7 @@ def force(seen: Observations, fitted: Explained | None = None) -> Figure:
 
 def _spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """First and last time of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return [(float(time[a]), float(time[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(float(time[first]), float(time[end - 1])) for first, end in runs(flags)]
 
 
 @styled

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from onebend.recording.bag_recording import bag_span
-from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.marker_tracks import read_tracks
 from onebend.recording.pairing import read_log
 from onebend.recording.pose_loads import read_loads
 from onebend.recording.pose_tables import read_points
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.video import frame_count, opened, read_frames
 from onebend.records import ForceLog, Remark
 from onebend.report.wording import significant
@@ -30,7 +31,7 @@ class Overview:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `--json`."""
-        remarks = [{"level": remark.level, "text": remark.text} for remark in self.remarks]
+        remarks = [remark.as_dict() for remark in self.remarks]
         return {"recording": self.name, "understood": dict(self.rows), "remarks": remarks}
 
 

@@ -26,6 +26,7 @@ from onebend.report.sureness import (
 from onebend.report.template import render
 from onebend.report.wording import (
     assumptions,
+    bic_words,
     files_described,
     inputs,
     millimetres,
@@ -46,7 +47,7 @@ def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> s
 
 def _content(findings: Findings) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
-    remarks = [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)]
+    remarks = [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)]
     return {
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
@@ -123,7 +124,7 @@ def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
         "n": trial.n,
         "m": trial.m,
         "rms": [millimetres(value) for value in trial.rms],
-        "bic": f"{trial.bic:.1f}" if np.isfinite(trial.bic) else "–",
+        "bic": bic_words(trial.bic),
         "lowest": significant(trial.lowest_k),
         "condition": significant(trial.condition, 2),
         "why_out": trial.why_out,

@@ -9,16 +9,15 @@ from matplotlib.figure import Figure
 
 from onebend.control.reach import Reach
 from onebend.control.reachable import ReachableSet
-from onebend.control.uncertainty import PredictedError
+from onebend.control.uncertainty import SURE, PredictedError
 from onebend.records import Array
-from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, styled
+from onebend.report.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, plane, styled
 from onebend.report.wording import significant
 
 MM = 1000.0
 SNAPSHOTS = 6
 ARROW = 0.22  # of L, of the largest force
 TORN = 0.25  # of L: the neighbours of a sample that lie further apart belong to two sheets
-SURE = 0.95
 
 
 @styled
@@ -40,7 +39,7 @@ def reachable_places(within: ReachableSet) -> Figure:
     s = np.linspace(0.0, 1.0, 121)
     rest = within.on.shape_xy(within.on.start.q, s)
     axes.plot(*(MM * rest.T), color=MUTED, label="at rest")
-    _plane(axes, f"What forces at s = {within.on.push_s:.3g} can do with the point s = {within.on.point_s:.3g}")
+    plane(axes, f"What forces at s = {within.on.push_s:.3g} can do with the point s = {within.on.point_s:.3g}")
     axes.legend(loc="center left", bbox_to_anchor=(0.3, 0.62))
     return figure
 
@@ -63,7 +62,7 @@ def draw_reach(axes: Axes, found: Reach, error: PredictedError | None) -> None:
     if error is not None:
         outline = MM * (error.mean + error.ellipse(SURE).outline())
         axes.plot(*outline.T, color=GREEN, lw=1.6, zorder=8, label=f"{100 * SURE:.0f} % by the band on k(s)")
-    _plane(axes, f"{significant(float(np.hypot(*found.force)))} N at s = {found.push_s:.3g}: {_outcome(found)}")
+    plane(axes, f"{significant(float(np.hypot(*found.force)))} N at s = {found.push_s:.3g}: {_outcome(found)}")
 
 
 def _outcome(found: Reach) -> str:
@@ -99,9 +98,3 @@ def draw_reachable(axes: Axes, within: ReachableSet) -> None:
     bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.6, pad=0.01, location="left")
     bar.set_label("force that holds the point there [N]")
     bar.ax.set_ylim(0.0, within.max_force)
-
-
-def _plane(axes: Axes, title: str) -> None:
-    axes.plot([0.0], [0.0], "s", color=INK, markersize=7, zorder=6)
-    axes.grid(color=FAINT)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", title=title)

@@ -10,7 +10,7 @@ from onebend.beam.model import Beam
 from onebend.control.path import Path
 from onebend.control.shape import Shaped
 from onebend.records import Array
-from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, styled
+from onebend.report.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, plane, styled
 from onebend.report.wording import significant
 
 MM = 1000.0
@@ -38,7 +38,7 @@ def shaping(beam: Beam, found: Shaped) -> Figure:
         _jaw(axes, found.pose, beam.length)
         axes.plot([], [], color=ORANGE, lw=5, label="gripper")
     limits = f"; held back by {', '.join(found.limits)}" if found.limits else ""
-    _plane(axes, f"{MM * found.rms:.3g} mm rms from the targets{limits}")
+    plane(axes, f"{MM * found.rms:.3g} mm rms from the targets{limits}", adjustable="datalim")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
@@ -46,16 +46,17 @@ def shaping(beam: Beam, found: Shaped) -> Figure:
 @styled
 def path_figure(way: Path) -> Figure:
     """The beam on its way, what the hands do in time, and what is missing to the goals."""
-    figure, (plane, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
+    figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
     shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, SNAPSHOTS)).astype(int))
     shapes = way.hands.solved(way.q[shown], way.u[shown]).xy(S)
     for j, one in enumerate(shapes):
-        plane.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * j / max(len(shown) - 1, 1), lw=1.4)
+        places.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * j / max(len(shown) - 1, 1), lw=1.4)
     wanted, _ = way.goals.along(np.linspace(way.goals.time[0], way.goals.time[-1], 400))
     for i in np.flatnonzero(way.goals.targets.placed):
-        plane.plot(*(MM * wanted[:, i].T), color=ORANGE, lw=1.2)
-        plane.plot(*(MM * way.goals.xy[:, i].T), "x", color=ORANGE, markersize=4)
-    _plane(plane, f"{len(shown)} of {len(way.time)} samples, the last the darkest; goals in orange")
+        places.plot(*(MM * wanted[:, i].T), color=ORANGE, lw=1.2)
+        places.plot(*(MM * way.goals.xy[:, i].T), "x", color=ORANGE, markersize=4)
+    title = f"{len(shown)} of {len(way.time)} samples, the last the darkest; goals in orange"
+    plane(places, title, adjustable="datalim")
     _hands_in_time(acting, way)
     lag.plot(way.time, MM * way.miss, color=INK, lw=1.6, clip_on=False)
     lag.set(xlabel="time [s]", ylabel="miss [mm]", title="Distance from the goals, rms")
@@ -112,10 +113,3 @@ def _arrow(axes: Axes, at: Array, force: Array) -> None:
 def _jaw(axes: Axes, pose: Array, length: float) -> None:
     across = TICK * length * np.array([-np.sin(pose[2]), np.cos(pose[2])])
     axes.plot(*(MM * np.stack([pose[:2] - across, pose[:2] + across]).T), color=ORANGE, lw=5, zorder=4)
-
-
-def _plane(axes: Axes, title: str) -> None:
-    axes.plot([0.0], [0.0], "s", color=INK, markersize=7, zorder=6)
-    axes.grid(color=FAINT)
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=title)
-    axes.set_aspect("equal", adjustable="datalim")

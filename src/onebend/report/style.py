@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Callable
-from typing import Any, ParamSpec
+from typing import Any, Literal, ParamSpec
 
 import numpy as np
 from matplotlib import rc_context
@@ -78,6 +78,14 @@ def png_of(figure: Figure) -> bytes:
         stream = io.BytesIO()
         figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
     return stream.getvalue()
+
+
+def plane(axes: Axes, title: str, *, adjustable: Literal["box", "datalim"] = "box") -> None:
+    """Axes that show the plane of bending to scale, in mm, with the clamp as a square."""
+    axes.plot([0.0], [0.0], "s", color=INK, markersize=7, zorder=6)
+    axes.grid(color=FAINT)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=title)
+    axes.set_aspect("equal", adjustable=adjustable)
 
 
 def colour(i: int) -> str:

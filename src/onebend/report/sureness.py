@@ -12,12 +12,20 @@ from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
 from onebend.learning.criticism_words import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
+from onebend.recording.signals import runs
 from onebend.report.wording import millimetres, significant
 
 FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
 _PLACES = 401
-_SHOWN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "deg"), "s": (1e3, "ms"), "1": (1e2, "%")}
+_SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / np.pi, "deg"),
+    "s": (1e3, "ms"),
+    "1": (1e2, "%"),
+    "N": (1e3, "mN"),
+    "N/s": (1e3, "mN/s"),
+}
 
 
 @dataclass(frozen=True)
@@ -37,8 +45,7 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
     """First and last s of every stretch where k(s) is identified, to 1/400."""
     s = np.linspace(0.0, 1.0, _PLACES)
     known = uncertain.band(s).identified
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return [(float(s[a]), float(s[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
@@ -69,8 +76,8 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
             "and is in the band."
         )
     return (
-        "The force's scale error is not declared (gain_sd in [force]) and not in the band: a sensor that reads 1 % too "
-        "much makes all of k(s) 1 % too stiff."
+        "No scale error of the force is declared (gain_sd in [force]), and none is in the band: a sensor that reads "
+        "1 % too much makes all of k(s) 1 % too stiff."
     )
 
 
@@ -94,7 +101,7 @@ def stop_words(posterior: Posterior) -> str:
 
 
 def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
-    """Nuisances in mm, degrees, ms and %."""
+    """Nuisances in mm, degrees, ms, % and mN."""
     rows = []
     for n in nuisances:
         factor, unit = _SHOWN.get(n.unit, (1.0, n.unit))

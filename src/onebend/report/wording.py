@@ -43,6 +43,11 @@ def millimetres(metres: float) -> str:
     return f"{1000.0 * float(metres):.2f}" if np.isfinite(metres) else UNKNOWN
 
 
+def bic_words(bic: float) -> str:
+    """A BIC with one decimal; a dash for a pair (n, m) that is out of the running."""
+    return f"{bic:.1f}" if np.isfinite(bic) else UNKNOWN
+
+
 def percent(part: float, whole: float) -> str:
     """The share of the whole; a dash where there is no whole."""
     return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.progress import Progress, Silent, track
-from onebend.recording.entries import VideoEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.report.reaching import draw_reach
 from onebend.report.simulated import centreline, largest_push

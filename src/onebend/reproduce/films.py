@@ -54,10 +54,8 @@ def film_jobs(work: Path, setting: Setting) -> list[FilmJob]:
 def make_recording(job: FilmJob) -> FilmJob:
     """Film and look for the tags, unless that was done; every file is whole or not there.
 
-    Raises
-    ------
-    RecordingError, ObservationError
-        As for a real recording.
+    Raises:
+        RecordingError, ObservationError: as for a real recording.
     """
     if job.observed.exists():
         return job

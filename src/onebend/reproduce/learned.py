@@ -61,10 +61,8 @@ class LearnJob:
 def learn_beam(job: LearnJob) -> LearnJob:
     """Learn, unless that was done.
 
-    Raises
-    ------
-    LearningError
-        The push does not determine a beam.
+    Raises:
+        LearningError: the push does not determine a beam.
     """
     if not (job.folder / FACTS_FILE).exists():
         seen = load_observations(job.training)

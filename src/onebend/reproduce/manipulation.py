@@ -85,10 +85,8 @@ def true_place(beam: Beam, force: Array, s: float) -> Array:
     SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`,
     from no force to the whole of it; it shares nothing with the statics that the force was found by.
 
-    Raises
-    ------
-    MechanicsError
-        The solver finds no shape.
+    Raises:
+        MechanicsError: the solver finds no shape.
     """
     length = beam.length
     t, guess = np.linspace(0.0, 1.0, 101), np.zeros((4, 101))

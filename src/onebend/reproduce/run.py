@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +14,7 @@ from onebend.reproduce.films import film_jobs, make_recording
 from onebend.reproduce.learned import LearnJob, learn_beam
 from onebend.reproduce.outcome import Outcome, gather
 from onebend.reproduce.setting import BEAMS, STRATEGIES, Setting
+from onebend.workers import available_cores, leave_interrupts_to_parent
 
 SETTING_FILE, LEARNED = "setting.json", "learned"
 Job = TypeVar("Job")
@@ -33,7 +32,7 @@ def reproduce(
         ResultsError: `work` holds the work of another setting.
     """
     claim(work, setting)
-    count = processes or os.cpu_count() or 1
+    count = processes or available_cores()
     films = film_jobs(work, setting)
     spread(make_recording, films, count, "filming and finding tags" if setting.video else "pushing", progress)
     training = STRATEGIES[0].name
@@ -67,11 +66,6 @@ def spread(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stage:
         for job in track(progress, stage, jobs, len(jobs)):
             do(job)
         return
-    with multiprocessing.get_context("spawn").Pool(count, initializer=_deaf) as pool:
+    with multiprocessing.get_context("spawn").Pool(count, initializer=leave_interrupts_to_parent) as pool:
         for _ in track(progress, stage, pool.imap_unordered(do, jobs), len(jobs)):
             pass
-
-
-def _deaf() -> None:
-    """An interrupt is the parent's business: it ends its workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

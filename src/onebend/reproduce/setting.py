@@ -11,8 +11,8 @@ import numpy as np
 from onebend.errors import RecordingError
 from onebend.lab.designs import DESIGNS, Design
 from onebend.lab.filming import Filming
+from onebend.lab.named import PushName, Wish, filming_of
 from onebend.lab.sensors import FRANKA, ForceSensor
-from onebend.lab.strategies import PushName, Wish, filming_of
 
 SensorKind = Literal["paper", "franka"]
 BEAMS = ("linear", "quadratic", "cubic")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import atan2, degrees, nan
@@ -14,7 +13,8 @@ import numpy as np
 from onebend.learning.outcome import Trial
 from onebend.reproduce.manipulation import WAYS
 from onebend.reproduce.outcome import BeamOutcome, Outcome, Validated, rms_or_nan
-from onebend.reproduce.printed import PRINTED, PrintedTrial
+from onebend.reproduce.printed import PRINTED, PrintedTrial, printed_m3
+from onebend.results.tables import write_csv
 
 Cell = float | int | str
 MARKERS = ("M1", "M2", "M3")
@@ -34,11 +34,6 @@ class Table:
         """For JSON; what is not known is null."""
         rows = [dict(zip(self.columns, map(_or_none, row), strict=True)) for row in self.rows]
         return {"title": self.title, "rows": rows}
-
-    def column(self, name: str) -> list[Cell]:
-        """One column."""
-        at = self.columns.index(name)
-        return [row[at] for row in self.rows]
 
 
 def all_tables(found: Outcome) -> tuple[Table, ...]:
@@ -178,12 +173,9 @@ def stiffness_curves(one: BeamOutcome) -> Table:
     return Table(f"stiffness-{one.name}", f"k(s) of the {one.name} beam", names, rows)
 
 
-def write_csv(path: Path, table: Table) -> None:
+def write_table(path: Path, table: Table) -> None:
     """Nine significant digits; `nan` where a figure is not known."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table.columns)
-        writer.writerows([_text(cell) for cell in row] for row in table.rows)
+    write_csv(path, table.columns, ([_text(cell) for cell in row] for row in table.rows))
 
 
 def _text(cell: Cell) -> str:
@@ -197,13 +189,9 @@ def _or_none(cell: Cell) -> Cell | None:
 def below_printed(found: Outcome) -> tuple[int, int]:
     """In how many validations that the paper prints the fit's error at the tip is below the printed one, and of how
     many."""
-    pairs = [
-        (float(row[table.columns.index("fit_M3_m")]), float(row[table.columns.index("printed_M3_m")]))
-        for table in map(validation_table, found.beams)
-        for row in table.rows
-    ]
-    known = [(ours, printed) for ours, printed in pairs if np.isfinite(printed)]
-    return sum(ours < printed for ours, printed in known), len(known)
+    films = [(film, printed_m3(one.name, film.strategy.name)) for one in found.beams for film in one.films[1:]]
+    known = [(film.fit.rms[-1], printed) for film, printed in films if printed is not None]
+    return sum(bool(ours < printed) for ours, printed in known), len(known)
 
 
 def largest(values: Iterable[float]) -> float:

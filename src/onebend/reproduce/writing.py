@@ -10,7 +10,7 @@ from onebend.reproduce.films import OBSERVED, RECORDINGS
 from onebend.reproduce.outcome import Outcome
 from onebend.reproduce.page import page
 from onebend.reproduce.run import LEARNED
-from onebend.reproduce.tables import all_tables, below_printed, stiffness_curves, write_csv
+from onebend.reproduce.tables import all_tables, below_printed, stiffness_curves, write_table
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 
@@ -41,7 +41,7 @@ def writer(
         for name in ("tables", "figures"):
             (folder / name).mkdir()
         for table in (*all_tables(found), *map(stiffness_curves, found.beams)):
-            write_csv(folder / "tables" / f"{table.key}.csv", table)
+            write_table(folder / "tables" / f"{table.key}.csv", table)
         for name, png in figures.items():
             (folder / "figures" / f"{name}.png").write_bytes(png)
         moved = [name for name in (RECORDINGS, OBSERVED, LEARNED) if (work / name).exists()]

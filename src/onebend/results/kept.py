@@ -13,7 +13,8 @@ import numpy as np
 
 from onebend.progress import Progress, Silent
 from onebend.recording.bag import files_of
-from onebend.recording.entries import TagsEntry, VideoEntry
+from onebend.recording.entries import TagsEntry
+from onebend.recording.source_entries import VideoEntry
 from onebend.recording.tags import detect_tags
 from onebend.records import Detections, Remark
 

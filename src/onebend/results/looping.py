@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import Any
 
 from onebend.control.feedback import Controller
 from onebend.control.margins import Margins
-from onebend.control.prospect import Trial
+from onebend.control.prospect import SETTLED, Trial
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
+from onebend.results.tables import write_csv
 
 LOOP_FORMAT = "onebend-loop-1"
 LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "force_x_N", "force_y_N", "error_m")
-WITHIN = 1e-3  # m
 
 
 def loop_summary(
@@ -48,7 +47,7 @@ def loop_summary(
                 "k_factor": one.factor,
                 "stands": one.run is not None,
                 "steady_m": _finite(one.steady),
-                "settled_s": _finite(one.settled(WITHIN)),
+                "settled_s": _finite(one.settled(SETTLED)),
             }
             for one in trials
         ],
@@ -61,16 +60,13 @@ def _finite(value: float) -> float | None:
 
 def write_loop(path: Path, trials: tuple[Trial, ...]) -> None:
     """One row a moment of every rehearsal."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(LOOP_COLUMNS)
-        for one in trials:
-            if one.run is None:
-                continue
-            run = one.run
-            for i, time in enumerate(run.time):
-                row = (one.factor, time, *run.xy[i], *run.asked[i], *run.force[i], run.error[i])
-                writer.writerow([f"{value:.7g}" for value in row])
+    rows = (
+        (one.factor, time, *one.run.xy[i], *one.run.asked[i], *one.run.force[i], one.run.error[i])
+        for one in trials
+        if one.run is not None
+        for i, time in enumerate(one.run.time)
+    )
+    write_csv(path, LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))
 
 
 def loop_writer(trials: tuple[Trial, ...], picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:

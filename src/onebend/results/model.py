@@ -15,10 +15,10 @@ from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
 from onebend.learning.damping import Damping
+from onebend.learning.frames import marker_rms
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.workbench import Bench
-from onebend.records import Array
 
 FORMAT = "onebend-model"
 VERSION = 3
@@ -55,8 +55,7 @@ class StoredModel:
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
     """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
     pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in trainings])
-    squared, count = _squares(trainings)
-    rms = np.sqrt(np.divide(squared, count, out=np.full(len(count), np.nan), where=count > 0))
+    rms = marker_rms(np.concatenate([one.measured - one.predicted for one in trainings]))
     if posterior is not None:
         made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.at.spline.count)
     else:
@@ -70,12 +69,6 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
         push_s=float(pushed.max()) if pushed.size else None,
         training_rms_m=tuple(float(r) if np.isfinite(r) else None for r in rms),
     )
-
-
-def _squares(trainings: Sequence[Comparison]) -> tuple[Array, Array]:
-    """Sum and count of the squared distances, per tag."""
-    squared = np.concatenate([np.sum((one.measured - one.predicted) ** 2, axis=-1) for one in trainings])
-    return np.nansum(squared, axis=0), np.sum(np.isfinite(squared), axis=0)
 
 
 def save_model(

@@ -21,6 +21,7 @@ from onebend.errors import ResultsError
 from onebend.records import (
     DIRECTION_SD,
     PLACE_SD,
+    TURN_SD,
     Array,
     CleanForce,
     ClockOffset,
@@ -39,7 +40,7 @@ _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
 _SCALARS = (
     *("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd"),
-    *("place_sd", "direction_sd", "load_error_sd", "mass_along", "stiffness_along"),
+    *("place_sd", "direction_sd", "turn_sd", "load_error_sd", "mass_along", "stiffness_along"),
 )
 _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "gain_sd": 0.0,
@@ -50,6 +51,7 @@ _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "clamp_sd": math.nan,
     "place_sd": PLACE_SD,
     "direction_sd": DIRECTION_SD,
+    "turn_sd": TURN_SD,
     "load_error_sd": math.nan,
     "known": None,
     "mass_line": None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from onebend.control.reach import Reach
-from onebend.control.uncertainty import PredictedError
+from onebend.control.uncertainty import SURE, PredictedError
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
+from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
 PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
-SURE = 0.95  # of the ellipse
 
 
 def reach_summary(model: str, found: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
@@ -59,11 +58,9 @@ def reach_summary(model: str, found: Reach, error: PredictedError | None, *, wri
 
 def write_path(path: Path, found: Reach) -> None:
     """One row a step from rest: the load, and where it holds the point; each an equilibrium on one branch."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(PATH_COLUMNS)
-        for step, (load, point) in enumerate(zip(found.path, found.path_points, strict=True)):
-            writer.writerow([step, *(f"{value:.9g}" for value in (*load, *point))])
+    pairs = zip(found.path, found.path_points, strict=True)
+    rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))
+    write_csv(path, PATH_COLUMNS, rows)
 
 
 def reach_writer(found: Reach, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:

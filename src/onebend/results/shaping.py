@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,10 @@ import numpy as np
 from onebend.control.path import Path as Way
 from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
-from onebend.control.trajectory_files import write_bag, write_csv, write_yaml
+from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
+from onebend.results.tables import write_csv
 
 SHAPE_FORMAT = "onebend-shape-1"
 PATH_FORMAT = "onebend-path-1"
@@ -44,7 +44,7 @@ def shape_summary(model: str, found: Shaped, *, written_by: str) -> dict[str, An
         "push_s": [one.at_s for one in hands.pushes],
         "force_N": found.forces,
         "gripper_pose": dict(zip(("x_m", "y_m", "angle_rad"), found.pose, strict=True)) if held else None,
-        "gripper_wrench": None if found.wrench is None else found.wrench,
+        "gripper_wrench": found.wrench,
         "rms_m": found.rms,
         "target_error_m": found.xy_error,
         "target_error_rad": found.angle_error,
@@ -101,7 +101,7 @@ def path_writer(way: Way, picture: bytes, summary: Mapping[str, Any], *, frame: 
     """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a ROS 2 bag, a picture."""
 
     def write(folder: Path) -> None:
-        write_csv(folder / "path.csv", way)
+        write_samples(folder / "path.csv", way)
         write_yaml(folder, way, frame=frame)
         write_bag(folder / "bag", way, frame=frame)
         (folder / "path.png").write_bytes(picture)
@@ -112,8 +112,5 @@ def path_writer(way: Way, picture: bytes, summary: Mapping[str, Any], *, frame: 
 
 def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
     """A CSV; blank where a number is not known."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(names)
-        for row in np.stack(columns, axis=1):
-            writer.writerow([f"{value:.9g}" if np.isfinite(value) else "" for value in row])
+    rows = np.stack(columns, axis=1)
+    write_csv(file, names, ([f"{value:.9g}" if np.isfinite(value) else "" for value in row] for row in rows))

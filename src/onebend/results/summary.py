@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,6 +20,7 @@ from onebend.records import Observations
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.sureness import identified_ranges
 from onebend.results.model import StoredModel
+from onebend.strict_json import to_json
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -43,7 +43,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "training": [comparison_summary(one) for one in findings.trainings],
         "validation": [comparison_summary(one) for one in findings.validations],
         "observed": [_observed(one) for one in findings.recordings],
-        "remarks": [{"recording": whose, "level": r.level, "text": r.text} for whose, r in all_remarks(findings)],
+        "remarks": [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)],
         "stage_seconds": dict(findings.stage_seconds),
         "video_seconds": findings.video_seconds,
     }
@@ -55,7 +55,7 @@ def validation_summary(
     """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
     rows = []
     for one, seen in pairs:
-        remarks = [{"level": remark.level, "text": remark.text} for remark in pair_remarks(one, seen)]
+        remarks = [remark.as_dict() for remark in pair_remarks(one, seen)]
         rows.append(comparison_summary(one) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
 
@@ -85,7 +85,7 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
         "frames": len(fit.swing.time),
         "s": fit.swing.s,
         "rms_m": fit.rms,
-        "remarks": [{"level": remark.level, "text": remark.text} for remark in fit.remarks],
+        "remarks": [remark.as_dict() for remark in fit.remarks],
     }
 
 
@@ -99,31 +99,13 @@ def comparison_summary(one: Comparison) -> dict[str, Any]:
         "rms_m": one.rms,
         "sensor_rms_m": one.sensor_rms,
         "all_stable": bool(np.all(one.stable)),
-        "remarks": [{"level": remark.level, "text": remark.text} for remark in one.remarks],
+        "remarks": [remark.as_dict() for remark in one.remarks],
     }
-
-
-def plain(value: Any) -> Any:
-    """`value` as JSON knows it: arrays as lists, numbers that are not finite as None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
 
 
 def write_summary(path: Path, summary: Mapping[str, Any], files: Sequence[str]) -> None:
     """Write `summary` with the list of all files of the results; it must be the last file written."""
     path.write_text(to_json({**summary, "files": sorted({*files, path.name})}) + "\n", encoding="utf-8")
-
-
-def to_json(data: Any) -> str:
-    """Strict JSON, readable."""
-    return json.dumps(plain(data), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def _fit(posterior: Posterior) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -35,13 +35,13 @@ def write_stiffness(path: Path, beam: Beam, uncertain: UncertainStiffness | None
         low, high, said = band.low, band.high, ["yes" if known else "no" for known in band.identified]
     columns = zip(s, beam.stiffness(s), low, high, said, strict=True)
     rows = ([f"{place:.3f}", *map(_number, values), word] for place, *values, word in columns)
-    _write(path, ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], rows)
+    write_csv(path, ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], rows)
 
 
 def write_nuisances(path: Path, nuisances: Sequence[Nuisance]) -> None:
     """One row a parameter of the fit that is not k(s): its value, and one sd before and after the data, in `unit`."""
     rows = ([n.name, n.unit, _number(n.value), _number(n.sd), _number(n.prior_sd)] for n in nuisances)
-    _write(path, ["name", "unit", "value", "sd", "prior_sd"], rows)
+    write_csv(path, ["name", "unit", "value", "sd", "prior_sd"], rows)
 
 
 def write_selection(path: Path, learned: Learned) -> None:
@@ -62,14 +62,14 @@ def write_selection(path: Path, learned: Learned) -> None:
         ]
         for i, trial in enumerate(learned.trials)
     )
-    _write(path, header, rows)
+    write_csv(path, header, rows)
 
 
 def write_markers(path: Path, comparisons: Sequence[Comparison]) -> None:
     """One row a recording, frame and tag: measured, predicted and residual (measured less predicted) positions."""
     header = "recording,time_s,frame,tag,s,x_m,y_m,predicted_x_m,predicted_y_m,residual_x_m,residual_y_m"
     forces = ["force_x_N", "force_y_N", "push_s", "stable"]
-    _write(path, [*header.split(","), *forces], (row for one in comparisons for row in _marker_rows(one)))
+    write_csv(path, [*header.split(","), *forces], (row for one in comparisons for row in _marker_rows(one)))
 
 
 def _marker_rows(one: Comparison) -> Iterable[list[Any]]:
@@ -89,7 +89,7 @@ def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
         for one in comparisons
         for i, tag in enumerate(one.tag_id)
     )
-    _write(path, header, rows)
+    write_csv(path, header, rows)
 
 
 def _number(value: float) -> str:
@@ -98,8 +98,14 @@ def _number(value: float) -> str:
     return f"{float(value):.9g}"
 
 
-def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """One header line, then the rows, each cell as `str` gives it; lines end as on Unix."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+        csv_rows(file, header, rows)
+
+
+def csv_rows(stream: TextIO, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
+    """As `write_csv`, into a stream that is open."""
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)

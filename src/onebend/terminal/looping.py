@@ -12,10 +12,10 @@ from rich.table import Table
 
 from onebend.control.feedback import Controller
 from onebend.control.margins import Margins
-from onebend.control.prospect import Trial
+from onebend.control.prospect import SETTLED, Trial
 from onebend.report.wording import significant
-
-WITHIN = 1e-3  # m: where the point counts as settled
+from onebend.terminal.options import LEAST
+from onebend.terminal.parts import facts_table, say_written
 
 KError = Annotated[
     float,
@@ -33,12 +33,14 @@ Rate = Annotated[
 Duration = Annotated[
     float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
 ]
-LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=1e-6, metavar="N", help="No larger force.")]
+LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
 
 
-def show_loop(console: Console, control: Controller, known: Margins, trials: tuple[Trial, ...]) -> None:
+def show_loop(
+    console: Console, control: Controller, known: Margins, trials: tuple[Trial, ...], output: Path | None
+) -> None:
     """Force, gains, margins, and how the rehearsals went."""
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table = facts_table()
     x, y = control.reference.ends
     table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
                   f"{control.reference.rise:.2f} s")  # fmt: skip
@@ -51,10 +53,11 @@ def show_loop(console: Console, control: Controller, known: Margins, trials: tup
     rehearsed = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for one in trials:
         steady = "the beam snapped away" if one.run is None else f"{1e3 * one.steady:.2f}"
-        settled = one.settled(WITHIN)
+        settled = one.settled(SETTLED)
         rehearsed.add_row(trial_name(one), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
     console.print(rehearsed, highlight=False)
+    say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
 def trial_name(one: Trial) -> str:
@@ -62,8 +65,3 @@ def trial_name(one: Trial) -> str:
     if one.factor == 1.0:
         return "as the model"
     return f"{100 * abs(one.factor - 1.0):.0f} % {'lower' if one.factor < 1.0 else 'higher'}"
-
-
-def say_written(console: Console, output: Path | None) -> None:
-    if output is not None:
-        console.print(f"\nWrote {output}: loop.csv, loop.png, summary.json", highlight=False, markup=False)

@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.lab.designs import Design
 from onebend.lab.expected import DENSE, Expected
 from onebend.lab.mould import Mould, PrintedPart
 from onebend.report.wording import significant
@@ -85,13 +84,6 @@ def show_parts(console: Console, made: Mould, parts: Sequence[PrintedPart], out:
         f"Pour {1e6 * made.volume:.1f} ml ({1e3 * made.pour:.1f} g) of silicone. Files are in {escape(str(out))}.",
         highlight=False,
     )
-
-
-def stiffness_rows(design: Design) -> list[tuple[float, ...]]:
-    """Rows of the CSV: s, width_m, EI_N_m2, k_N_m, mass_kg_m."""
-    s = np.linspace(0.0, 1.0, 201)
-    columns = (s, design.width(s), design.bending(s), design.along.stiffness(s), design.along.mass_per_length(s))
-    return [tuple(float(value) for value in row) for row in zip(*columns, strict=True)]
 
 
 def _droop(expected: Expected) -> str:

@@ -11,6 +11,7 @@ import typer
 from onebend.learning.parameters import Priors
 
 CLAMP_DEG = math.degrees(Priors().clamp)
+LEAST = 1e-6  # of what must be positive
 
 Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
@@ -46,7 +47,7 @@ Epsilon = Annotated[
     ),
 ]
 MaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=1e-6, metavar="N", help="Default: twice the largest so far.")
+    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="Default: twice the largest so far.")
 ]
 MaxTipAngle = Annotated[
     float | None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from onebend.lab.strategies import PushName
+from onebend.lab.named import PushName
 from onebend.rehearse.setup import Setup
 
 TURN_DEG = math.degrees(Setup.turn_sd)

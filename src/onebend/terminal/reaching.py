@@ -6,19 +6,14 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
 
-from onebend.beam.model import Beam
 from onebend.control.reach import Reach
-from onebend.control.uncertainty import PredictedError
-from onebend.errors import ControlError
+from onebend.control.uncertainty import SURE, PredictedError
 from onebend.report.wording import significant
-
-SURE = 0.95
-LEAST = 1e-6  # of what must be positive
+from onebend.terminal.options import LEAST
+from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
 PushAt = Annotated[
     float,
@@ -59,24 +54,10 @@ Gravity = Annotated[
 Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
-def weight_of(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
-    """The gravity that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
-    if not all(math.isfinite(one) for one in gravity):
-        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
-    if any(gravity) and not np.any(np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0):
-        raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
-    return gravity
-
-
 def show_reach(console: Console, found: Reach, error: PredictedError | None, output: Path | None) -> None:
     """The force, the point and how sure it is."""
-    turn = math.degrees(math.atan2(found.force[1], found.force[0]))
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    size = significant(float(np.hypot(*found.force)))
-    table.add_row(
-        f"force at s = {found.push_s:.3g}",
-        f"[bold]{size} N[/] at {turn:.1f} deg: ({found.force[0]:.4g}, {found.force[1]:.4g}) N",
-    )
+    table = facts_table()
+    table.add_row(f"force at s = {found.push_s:.3g}", force_words(found.force))
     if found.settings.moment:
         table.add_row("moment there", f"[bold]{found.moment:.4g} N m[/]")
     x, y = 1e3 * found.reached[:2]
@@ -86,12 +67,11 @@ def show_reach(console: Console, found: Reach, error: PredictedError | None, out
     table.add_row("sure to within", _sureness(error))
     table.add_row("way there", f"{len(found.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table, highlight=False)
-    if output is not None:
-        console.print(f"\nWrote {output}: path.csv, reach.png, summary.json", highlight=False, markup=False)
+    say_written(console, output, "path.csv, reach.png, summary.json")
 
 
 def _sureness(error: PredictedError | None) -> str:
     if error is None:
-        return "not known: the model has no band on k(s)"
+        return NO_BAND
     long, short = 1e3 * error.ellipse(SURE).semi_axes
     return f"{significant(long, 2)} x {significant(short, 2)} mm ({100 * SURE:.0f} % ellipse, from the band on k(s))"

@@ -10,14 +10,13 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from onebend.control.path import Path as Way
 from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
 from onebend.report.wording import significant
-
-LEAST = 1e-6  # of what must be positive
+from onebend.terminal.options import LEAST
+from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
 TargetsFile = Annotated[
     Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
@@ -79,13 +78,9 @@ FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The bea
 
 def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
     """The hands, how close the shape is, how far from buckling, how sure."""
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table = facts_table()
     for one, force in zip(found.stand.hands.pushes, found.forces, strict=True):
-        turn = math.degrees(math.atan2(force[1], force[0]))
-        size = significant(float(np.hypot(*force)))
-        table.add_row(
-            f"force at s = {one.at_s:.3g}", f"[bold]{size} N[/] at {turn:.1f} deg: ({force[0]:.4g}, {force[1]:.4g}) N"
-        )
+        table.add_row(f"force at s = {one.at_s:.3g}", force_words(force))
     if found.wrench is not None:
         x, y, angle = found.pose
         table.add_row("gripper", f"[bold]({1e3 * x:.3f}, {1e3 * y:.3f}) mm at {math.degrees(angle):.2f} deg[/]")
@@ -98,7 +93,7 @@ def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
     console.print(table, highlight=False)
     for warning in found.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
-    _wrote(console, output, "shape.csv, targets.csv, shape.png, summary.json")
+    say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
 def _why(found: Shaped) -> str:
@@ -109,13 +104,13 @@ def _why(found: Shaped) -> str:
 
 def _sureness(found: Shaped) -> str:
     if found.spread is None:
-        return "not known: the model has no band on k(s)"
+        return NO_BAND
     return f"{2e3 * found.spread.rms:.2g} mm (2 sd over the targets' places, from the band on k(s))"
 
 
 def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path | None) -> None:
     """Length, stretch, forces, misses, margin."""
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table = facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
     for one, force in zip(way.hands.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
@@ -130,16 +125,11 @@ def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path 
     console.print(table, highlight=False)
     for warning in way.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
-    _wrote(console, output, "path.csv, ROS 2 messages (YAML and bag), path.png, summary.json")
+    say_written(console, output, "path.csv, ROS 2 messages (YAML and bag), path.png, summary.json")
 
 
 def _path_sureness(sure: PathSpread | None) -> str:
     if sure is None:
-        return "not known: the model has no band on k(s)"
+        return NO_BAND
     worst = int(np.argmax(sure.rms))
     return f"{2e3 * sure.rms[worst]:.2g} mm at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
-
-
-def _wrote(console: Console, output: Path | None, what: str) -> None:
-    if output is not None:
-        console.print(f"\nWrote {output}: {what}", highlight=False, markup=False)

@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.beam.uncertain import UncertainStiffness
-from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance
 from onebend.records import Remark
 from onebend.report.sureness import nuisance_rows
-from onebend.report.wording import millimetres, percent, significant, stage_rows
+from onebend.report.wording import bic_words, millimetres, percent, significant, stage_rows
 
 
 def selection_table(learned: Learned) -> Table:
@@ -28,14 +28,10 @@ def selection_table(learned: Learned) -> Table:
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
-        cells = [str(trial.n), str(trial.m), *map(millimetres, trial.rms), _bic(trial)]
+        cells = [str(trial.n), str(trial.m), *map(millimetres, trial.rms), bic_words(trial.bic)]
         style = "bold green" if chosen else "dim" if trial.why_out else ""
         table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
     return table
-
-
-def _bic(trial: Trial) -> str:
-    return f"{trial.bic:.1f}" if np.isfinite(trial.bic) else "–"
 
 
 def _marker_names(one: Comparison) -> list[str]:

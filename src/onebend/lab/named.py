@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import nan, radians
+from math import isnan, nan, radians
 from typing import Literal, get_args
 
 from onebend.beam.model import Beam
@@ -68,17 +68,15 @@ class Wish:
 def push_of(wish: Wish, beam: Beam) -> Push:
     """The push that is asked for, with a peak that bends this beam as far.
 
-    Raises
-    ------
-    RecordingError
-        A time, place or force that cannot be.
+    Raises:
+        RecordingError: a time, place or force that cannot be.
     """
     push = PUSHES[check_name(wish.push, PushName, "push")]
-    if wish.at_s == wish.at_s:
+    if not isnan(wish.at_s):
         push = replace(push, at_s=wish.at_s)
-    if wish.direction == wish.direction:
+    if not isnan(wish.direction):
         push = replace(push, direction=wish.direction)
-    if wish.seconds == wish.seconds:
+    if not isnan(wish.seconds):
         begin, end = push.contact
         share = wish.seconds / (end - begin)
         sudden = wish.push == "free"
@@ -88,7 +86,7 @@ def push_of(wish: Wish, beam: Beam) -> Push:
             hold=share * push.hold,
             fall=push.fall if sudden else share * push.fall,
         )
-    if wish.force == wish.force:
+    if not isnan(wish.force):
         if not wish.force > 0.0:
             raise RecordingError(f"a push needs a force above zero, got {wish.force} N")
         return replace(push, peak=wish.force)
@@ -98,18 +96,16 @@ def push_of(wish: Wish, beam: Beam) -> Push:
 def camera_of(wish: Wish) -> tuple[Camera, float]:
     """The camera that is asked for, and its frames/s."""
     camera, fps = CAMERAS[check_name(wish.camera, CameraName, "camera")]
-    if wish.tilt == wish.tilt:
+    if not isnan(wish.tilt):
         camera = replace(camera, tilt=(wish.tilt, 0.0))
-    return replace(camera, distance=wish.distance), wish.fps if wish.fps == wish.fps else fps
+    return replace(camera, distance=wish.distance), fps if isnan(wish.fps) else wish.fps
 
 
 def filming_of(design: Design, wish: Wish, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
 
-    Raises
-    ------
-    RecordingError
-        A name that is not known, or a number that cannot be.
+    Raises:
+        RecordingError: a name that is not known, or a number that cannot be.
     """
     beam = design.beam()
     camera, fps = camera_of(wish)
