@@ -18,22 +18,17 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import LogSpline
 from onebend.errors import LearningError
-from onebend.learning.force_error import ANEW, RELEASED
 from onebend.learning.force_process import ForceProcess, Spans, covariance, fast_variance, with_one_more
 from onebend.learning.key_frames import KeyFrames, Past, empty
 from onebend.learning.live_model import Inputs, linearise
 from onebend.learning.live_setting import Setting, live_layout, place_at
-from onebend.learning.live_sizes import OfK, Sizes
 from onebend.learning.live_solve import LiveScales, Start, gather, solve
-from onebend.learning.live_stages import LoadStages
 from onebend.learning.online import OnlineLearner, OnlineSettings
 from onebend.learning.parameters import Layout, Priors, clamp_sd
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.replay import replay
-from onebend.learning.roughness import Told, mixed
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
-from onebend.recording.load_stages import load_changes
 from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.test_posterior import wrong_force
@@ -172,7 +167,7 @@ def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
     at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True, mass=0.0)
-    keys, start = linear_frames(1, at, 7), Start(at, 0.3 * (np.arange(at.size) < 6), None)
+    keys, start = linear_frames(1, at, 7), Start(at, np.where(np.arange(at.size) < 6, 0.3, 0.0), None)
     scales, process = LiveScales(1.3, 0.02, 0.03, 0.3, 0.02, 0.0), ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02)
     of_k = start.of_k(at.spline.variances(2.0, 0.2))
     never = Past(np.zeros((at.size + 2, at.size + 2)), np.zeros(at.size + 2), -np.inf)
@@ -201,54 +196,6 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     folded = solve(gather(keys, never), start, of_k, scales, level)
     np.testing.assert_allclose(folded.x, whole.x, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(folded.covariance(), whole.covariance(), rtol=1e-4, atol=1e-8)
-
-
-def test_the_loads_own_time_is_the_whole_recordings() -> None:
-    """Two pushes, one with a small give that is no reversal and one with a reversal that is."""
-    way = [0.0] * 9 + [*np.linspace(0.001, 0.04, 40), *np.linspace(0.0395, 0.0385, 5), *np.linspace(0.039, 0.05, 20)]
-    way += [*np.linspace(0.0495, 0.02, 30), *np.linspace(0.0205, 0.04, 25), *np.linspace(0.039, 0.001, 30)] + [0.0] * 12
-    size = np.array(way)
-    time, loaded = np.arange(len(size)) / 30.0, size > 0.0
-    stages, seen = LoadStages(0.15, 1), np.array([True])
-    for t, d, on in zip(time, size, loaded, strict=True):
-        stages.see(float(t), np.array([[0.0, d]]), seen, bool(on))
-    changes = load_changes(time, size, loaded)
-    assert sum(one.release for one in changes) == 1
-    whole = sum((RELEASED if one.release else ANEW) * one.part(time) for one in changes)
-    late = time > 0.5  # the largest displacement was not known from the start
-    np.testing.assert_allclose(stages.own(time)[late], whole[late], atol=0.35)
-    assert np.mean(np.abs(stages.own(time) - whole)) < 0.05
-
-
-def test_what_a_load_did_long_ago_is_kept() -> None:
-    stages, seen, own = LoadStages(0.15, 1), np.array([True]), 0.0
-    for t in range(400):
-        d = 0.04 * abs(np.sin(2.0 * np.pi * t / 40.0))
-        stages.see(t / 30.0, np.array([[0.0, d]]), seen, d > 0.002)
-        own += stages.forgotten(np.zeros(1))[1]
-    assert own + stages.own(np.array([400 / 30.0]))[0] == pytest.approx(20 * ANEW * 2 + 20 * RELEASED, rel=0.05)
-
-
-def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
-    """Against `roughness.mixed`, whose chains are many."""
-    spline, rng = Spline(10), np.random.default_rng(3)
-    truth = np.where(np.arange(10) < 5, 0.0, 0.4)
-    rows = 15.0 * rng.normal(size=(12, 10))
-    told = OfK(rows.T @ rows, rows.T @ (rows @ truth + rng.normal(size=12)))
-    sizes = Sizes(spline, 0.0, 3.0, 0.1)
-    for _ in range(400):
-        sizes.step(told)
-    means, sds = [], []
-    for _ in range(20):
-        for _ in range(20):
-            sizes.step(told)
-        mean, covariance, _ = sizes.mixed(told)
-        means.append(mean)
-        sds.append(np.sqrt(np.diag(covariance)))
-    batch = mixed(spline, [Told(told.information, told.b)], 0.0, chains=30, burn=60, kept=300)
-    sd = np.sqrt(np.diag(batch.covariance))
-    np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
-    np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)
 
 
 @pytest.mark.parametrize("seed", range(3))
