@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.studies import ERRORS, S, bench_of, fit_from_nothing
-from benchmarks.studies import KINDS as BEAM_KINDS
+from benchmarks.studies import LEVELS, S, bench_of, fit_from_nothing
 from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
@@ -24,6 +23,7 @@ from onebend.records import Array, Observations
 
 BEAMS, KINDS = ("linear", "quadratic", "cubic"), ("train", "fast", "s08", "s06")
 START = 0.03  # N m, the live learner's first guess for every beam
+CELLS = ("smooth correlated", "smooth everything", "stepped correlated")  # kinds of beams and of errors, see `studies`
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class Row:
     inside: tuple[float, float]  # share of that range with the truth inside the 95 % band
     spread: tuple[float, float]  # sd of log k, median over that range
     apart: float  # live less batch in the batch's sd, RMS over that range
-    wall: Array  # (T,) s, of every update
+    ratio: float  # sd of log k over the batch fit's, median over that range
+    wall: Array  # (T,) s, of every update, the least over the repeats: the same is done in all of them
     processor: Array  # (T,) s, the same without waiting for the processor
 
 
@@ -65,27 +66,31 @@ def judged(one: UncertainStiffness, truth: Truth) -> tuple[float, float, float]:
     )
 
 
-def row(name: str, o: Observations, batch: UncertainStiffness, truth: Truth) -> Row:
+def row(name: str, o: Observations, batch: UncertainStiffness, truth: Truth, repeats: int) -> Row:
     """One recording."""
-    learner, wall, processor = replayed(o)
-    live, s = learner.stiffness, truth.s[(truth.s >= 0.05) & (truth.s <= 0.9)]
+    runs = [replayed(o) for _ in range(repeats)]
+    wall, processor = np.min([run[1] for run in runs], axis=0), np.min([run[2] for run in runs], axis=0)
+    live, s = runs[0][0].stiffness, truth.s[(truth.s >= 0.05) & (truth.s <= 0.9)]
     both = list(zip(judged(live, truth), judged(batch, truth), strict=True))
     apart = (live.log_at(s)[0] - batch.log_at(s)[0]) / batch.log_at(s)[1]
-    return Row(name, both[0], both[1], both[2], float(np.sqrt(np.mean(apart**2))), wall, processor)
+    ratio = float(np.median(live.log_at(s)[1] / batch.log_at(s)[1]))
+    return Row(name, both[0], both[1], both[2], float(np.sqrt(np.mean(apart**2))), ratio, wall, processor)
 
 
 @dataclass(frozen=True)
 class Case:
     """One virtual recording with its truth, over s in [0.05, 0.9]; live at the end, live when settled, batch."""
 
-    inside: Array  # (3, S) whether the 95 % band holds the truth
-    ratio: tuple[float, float]  # sd of log k over the batch fit's, median over s
-    error: tuple[float, float, float]  # RMS of log k
+    inside: Array  # (3, levels) share of the range with the truth inside the band
+    ratio: Array  # (3,) sd of log k over the batch fit's, median over s
+    apart: Array  # (3,) away from the batch fit in its sd, RMS over s
+    error: Array  # (3,) RMS of log k
 
 
-def case(seed: int, errors: str) -> Case:
-    """A drawn beam, pushed and filmed with errors of all kinds (`studies.bench_of`)."""
-    bench = bench_of(BEAM_KINDS[seed % len(BEAM_KINDS)], errors, seed)
+def case(cell: str, seed: int) -> Case:
+    """A drawn beam, pushed and filmed with errors (`studies.bench_of`)."""
+    kind, errors = cell.split()
+    bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
     seen = observe_virtual(virtual_recording(bench, seed=seed))
     batch = fit_from_nothing(seen, gain_sd=bench.said.gain_sd).stiffness
     truth = np.asarray(bench.beam.stiffness(S))
@@ -93,56 +98,59 @@ def case(seed: int, errors: str) -> Case:
     end = learner.stiffness
     learner.settle()
     found = (end, learner.stiffness, batch)
-    inside = [(truth > band.low) & (truth < band.high) for band in (one.band(S) for one in found)]
-    sd = [one.log_at(S)[1] for one in found]
-    error = [float(np.sqrt(np.mean((one.log_at(S)[0] - np.log(truth)) ** 2))) for one in found]
-    ratio = float(np.median(sd[0] / sd[2])), float(np.median(sd[1] / sd[2]))
-    return Case(np.array(inside), ratio, (error[0], error[1], error[2]))
-
-
-def virtual(runs: int, errors: str) -> None:
-    """Coverage of the live band beside the batch fit's."""
-    found = []
-    for seed in range(runs):
-        try:
-            found.append(case(seed, errors))
-            print(f"\r{seed + 1} of {runs}", end="", file=sys.stderr, flush=True)
-        except (LearningError, ObservationError) as wrong:
-            print(f"seed {seed}: {wrong}")
-    print(
-        "| errors | runs | | truth inside 95 % band | band over the fit's: 10 % / median / 90 % | RMS error of log k |"
+    bands = [[one.band(S, level) for level in LEVELS] for one in found]
+    inside = [[np.mean((truth > band.low) & (truth < band.high)) for band in one] for one in bands]
+    log, sd = (np.array([one.log_at(S)[i] for one in found]) for i in range(2))
+    return Case(
+        np.array(inside),
+        np.median(sd / sd[2], axis=1),
+        np.sqrt(np.mean(((log - log[2]) / sd[2]) ** 2, axis=1)),
+        np.sqrt(np.mean((log - np.log(truth)) ** 2, axis=1)),
     )
-    print("| --- " * 6 + "|")
-    for i, name in enumerate(("live, at the end", "live, settled", "fit")):
-        inside = 100.0 * np.mean([one.inside[i] for one in found])
-        ratio = (
-            "1"
-            if i == 2
-            else " / ".join(f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in found], (10, 50, 90)))
-        )
-        error = np.sqrt(np.mean([one.error[i] ** 2 for one in found]))
-        print(f"| {errors} | {len(found)} | {name} | {inside:.0f} % | {ratio} | {error:.3f} |")
+
+
+def virtual(runs: int, cells: list[str]) -> None:
+    """Coverage of the live band beside the batch fit's."""
+    titles = ("cell", "runs", "", "truth inside 50 / 80 / 95 % band", "band over the fit's: 10 % / median / 90 %")
+    print("| " + " | ".join((*titles, "from the fit [sd], RMS", "RMS error of log k")) + " |")
+    print("| --- " * 7 + "|")
+    for cell in cells:
+        found = []
+        for seed in range(runs):
+            try:
+                found.append(case(cell, seed))
+                print(f"\r{seed + 1} of {runs}", end="", file=sys.stderr, flush=True)
+            except (LearningError, ObservationError) as wrong:
+                print(f"seed {seed}: {wrong}")
+        for i, name in enumerate(("live, at the end", "live, settled", "fit")):
+            inside = " / ".join(f"{100.0 * v:.0f}" for v in np.mean([one.inside[i] for one in found], axis=0))
+            ratio = " / ".join(f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in found], (10, 50, 90)))
+            apart = np.sqrt(np.mean([one.apart[i] ** 2 for one in found]))
+            error = np.sqrt(np.mean([one.error[i] ** 2 for one in found]))
+            print(f"| {cell} | {len(found)} | {name} | {inside} % | {ratio} | {apart:.2f} | {error:.3f} |")
 
 
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--virtual", type=int, metavar="RUNS", help="virtual recordings with truth instead")
-    parser.add_argument("--errors", default="everything", choices=ERRORS, help="of the virtual recordings")
+    parser.add_argument("--cells", nargs="+", default=list(CELLS), help="of the virtual recordings")
+    parser.add_argument("--repeats", type=int, default=3, help="of each recording, for the time an update takes")
     asked = parser.parse_args()
     if asked.virtual is not None:
-        virtual(asked.virtual, asked.errors)
+        virtual(asked.virtual, asked.cells)
         return
     folder = asked.recordings
     found = []
     for beam in BEAMS:
         seen = {kind: observe(folder / f"{beam}_{kind}") for kind in KINDS}
         start, truth = learn(seen["train"]).beam.stiffness, read_truth(folder / f"{beam}_train")
-        found += [row(f"{beam} {kind}", o, fit([o], start).stiffness, truth) for kind, o in seen.items()]
+        found += [row(f"{beam} {kind}", o, fit([o], start).stiffness, truth, asked.repeats) for kind, o in seen.items()]
     print(
-        "| recording | error of k, live / batch | truth inside 95 % band | sd of log k | live - batch [sd] "
+        "| recording | error of k, live / batch | truth inside 95 % band | sd of log k | their ratio "
+        "| live - batch [sd] "
         "| update, median / 99 % / slowest [ms] | the same, processor time |"
     )
-    print("| --- " * 7 + "|")
+    print("| --- " * 8 + "|")
     for r in found:
         times = [
             f"{np.median(t):.2f} / {np.percentile(t, 99):.2f} / {np.max(t):.2f}"
@@ -150,7 +158,7 @@ def main() -> None:
         ]
         print(
             f"| {r.name} | {r.error[0]:.3f} / {r.error[1]:.3f} | {100 * r.inside[0]:.0f} % / {100 * r.inside[1]:.0f} % "
-            f"| {r.spread[0]:.3f} / {r.spread[1]:.3f} | {r.apart:.2f} | {times[0]} | {times[1]} |"
+            f"| {r.spread[0]:.3f} / {r.spread[1]:.3f} | {r.ratio:.2f} | {r.apart:.2f} | {times[0]} | {times[1]} |"
         )
 
 

@@ -28,8 +28,8 @@ _MOST_KNOTS = 100
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
 _FINE = 4  # steps between knots, where the load's error is filtered
-_LOAD = 0.03  # of the largest force: expected sd of what comes with the load
-_ANEW, _RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
+LOAD = 0.03  # of the largest force: expected sd of what comes with the load
+ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
@@ -139,9 +139,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=_LOAD * largest if np.isnan(observations.load_error_sd) else observations.load_error_sd,
+        load=LOAD * largest if np.isnan(observations.load_error_sd) else observations.load_error_sd,
         stages=_stages(observations, knots, cutoff),
-        mean=_ramp(clean, knots),
+        mean=ramp(clean, knots),
     )
 
 
@@ -177,11 +177,11 @@ def _own_time(observations: Observations, time: Array) -> Array:
     o = observations
     out = np.zeros(len(time))
     for change in load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded):
-        out += (_RELEASED if change.release else _ANEW) * change.part(time)
+        out += (RELEASED if change.release else ANEW) * change.part(time)
     return out
 
 
-def _ramp(clean: CleanForce | None, knots: Array) -> Array:
+def ramp(clean: CleanForce | None, knots: Array) -> Array:
     """(K, 2) N at the knots: the first rest's zero less the one that was taken off."""
     if clean is None or len(clean.zero_time) < 2:
         return np.zeros((len(knots), 2))

@@ -18,45 +18,51 @@ from onebend.records import Array, BoolArray, IntArray
 _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
 _SAME_GRAVITY = 0.5  # m/s^2
 _SAME_FORCE = 0.15  # of the largest force
+_SAME_STAGE = 0.5  # of the load's own time
 AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
 _REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
 
 
 @dataclass
 class KeyFrames:
-    """K + 2 places, `used` of them taken, in order of time."""
+    """K places, `used` of them taken, in order of time."""
 
     used: int
-    begin: Array  # (K + 2,) s
+    begin: Array  # (K,) s
     end: Array
+    own: Array  # the load's own time there, but for its last changes
     frames: Array  # how many were averaged
     rest: BoolArray  # nothing pushes
     push_s: Array
-    force: Array  # (K + 2, 2) N, as logged
-    rate: Array  # (K + 2, 2) N/s
-    gravity: Array  # (K + 2, 2)
-    measured: Array  # (K + 2, m, 3)
-    information: Array  # (K + 2, m, 3, 3) of `measured`; zero where a tag was not seen
-    root: Array  # (K + 2, m, 3, 3) R with R' R = information
-    weight: Array  # (K + 2, m) robust
-    error: Array  # (K + 2, 2) N, the force's, at which it was linearised
-    left: Array  # (K + 2, m, 3) measured less predicted, where it was linearised
-    zeta: Array  # (K + 2, m, 3)
-    j: Array  # (K + 2, m, 3, n)
-    a: Array  # (K + 2, m, 3, 2)
-    q: Array  # (K + 2, Q) rad, the shape to start from
-    nodes: IntArray  # (K + 2,) how many of these are used
-    by_force: Array  # (K + 2, Q, 2) of it with the logged force
-    stale: BoolArray  # (K + 2,) linearised at other parameters than the frames that came last
-    rows_j: Array  # (K + 2, 3 m, n) whitened
-    rows_a: Array  # (K + 2, 3 m, 2)
-    rows_z: Array  # (K + 2, 3 m)
+    force: Array  # (K, 2) N, as logged
+    rate: Array  # (K, 2) N/s
+    gravity: Array  # (K, 2)
+    measured: Array  # (K, m, 3)
+    information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
+    root: Array  # (K, m, 3, 3) R with R' R = information
+    weight: Array  # (K, m) robust
+    error: Array  # (K, 2) N, the force's, at which it was linearised
+    left: Array  # (K, m, 3) measured less predicted, where it was linearised
+    zeta: Array  # (K, m, 3)
+    j: Array  # (K, m, 3, n)
+    a: Array  # (K, m, 3, 2)
+    q: Array  # (K, Q) rad, the shape to start from
+    grid: Array  # (K,) place of the push whose grid that is on; 0: there is none yet
+    by_force: Array  # (K, Q, 2) of it with the logged force
+    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last
+    rows_j: Array  # (K, 3 m, n) whitened
+    rows_a: Array  # (K, 3 m, 2)
+    rows_z: Array  # (K, 3 m)
 
     @property
-    def spans(self) -> Spans:
-        """Stretches of time of the frames in use."""
-        part = slice(0, self.used)
-        return Spans(self.begin[part], self.end[part], self.frames[part], np.zeros(self.used))
+    def centre(self) -> Array:
+        """(used,) s, in the middle of each frame's stretch of time."""
+        return 0.5 * (self.begin[: self.used] + self.end[: self.used])
+
+    def spans(self, more: Array) -> Spans:
+        """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
+        begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
+        return Spans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
 
     def arrays(self) -> list[Array]:
         """All that is kept of every frame."""
@@ -110,23 +116,23 @@ class Past:
 
     information: Array  # (n + 2, n + 2)
     b: Array  # (n + 2,)
-    time: float  # s; NaN while nothing is folded
+    time: float  # s; minus infinity while nothing is folded
+    own: float = 0.0  # the load's own time there
 
-    def add(self, information: Array, b: Array, time: float, *, walk: float, fast: float) -> None:
+    def add(self, information: Array, b: Array, time: float, own: float, *, slow: float, fast: float) -> None:
         """One more frame's say in x and its own force error; the slow error of all the past is moved to its time.
 
-        `walk`: N per root second, of the slow error; `fast`: N^2, variance of what the frame's error has besides.
+        `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
         """
         if np.isfinite(self.time):
-            variance = walk**2 * max(time - self.time, 0.0)
-            self.information, self.b = loosened(self.information, self.b, variance)
-        own, right = loosened(information, b, fast)
-        self.information, self.b, self.time = self.information + own, self.b + right, time
+            self.information, self.b = loosened(self.information, self.b, slow)
+        said, right = loosened(information, b, fast)
+        self.information, self.b, self.time, self.own = self.information + said, self.b + right, time, own
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
-    """Room for `most` key frames, the one that has just come, and an average that is being made."""
-    count = most + 2
+    """Room for `most` key frames, two that have come since, and two averages that are being made."""
+    count = most + 4
 
     def room(*shape: int) -> Array:
         return np.zeros((count, *shape))
@@ -135,6 +141,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         used=0,
         begin=room(),
         end=room(),
+        own=room(),
         frames=room(),
         rest=np.zeros(count, dtype=bool),
         push_s=room(),
@@ -151,7 +158,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         j=room(tags, 3, parameters),
         a=room(tags, 3, 2),
         q=room(nodes),
-        nodes=np.zeros(count, dtype=np.int64),
+        grid=room(),
         by_force=room(nodes, 2),
         stale=np.zeros(count, dtype=bool),
         rows_j=room(3 * tags, parameters),
@@ -167,36 +174,45 @@ def _roots(information: Array) -> Array:
     return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
 
 
-def closest_pair(keys: KeyFrames, count: int, largest: float) -> int | None:
-    """The neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares).
-
-    None where none are alike.
+def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most: int) -> list[int]:
+    """Neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares), none in two of
+    them; at most so many, and those that are alike. `own` (used,): the load's own time.
     """
+    if count < 2 or most < 1:
+        return []
     part, rear = slice(0, count - 1), slice(1, count)
-    force = np.linalg.norm(keys.force[rear] - keys.force[part], axis=1) / max(largest, 1e-300)
-    rest = keys.rest[part]
-    force = np.where(rest, 0.0, force)
+    away = keys.force[rear] - keys.force[part]
+    rest, n = keys.rest[part], keys.frames
+    force = np.where(rest, 0.0, np.sqrt(np.sum(away * away, axis=1)) / max(largest, 1e-300))
     centre = 0.5 * (keys.begin + keys.end)
     time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
     alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
+    alike &= np.abs(own[1:count] - own[: count - 1]) <= _SAME_STAGE
     alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
-    alike &= np.linalg.norm(keys.gravity[rear] - keys.gravity[part], axis=1) <= _SAME_GRAVITY
-    if not np.any(alike):
-        return None
-    n = keys.frames
+    alike &= np.abs(keys.gravity[rear] - keys.gravity[part]).max(axis=1) <= _SAME_GRAVITY
     cost = n[part] * n[rear] / (n[part] + n[rear]) * (force**2 + time**2) * np.where(rest, _REST_SHARE, 1.0)
-    return int(np.argmin(np.where(alike, cost, np.inf)))
+    cost = np.where(alike, cost, np.inf)
+    out: list[int] = []
+    while len(out) < most:
+        i = int(np.argmin(cost))
+        if cost[i] == np.inf:
+            break
+        out.append(i)
+        cost[max(i - 1, 0) : i + 2] = np.inf
+    return out
 
 
 def propose_average(keys: KeyFrames, i: int, at: int) -> None:
     """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
     k = i + 1
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
-    for values in (keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
+    for values in (keys.own, keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
         values[at] = (1.0 - share) * values[i] + share * values[k]
     keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
     keys.rest[at] = keys.rest[i]
-    keys.nodes[at] = keys.nodes[i] if keys.nodes[i] == keys.nodes[k] else 0
+    keys.grid[at] = keys.grid[i]
+    if keys.grid[k] != keys.grid[i]:
+        keys.q[at] = keys.q[i]
     keys.measured[at], keys.root[at] = 0.0, 0.0
 
 

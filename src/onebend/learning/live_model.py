@@ -5,52 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dposv, dpotrs
 
 from onebend.beam.continuation import follow
-from onebend.beam.grid import Grid, make_grid
-from onebend.beam.newton import solve_batch
 from onebend.beam.problem import Problem
-from onebend.beam.statics import balance, positive_definite, tangent
-from onebend.learning.film import MASS_MODES, REST_MODES
-from onebend.learning.parameters import Block, Layout, Priors
-from onebend.learning.spline import Spline
-from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray
+from onebend.beam.statics import tangent
+from onebend.learning.live_setting import Place, Setting
+from onebend.learning.parameters import Layout
+from onebend.records import Array, BoolArray
 
-ORDER, WIDEST = 12, 0.5
 _MOST = 8  # Newton iterations before the search from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
-_TOLERANCE = 2e-5  # rad, of the last update: the error is about its square
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What does not change while one beam is filmed."""
-
-    length: float  # m
-    marker_s: Array  # (m,)
-    mass: float  # kg
-    at: Layout
-
-    @property
-    def weighs(self) -> bool:
-        """Whether the mass is among the parameters."""
-        return self.mass > 0.0 and self.at.index["mass", -1].start >= 0
-
-
-@dataclass(frozen=True)
-class Place:
-    """Everything that depends only on where the force acts."""
-
-    grid: Grid
-    to_nodes: Array  # (Q, Q)
-    weights: Array  # (Q,)
-    beyond: Array  # (Q,) 1 where the push lies beyond the node
-    farther: Array  # (Q,) 1/m: what is added to it per metre that the push lies farther out
-    mass_beyond: Array  # (Q, 4) kg, of an even mass and of its uneven parts
-    on_nodes: Array  # (Q, p)
-    rest_on_nodes: Array  # (Q, 3)
-    rows: Array  # (m, Q): integrals up to the markers
-    bend: Array  # (m, Q) 1/m: turn of the beam under the markers per metre along it
+_TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
 
 
 @dataclass(frozen=True)
@@ -60,6 +26,7 @@ class Inputs:
     force: Array  # (B, 2) N, corrected
     rate: Array  # (B, 2) N/s
     gravity: Array  # (B, 2) m/s^2
+    farther: Array  # (B,) m that the push lies beyond its grid's place
 
 
 @dataclass(frozen=True)
@@ -74,72 +41,16 @@ class Linear:
     a: Array  # (B, m, 3, 2) with the logged force, per N
 
 
-def live_layout(
-    spline: Spline, tags: int, priors: Priors, *, placement_sd: float, rest_unknown: bool, calibrated: bool, mass: float
-) -> Layout:
-    """The parameters of one beam under one camera; the force's error is a process and not among them."""
-    placement = placement_sd if priors.placement is None else priors.placement
-    origin = placement_sd if priors.origin is None else priors.origin
-    mounted = TURN_SD if priors.mounting is None else priors.mounting
-    pushed = PLACE_SD if priors.place is None else priors.place
-    turned = DIRECTION_SD if priors.direction is None else priors.direction
-    numbers = range(1, tags + 1)
-    wanted: list[tuple[str, str, float, tuple[str, ...]]] = [
-        ("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", "rad", priors.curvature if rest_unknown else 0.0, ("q0 mean", "q0 slope", "q0 bow")),
-        ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
-        ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
-        ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
-        ("turn", "rad", mounted, tuple(f"tag {i} turn" for i in numbers)),
-        ("clamp", "rad", priors.clamp, ("clamp angle",)),
-        ("origin", "m", origin, ("origin x", "origin y")),
-        ("scale", "1", 0.0 if calibrated else priors.scale, ("camera scale",)),
-        ("clock", "s", priors.clock or 0.0, ("clock offset",)),
-        ("place", "m", pushed, ("push place",)),
-        ("direction", "rad", turned, ("force axes",)),
-    ]
-    blocks, start = [], 0
-    for name, unit, sd, labels in wanted:
-        sds = np.full(len(labels), sd)
-        if name == "mass":
-            sds[1:] = priors.mass_spread
-        blocks.append(Block(name, -1, unit, sds, labels, start if sd > 0.0 else -1))
-        start += len(labels) if sd > 0.0 else 0
-    return Layout(spline, tuple(blocks), start, {(b.name, -1): b for b in blocks})
-
-
-def place_at(setting: Setting, push_s: float) -> Place:
-    """The grid and what stands on it for a push at `push_s`."""
-    grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
-    nodes, to_nodes, weights = grid.nodes, grid.integral_to_nodes, grid.weights
-    parts = MASS_MODES.curvature(nodes)
-    beyond = nodes < push_s
-    last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    return Place(
-        grid=grid,
-        to_nodes=to_nodes,
-        weights=weights,
-        beyond=np.asarray(beyond, dtype=float),
-        farther=np.asarray(last / (setting.length * weights)),
-        mass_beyond=setting.mass * (weights @ parts - to_nodes @ parts),
-        on_nodes=setting.at.spline.basis(nodes),
-        rest_on_nodes=REST_MODES.curvature(nodes),
-        rows=grid.integral_to(setting.marker_s),
-        bend=grid.value_at(setting.marker_s) / setting.length,
-    )
-
-
 def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Array | None) -> Linear:
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any."""
     at = setting.at
     axes = _axes(at, x)
     force = (given.force + given.rate * at.get(x, "clock")) @ axes.T
-    problem, pushed = _problem(setting, place, x, force, given.gravity)
-    q, converged, matrices = _shapes(problem, start)
+    problem, pushed = _problem(setting, place, x, force, given)
+    weights = place.mass_beyond if setting.weighs else place.mass_beyond[:, :0]
+    q, converged, bent = _shapes(place, problem, start, (force, pushed, given.gravity, weights))
     alpha = problem.alpha0 + q @ place.to_nodes.T
     cos, sin = np.cos(alpha), np.sin(alpha)
-    weights = place.mass_beyond if setting.weighs else place.mass_beyond[:, :0]
-    bent = _response(place, problem, (q, matrices, cos, sin), (force, pushed, given.gravity, weights))
     clamp, p = np.zeros(bent.shape[-1]), at.spline.count
     clamp[p + 3] = 1.0
     turned_nodes, turn = place.to_nodes @ bent + clamp, place.rows @ bent + clamp
@@ -181,8 +92,10 @@ def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes
     return j, a
 
 
-def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Array]:
-    """Equilibria (B, Q), which of them were found, and their tangents (B, Q, Q).
+def _shapes(
+    place: Place, problem: Problem, start: Array | None, load: tuple[Array, Array, Array, Array]
+) -> tuple[Array, BoolArray, Array]:
+    """Equilibria (B, Q), which of them were found, and how they respond to the parameters (`_turning`): (B, Q, P).
 
     Newton from `start`, its last tangent being good enough for derivatives; where it strays from a stable shape nearby,
     or without a start, the shapes are sought from rest.
@@ -190,27 +103,46 @@ def _shapes(problem: Problem, start: Array | None) -> tuple[Array, BoolArray, Ar
     if start is not None:
         q, moved = start.copy(), 0.0
         for _ in range(_MOST):
-            unbalanced, matrices = balance(problem, q)
-            update = solve_batch(matrices, unbalanced)
+            unbalanced, matrices = _balance(problem, place, q)
+            solved = [dposv(one, right, lower=1) for one, right in zip(matrices, unbalanced, strict=True)]
+            if any(info for _, _, info in solved):
+                break
+            update = np.stack([one for _, one, _ in solved])
             q -= update
-            turn = float(np.max(np.abs(update @ problem.to_nodes.T)))
+            turn = float(np.abs(update @ problem.to_nodes.T).max())
             moved += turn
+            if turn < _TOLERANCE:
+                right = _turning(place, problem, q, load)
+                each = [dpotrs(factor, one, lower=1)[0] for (factor, _, _), one in zip(solved, right, strict=True)]
+                return q, np.ones(len(q), dtype=bool), np.stack(each)
             if not moved < _TRUST:
                 break
-            if turn < _TOLERANCE:
-                if np.all(positive_definite(matrices)):
-                    return q, np.ones(len(q), dtype=bool), matrices
-                break
-    solved = follow(problem)
-    return solved.q, solved.converged & solved.stable, tangent(problem, solved.q)
+    found = follow(problem)
+    q, good = found.q, found.converged & found.stable
+    bent = _turning(place, problem, q, load)
+    for i, one in enumerate(tangent(problem, q)):
+        _, bent[i], info = dposv(one, bent[i], lower=1)
+        good[i] &= info == 0
+    return q, good, bent
 
 
-def _problem(setting: Setting, place: Place, x: Array, force: Array, gravity: Array) -> tuple[Problem, Array]:
-    """The problem of B frames, and (Q,) the share of the push beyond each node."""
+def _balance(problem: Problem, place: Place, q: Array) -> tuple[Array, Array]:
+    """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
+    alpha = problem.alpha0 + q @ place.to_nodes.T
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    x, y = problem.dead_pull
+    stiff = place.weights * problem.k
+    matrices = ((x * cos + y * sin) @ place.squares).reshape(*q.shape, -1)
+    matrices.reshape(len(q), -1)[:, :: q.shape[1] + 1] += stiff
+    return stiff * (q - problem.q0) - (y * cos - x * sin) @ place.to_nodes, matrices
+
+
+def _problem(setting: Setting, place: Place, x: Array, force: Array, given: Inputs) -> tuple[Problem, Array]:
+    """The problem of B frames, and (B, Q) the share of the push beyond each node."""
     at, size, nodes = setting.at, len(force), len(place.weights)
-    pushed = place.beyond + float(at.get(x, "place")[0]) * place.farther
+    pushed = place.beyond + (float(at.get(x, "place")[0]) + given.farther)[:, None] * place.farther
     mass = place.mass_beyond[:, 0] + place.mass_beyond @ at.get(x, "mass")
-    dead = pushed[:, None] * force[:, None, :] + mass[:, None] * gravity[:, None, :]
+    dead = pushed[..., None] * force[:, None, :] + mass[:, None] * given.gravity[:, None, :]
     problem = Problem(
         grid=place.grid,
         weights=place.weights,
@@ -228,16 +160,16 @@ def _problem(setting: Setting, place: Place, x: Array, force: Array, gravity: Ar
     return problem, pushed
 
 
-def _response(
-    place: Place, problem: Problem, shape: tuple[Array, Array, Array, Array], load: tuple[Array, Array, Array, Array]
-) -> Array:
-    """(B, Q, P) of the curvature at the nodes, by the implicit function theorem.
+def _turning(place: Place, problem: Problem, q: Array, load: tuple[Array, Array, Array, Array]) -> Array:
+    """(B, Q, P) what the parameters put out of balance; the tangent's inverse times it is the curvature's response.
 
     Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force, its place, the mass's parts
     (`load`: forces, share of the push beyond the nodes, gravity, kg of each part beyond the nodes).
     """
-    (q, matrices, cos, sin), (force, pushed, gravity, weights) = shape, load
+    force, pushed, gravity, weights = load
     p, b = place.on_nodes.shape[1], place.to_nodes
+    alpha = problem.alpha0 + q @ b.T
+    cos, sin = np.cos(alpha), np.sin(alpha)
     right = np.empty((*q.shape, p + 7 + weights.shape[1]))
     stiff, pull = place.weights * problem.k, problem.length * place.weights
     right[..., :p] = -(stiff * (q - problem.q0))[..., None] * place.on_nodes
@@ -246,12 +178,10 @@ def _response(
     lever[..., 0] = -pull * (problem.dead_force[..., 0] * cos + problem.dead_force[..., 1] * sin)
     lever[..., 1], lever[..., 2] = -pull * pushed * sin, pull * pushed * cos
     lever[..., 3] = pull * place.farther * (force[:, 1:] * cos - force[:, :1] * sin)
-    lever[..., 4:] = (pull * (gravity[:, 1:] * cos - gravity[:, :1] * sin))[..., None] * weights
+    if weights.shape[1]:
+        lever[..., 4:] = (pull * (gravity[:, 1:] * cos - gravity[:, :1] * sin))[..., None] * weights
     right[..., p + 3 :] = b.T @ lever
-    try:
-        return np.asarray(np.linalg.solve(matrices, right))
-    except np.linalg.LinAlgError:  # of a frame that was not found either
-        return np.zeros_like(right)
+    return right
 
 
 def _axes(at: Layout, x: Array) -> Array:

@@ -1,7 +1,7 @@
-"""Noise of the tags in the live learner, from what the present estimate leaves of the last frames, as in the fit.
+"""Noise of the tags in the live learner, from what the present estimate leaves of the key frames.
 
-An average of frames forgets how they scattered. So every frame keeps its departure from the key frame it went into: its
-residual now is that and the key frame's. The sd of these, times the root of their correlation time, is the noise.
+Less all that an error of each one's force could explain: as in the fit, what the log's noise does is not the tags'. An
+average of frames says how far off averages are: what lasts from frame to frame counts with its correlation time.
 """
 
 from __future__ import annotations
@@ -10,67 +10,53 @@ import numpy as np
 
 from onebend.learning.key_frames import KeyFrames
 from onebend.learning.live_solve import Solution
-from onebend.learning.scales import correlation_time
 from onebend.records import Array
 
-_KEPT = 512  # frames
-_FEWEST = 20  # frames that tell a noise
 _BULK = 5.0  # sd: beyond, a tag was read wrong
 _LEAST = 0.02  # of what the tags' covariances say
-_GUESS_COUNTS = 20.0  # frames that the size it begins with counts like
+_GUESS_COUNTS = 60.0  # numbers that the size it begins with counts like
+_NO_FORCE = 1e-9  # 1/N^2: what a force of which the tags tell nothing is said to move them by
 
 
-class Scatter:
-    """The last frames under load, each against its key frame."""
+def left_of(keys: KeyFrames, solution: Solution) -> Array:
+    """(K, 3 m) whitened: what the solution leaves of the key frames."""
+    used = keys.used
+    e = solution.e[len(solution.e) - used :]
+    return np.asarray(
+        keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
+    )
 
-    def __init__(self, tags: int, expected: float) -> None:
-        self._expected = expected
-        self._count = 0  # frames ever
-        self._own = np.full(_KEPT, -1)  # the key frame it went into; -1: folded
-        self._away = np.zeros((_KEPT, tags, 3))  # residual less the key frame's
-        self._root = np.zeros((_KEPT, tags, 3, 3))  # R with R' R = information
 
-    def add(self, i: int, root: Array) -> None:
-        """A frame that has become key frame i; `root` (m, 3, 3) is zero where a tag is not used."""
-        at = self._count % _KEPT
-        self._own[at], self._away[at], self._root[at] = i, 0.0, root
-        self._count += 1
+def without_force(left: Array, a: Array) -> Array:
+    """Residuals (K, R) less what a force of each frame could explain; `a` (K, R, 2): how it moves the tags."""
+    x, y = a[..., 0], a[..., 1]
+    xx, yy, xy = np.sum(x * x, axis=1) + _NO_FORCE, np.sum(y * y, axis=1) + _NO_FORCE, np.sum(x * y, axis=1)
+    by_x, by_y, size = np.sum(x * left, axis=1), np.sum(y * left, axis=1), xx * yy - xy**2
+    first, second = (yy * by_x - xy * by_y) / size, (xx * by_y - xy * by_x) / size
+    return np.asarray(left - first[:, None] * x - second[:, None] * y)
 
-    def averaged(self, i: int, before: Array, after: Array) -> None:
-        """Key frames i and i + 1 have become one: `before` (2, m, 3) their residuals, `after` (m, 3) its own."""
-        for k in range(2):
-            self._away[self._own == i + k] += before[k] - after
-        self._own[self._own > i] -= 1
 
-    def folded(self, left: Array) -> None:
-        """The first key frame is gone; `left` (m, 3) is what its residual was."""
-        self._away[self._own == 0] += left
-        self._own[self._own >= 0] -= 1
+def robust_weights(keys: KeyFrames, left: Array, marker: float, bulk: float) -> Array:
+    """(K, m) robust weights of the tags: 1 where what the solution leaves is within `bulk` sd, then as Student's fall.
 
-    def forget(self) -> None:
-        """All frames so far."""
-        self._count = 0
-        self._own[:] = -1
+    Flat in the bulk: tags of a frame must weigh alike there, or their averages would be of unlike frames.
+    """
+    distance = np.sqrt(np.sum(left.reshape(len(left), -1, 3) ** 2, axis=-1)) / marker
+    seen = keys.information[: keys.used, :, 0, 0] > 0.0
+    return np.asarray(seen * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)
 
-    def noise(self, keys: KeyFrames, solution: Solution, spent: float) -> float | None:
-        """Size of the tags' noise over what their covariances say; None while too few frames tell it.
 
-        `spent`: parameters that the tags settled.
-        """
-        kept = min(self._count, _KEPT)
-        if kept < _FEWEST:
-            return None
-        order = (self._count - kept + np.arange(kept)) % _KEPT
-        own, used = self._own[order], keys.used
-        e = solution.e[len(solution.e) - used :]
-        now = keys.zeta[:used] - keys.j[:used] @ solution.x + (keys.a[:used] @ e[:, None, :, None])[..., 0]
-        left = self._away[order] + np.where(own >= 0, 1.0, 0.0)[:, None, None] * now[own]
-        r = (self._root[order] @ left[..., None]).reshape(kept, -1)
-        numbers = 3.0 * float(np.count_nonzero(self._root[order, :, 0, 0]))
-        share = max(1.0 - spent / max(numbers, 1.0), 0.3)
-        most = _BULK * float(np.median(np.abs(r[r != 0.0]))) / 0.6745 if np.any(r) else 0.0
-        bulk = np.clip(r, -most, most)
-        white = float(np.sum(bulk**2)) / max(numbers * share, 1.0)
-        found = max(white * correlation_time(r), _LEAST**2)
-        more = kept / (kept + _GUESS_COUNTS)
-        return max(float(np.exp(0.5 * more * np.log(found) + (1.0 - more) * np.log(self._expected))), _LEAST)
+def tags_noise(keys: KeyFrames, left: Array, spent: float, expected: float) -> float:
+    """Size of the tags' noise over what their covariances say.
+
+    `spent`: parameters that the tags settled; `expected`: the size before the data.
+    """
+    loaded = ~keys.rest[: keys.used]
+    r = without_force(left[loaded], keys.rows_a[: keys.used][loaded])
+    numbers = float(np.count_nonzero(r)) - 2.0 * len(r)
+    if numbers <= 0.0:
+        return expected
+    most = _BULK * float(np.median(np.abs(r[r != 0.0]))) / 0.6745
+    left_over = max(numbers - spent, 0.3 * numbers)
+    found = (float(np.sum(np.clip(r, -most, most) ** 2)) + _GUESS_COUNTS * expected**2) / (left_over + _GUESS_COUNTS)
+    return max(float(np.sqrt(found)), _LEAST)

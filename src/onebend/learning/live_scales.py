@@ -1,9 +1,9 @@
-"""The sizes of force error and roughness in the live learner: the evidence's choice, and what it leaves open.
+"""The sizes of the force's error in the live learner: the evidence's choice, and what it leaves open.
 
 One trial at a time, at what is known then. Some climb: one scale in turn is made larger or smaller, and kept if more
 probable. The others look about: pairs to either side along and across the scales give the curvature of their
-probability; pairs far out along its axes are the nodes over which the parameters' covariance is averaged (a cubature
-of degree three, as in the fit). After a round of some forty looks they begin anew.
+probability; pairs far out along its axes are the nodes over which log k is averaged (a cubature of degree three, as in
+the fit). After a round of some thirty looks they begin anew.
 """
 
 from __future__ import annotations
@@ -11,33 +11,31 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.linalg.lapack import dtrtrs
 
 from onebend.learning.live_solve import LiveScales, Solution
 from onebend.learning.scales import CHOSEN, SPREAD
-from onebend.learning.spline import SPREAD as ROUGHNESS_SPREAD
 from onebend.records import Array
 
 _CENTRE = 0.25  # share of the node in the middle
 _MOST = 4.0  # sd from what was expected
 _SHORTEST, _LONGEST = 0.05, 0.7  # step of a log
 _NEAR = 0.4  # sd of what was expected: so far out the curvature is looked at
-_CLIMB_EVERY = 3  # trials
+_CLIMB_EVERY = 2  # trials
 _TRUSTED = 1.0  # of a node's log weight: so far above what was expected, its look is not believed
 _LEAST_CURVATURE = 0.5  # the prior alone has one
-
-
-_SPREAD = dict.fromkeys(("tau", "rho"), ROUGHNESS_SPREAD)
-_SPREAD |= dict(zip(CHOSEN, SPREAD.tolist(), strict=True)) | {"white": 0.7}
+_SPREAD = dict(zip(CHOSEN, SPREAD.tolist(), strict=True)) | {"white": 0.7}
 MEMORY_DOUBT = _SPREAD["memory"]
 
 
 @dataclass(frozen=True)
 class _Node:
-    """What would be known of the parameters at other scales."""
+    """What would be known of log k at other scales, in units of what is known at the optimum: as that shrinks, so does
+    this."""
 
     log_weight: float  # over the middle's
-    spread: Array  # (n, n) about the optimum, over the covariance there: as that shrinks, so does this
+    away: Array  # (p,) from the optimum
+    spread: Array  # (p, p) about it
 
 
 class ScaleSearch:
@@ -51,7 +49,7 @@ class ScaleSearch:
         self._chosen = chosen
         self._expected = np.log([getattr(expected, name) for name in chosen])
         self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
-        self._steps = np.full(len(chosen), 0.3)
+        self._steps = np.array([0.7 if name == "load" else 0.3 for name in chosen])  # it may be ten times as large
         self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
         self._nodes: dict[int, _Node] = {}
         self._trials, self._climbs, self._at = 0, 0, 0
@@ -100,11 +98,11 @@ class ScaleSearch:
         count = len(self._open)
         share = np.log((1.0 - _CENTRE) / (2 * count) / _CENTRE)
         log_weight = min(share + 0.5 * count / (1.0 - _CENTRE) - 0.5 * worse, share + _TRUSTED)
-        away = there.x - here.x
-        root, _ = dpotrf(here.covariance(), lower=1)
-        half, _ = dtrtrs(root, there.covariance() + np.outer(away, away), lower=1)
-        spread, _ = dtrtrs(root, half.T, lower=1)
-        self._nodes[self._at - 2 * len(self._pairs)] = _Node(float(log_weight), spread)
+        p = len(here.lower)
+        away = here.lower.T @ (there.x[:p] - here.x[:p])
+        half, _ = dtrtrs(there.lower, here.lower, lower=1)
+        spread = half.T @ half + np.outer(away, away)
+        self._nodes[self._at - 2 * len(self._pairs)] = _Node(float(log_weight), away, spread)
         self._advance()
 
     def _curve(self, worse: float) -> None:
@@ -130,17 +128,19 @@ class ScaleSearch:
             self._nodes.pop(self._at - 2 * len(self._pairs), None)
             self._advance()
 
-    def averaged(self, covariance: Array) -> Array:
-        """(n, n) covariance around the optimum, from that at the scales of the optimum."""
+    def averaged(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """(p,) and (p, p) of log k's coefficients, from those at the scales of the optimum."""
         nodes = list(self._nodes.values())
         weights = np.exp([0.0, *(node.log_weight for node in nodes)])
         weights /= np.sum(weights)
-        spread = weights[0] * np.eye(len(covariance))
+        away, spread = np.zeros(len(mean)), weights[0] * np.eye(len(mean))
         for weight, node in zip(weights[1:], nodes, strict=True):
+            away += weight * node.away
             spread += weight * node.spread
-        root, _ = dpotrf(covariance, lower=1)
+        spread -= np.outer(away, away)
+        root = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(covariance))).T
         out = root @ spread @ root.T
-        return np.asarray(0.5 * (out + out.T))
+        return mean + root @ away, np.asarray(0.5 * (out + out.T))
 
     def _begin(self) -> None:
         """A new round of looks."""

@@ -4,35 +4,38 @@
 
 C is the force error's covariance over the key frames' times. The unknowns are few (some 35 + 2 a key frame), so all of
 them are solved for at once, from Cholesky factors of matrices that are sums of squares: nothing is carried from frame
-to frame that could lose its definiteness.
+to frame that could lose its definiteness. Log k comes last: what is known of it with all else integrated out is there
+before its prior is added.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
-from onebend.learning.force_process import ForceProcess, Spans, covariance
+from onebend.learning.force_process import ForceProcess, Spans, covariance, with_one_more
 from onebend.learning.key_frames import AT_REST, KeyFrames, Past
+from onebend.learning.live_sizes import OfK
 from onebend.learning.parameters import Layout
-from onebend.learning.spline import Spline
 from onebend.records import Array
+
+_ROUNDING = 1e-11  # of the information: what rounding may take from what is folded and subtracted
 
 
 @dataclass(frozen=True)
 class LiveScales:
-    """Sizes that the data choose."""
+    """Sizes that the data choose; those of log k's prior are drawn (`live_sizes.py`)."""
 
     marker: float  # noise of the tags over what their covariances say
     white: float  # N, force error of every frame
     coloured: float  # N, Ornstein-Uhlenbeck part
     memory: float  # s, its correlation time
     walk: float  # N per root second
-    tau: float  # roughness of log k
-    rho: float  # its steps
+    load: float  # of what was expected to come with the load
 
 
 @dataclass(frozen=True)
@@ -41,27 +44,17 @@ class Start:
 
     at: Layout
     mean: Array  # (n,)
-    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: by tau and rho
+    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: by the sizes of its parts
 
     @cached_property
-    def _others(self) -> Array:
-        """(n, n) of all parameters but log k's coefficients."""
-        return np.diag(1.0 / np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0]) ** 2)
+    def others(self) -> Array:
+        """(n - p,) precisions of all parameters but log k's coefficients; their means are zero."""
+        return np.asarray(1.0 / np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0][1:]) ** 2)
 
-    def precision(self, tau: float, rho: float) -> tuple[Array, float]:
-        """(n, n), and the log determinant of the part that depends on tau and rho."""
-        p = self.at.spline.count
-        out = self._others.copy()
-        part, log = _of_k(self.at.spline, tau, rho) if self.fixed is None else (self.fixed, 0.0)
-        out[:p, :p] = part
-        return out, log
-
-
-@lru_cache(maxsize=8)
-def _of_k(spline: Spline, tau: float, rho: float) -> tuple[Array, float]:
-    """Precision of log k's coefficients, and its log determinant: the same from update to update but for the trials."""
-    precision = spline.precision(tau, rho)
-    return precision, float(np.linalg.slogdet(precision)[1])
+    def of_k(self, parts: Array) -> OfK:
+        """The prior of log k's coefficients, its parts having these variances (n,)."""
+        precision = self.at.spline.precision_of(parts) if self.fixed is None else self.fixed
+        return OfK(precision, precision @ self.mean[: self.at.spline.count])
 
 
 @dataclass(frozen=True)
@@ -83,53 +76,88 @@ class Sums:
 
 @dataclass(frozen=True)
 class Solution:
-    """The normal posterior of all e and x."""
+    """The normal posterior of all e and x: of the e and all parameters but log k's first, then of log k's.
+
+    `factor` and `lower` are Cholesky factors of the information, `across` what is between the two parts:
+    `[[factor, 0], [across', lower]]` is that of all.
+    """
 
     x: Array  # (n,)
     e: Array  # (slots, 2) N
     spans: Spans
     process: ForceProcess
-    inverse: Array  # (slots, slots) of the force error's covariance, the lower triangle
-    factor: Array  # lower Cholesky factor of the scaled information, the e before the x
-    unit: Array  # (2 slots + n,) the scale: e, x = unit * scaled
-    minus_log: float  # -2 log evidence, but for a constant
+    inverse: Array  # (slots, slots) of the force error's covariance
+    factor: Array
+    across: Array
+    lower: Array
+    right: Array  # the right side of the first part, behind its factor
+    told: OfK
+    minus_log: float  # -2 log evidence, but for what depends on the prior of log k
 
-    def spread(self, rows: Array) -> Array:
-        """(R, R) covariance of rows (R, 2 slots + n) times the unknowns."""
-        half, _ = dtrtrs(self.factor, (rows * self.unit).T, lower=1)
-        return np.asarray(half.T @ half)
+    def spread(self, errors: Array, j: Array) -> Array:
+        """(R, R) covariance of rows (R, 2 slots) times the e and (R, n) times the parameters."""
+        p = len(self.lower)
+        first, _ = dtrtrs(self.factor, np.concatenate([errors.T, j[:, p:].T]), lower=1)
+        last, _ = dtrtrs(self.lower, j[:, :p].T - self.across.T @ first, lower=1)
+        return np.asarray(first.T @ first + last.T @ last)
+
+    def distance(self, errors: Array, x: Array) -> float:
+        """Of e (slots, 2) and x (n,) from zero, in sd of all that is unknown."""
+        p = len(self.lower)
+        first = np.concatenate([errors.ravel(), x[p:]])
+        ahead = self.factor.T @ first + self.across @ x[:p]
+        behind = self.lower.T @ x[:p]
+        return float(np.sqrt(ahead @ ahead + behind @ behind))
+
+    def with_k(self, k: Array, covariance: Array) -> tuple[Array, Array]:
+        """(n,) and (n, n): parameters and their covariance where those of log k's coefficients are these."""
+        p, m = len(k), len(self.x) - len(k)
+        root, across, right = self.factor[-m:, -m:], self.across[-m:], self.right[-m:]
+        follow = -np.asarray(dtrtrs(root, across, lower=1, trans=1)[0])
+        alone, _ = dpotri(root, lower=1)
+        x, out = np.empty(p + m), np.empty((p + m, p + m))
+        x[:p], x[p:] = k, dtrtrs(root, right - across @ k, lower=1, trans=1)[0]
+        out[:p, :p] = covariance
+        out[p:, :p] = follow @ covariance
+        out[:p, p:] = out[p:, :p].T
+        out[p:, p:] = _symmetric(alone) + out[p:, :p] @ follow.T
+        return x, out
 
     def covariance(self) -> Array:
         """(n, n) of the parameters."""
-        n = len(self.x)
-        inverse, _ = dpotri(self.factor[-n:, -n:], lower=1)
-        return _symmetric(inverse) * np.outer(self.unit[-n:], self.unit[-n:])
+        inverse, _ = dpotri(self.lower, lower=1)
+        return self.with_k(self.x[: len(self.lower)], _symmetric(inverse))[1]
 
-    def error_at(self, time: float) -> tuple[Array, Array, float]:
+    def settled(self, start: Start, of_k: OfK) -> float:
+        """How many parameters the data have settled."""
+        p, c = len(self.lower), self.covariance()
+        held = float(np.sum(c[:p, :p] * of_k.information)) + float(start.others @ np.diag(c)[p:])
+        return len(self.x) - held
+
+    def error_at(self, time: float, own: float) -> tuple[Array, Array, float]:
         """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
-        if len(self.spans.begin) == 0:
-            alone = Spans(np.array([time]), np.array([time]), np.ones(1), np.zeros(1))
-            return np.zeros(2), np.zeros(0), float(covariance(self.process, alone)[0, 0])
-        every = covariance(self.process, self.spans.then(time))
-        rows = _symmetric(self.inverse) @ every[:-1, -1]
-        return rows @ self.e, rows, float(every[-1, -1] - rows @ every[:-1, -1])
+        with_others, alone = with_one_more(self.process, self.spans, time, own)
+        rows = self.inverse @ with_others
+        return rows @ self.e, rows, alone - float(rows @ with_others)
 
 
-def gather(keys: KeyFrames, past: Past) -> Sums:
-    """Sums over the key frames, robust weights included."""
+def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.zeros_like) -> Sums:
+    """Sums over the key frames, robust weights included; `lately`: what the load's last changes add to its own time."""
     used, n = keys.used, keys.j.shape[-1]
-    root = np.repeat(np.sqrt(keys.weight[:used]), 3, axis=1)
-    j, a, z = root[..., None] * keys.rows_j[:used], root[..., None] * keys.rows_a[:used], root * keys.rows_z[:used]
+    j, a, z = keys.rows_j[:used], keys.rows_a[:used], keys.rows_z[:used]
+    if np.any((keys.weight[:used] != 1.0) & (keys.weight[:used] != 0.0)):
+        root = np.repeat(np.sqrt(keys.weight[:used]), 3, axis=1)
+        j, a, z = root[..., None] * j, root[..., None] * a, root * z
     flat = j.reshape(-1, n)
     across = np.swapaxes(a, 1, 2)
-    rest, spans = keys.rest[:used].astype(float), keys.spans
+    rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))
     xe, ee, be = -(across @ j), across @ a, -(across @ z[..., None])[..., 0]  # (K, 2, n)
     log = keys.force[:used] * rest[:, None]
     if np.isfinite(past.time):
-        spans = spans.after(past.time)
+        spans = spans.after(past.time, past.own + float(lately(np.array([past.time]))[0]))
         xe, ee, be, log = (np.concatenate([np.zeros((1, *v.shape[1:])), v]) for v in (xe, ee, be, log))
-        rest = np.append(0.0, rest)
-    rows = 3.0 * float(np.sum((keys.information[:used, :, 0, 0] > 0.0) & (keys.weight[:used] > 0.0)))
+        rest = np.concatenate([[0.0], rest])
+    rows = 3.0 * float(np.count_nonzero(keys.weight[:used]))
     return Sums(
         spans,
         flat.T @ flat,
@@ -145,80 +173,89 @@ def gather(keys: KeyFrames, past: Past) -> Sums:
     )
 
 
-def solve(sums: Sums, start: Start, scales: LiveScales, process: ForceProcess) -> Solution:
-    """The posterior under given scales. Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
-    n, slots = len(sums.bx), len(sums.spans.begin)
-    weight, known = 1.0 / scales.marker**2, 2 * slots
-    precision, log_prior = start.precision(scales.tau, scales.rho)
-    h, b = np.zeros((known + n, known + n), order="F"), np.zeros(known + n)  # of h the lower triangle
-    h[known:, known:] = weight * sums.xx + precision
-    b[known:] = weight * sums.bx + precision @ start.mean
-    inverse, log_process, log_rest, misfit = np.zeros((0, 0)), 0.0, 0.0, 0.0
+def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: ForceProcess) -> Solution:
+    """The posterior under given scales; `of_k`: the prior of log k.
+
+    Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite.
+    """
+    p, slots = start.at.spline.count, len(sums.spans.begin)
+    m, weight, known = len(sums.bx) - p, 1.0 / scales.marker**2, 2 * slots
+    inverse, log_process, certain = np.zeros((0, 0)), 0.0, np.zeros(0)
+    h, b = np.zeros((known + m, known + m), order="F"), np.empty(known + m)  # of h the lower triangle
+    side = np.empty((known + m, p), order="F")
+    h[known:, known:], side[known:], b[known:] = (
+        weight * sums.xx[p:, p:],
+        weight * sums.xx[p:, :p],
+        weight * sums.bx[p:],
+    )
+    h.ravel(order="K")[known * (known + m + 1) :: known + m + 1] += start.others
+    information, right = weight * sums.xx[:p, :p], weight * sums.bx[:p]
     if slots:
         inverse, log_process = _inverse(covariance(process, sums.spans))
         certain = sums.rest * sums.spans.frames / (AT_REST * process.white) ** 2
-        h[known:, :known] = weight * sums.xe
+        h[known:, :known], side[:known] = weight * sums.xe[p:], weight * sums.xe[:p].T
         _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
         b[:known] = (weight * sums.be + certain[:, None] * sums.log).ravel()
-        log_rest = -2.0 * float(np.sum(np.log(certain[certain > 0.0])))
-        misfit = float(np.sum(certain[:, None] * sums.log**2))
-        if np.isfinite(sums.past.time):
-            told, right = sums.past.information, sums.past.b
-            h[known:, known:] += told[:n, :n]
-            h[known:, :2] += told[:n, n:]
-            h[:2, :2] += told[n:, n:]
-            b[known:] += right[:n]
-            b[:2] += right[n:]
-    unit = 1.0 / np.sqrt(np.diag(h))
-    h *= unit[:, None]
-    h *= unit
+        _put_past(sums.past, known, (h, side, b), (information, right))
+    h.ravel(order="K")[:: known + m + 1] *= 1.0 + _ROUNDING
     factor, info = dpotrf(h, lower=1, overwrite_a=1)
     if info:
         raise np.linalg.LinAlgError("the information is not positive definite")
-    best, _ = dpotrs(factor, b * unit, lower=1)
-    best = best * unit
-    log_information = 2.0 * float(np.sum(np.log(np.diag(factor)) - np.log(unit)))
-    total = weight * sums.c + misfit + float(start.mean @ precision @ start.mean) - float(b @ best)
-    logs = log_information - log_prior + log_process + log_rest + 2.0 * sums.rows * np.log(scales.marker)
-    e = best[:known].reshape(-1, 2)
-    return Solution(best[known:], e, sums.spans, process, inverse, factor, unit, total + logs)
+    both, _ = dtrtrs(factor, np.concatenate([side, b[:, None]], axis=1), lower=1)
+    across, ahead = both[:, :p], both[:, p]
+    information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
+    told = OfK(information - across.T @ across, right - across.T @ ahead)
+    lower, info = dpotrf(told.information + of_k.information, lower=1)
+    if info:
+        raise np.linalg.LinAlgError("the information on log k is not positive definite")
+    of_all = told.b + of_k.b
+    k, _ = dpotrs(lower, of_all, lower=1)
+    rest, _ = dtrtrs(factor, ahead - across @ k, lower=1, trans=1)
+    total = weight * sums.c + float(certain @ np.sum(sums.log**2, axis=1)) - float(ahead @ ahead) - float(of_all @ k)
+    logs = 2.0 * float(np.sum(np.log(np.diag(factor)))) + 2.0 * float(np.sum(np.log(np.diag(lower)))) + log_process
+    logs += 2.0 * sums.rows * np.log(scales.marker) - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
+    x = np.concatenate([k, rest[known:]])
+    e = rest[:known].reshape(-1, 2)
+    return Solution(x, e, sums.spans, process, inverse, factor, across, lower, ahead, told, total + logs)
+
+
+def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: tuple[Array, Array]) -> None:
+    """Add what the folded frames say of the first two e, of log k and of the other parameters."""
+    if not np.isfinite(past.time):
+        return
+    (h, side, b), (information, right), told = first, of_k, past.information
+    p, n = len(right), len(told) - 2
+    h[known:, known:] += told[p:n, p:n]
+    h[known:, :2] += told[p:n, n:]
+    h[:2, :2] += told[n:, n:]
+    side[known:] += told[p:n, :p]
+    side[:2] += told[n:, :p]
+    b[known:] += past.b[p:n]
+    b[:2] += past.b[n:]
+    information += told[:p, :p]
+    right += past.b[:p]
 
 
 def _inverse(c: Array) -> tuple[Array, float]:
-    """Of the force error's covariance, the lower triangle, and its log determinant for both axes."""
+    """Of the force error's covariance, and its log determinant for both axes."""
     factor, info = dpotrf(c, lower=1)
     if info:
         raise np.linalg.LinAlgError("the force error's covariance is not positive definite")
     inverse, _ = dpotri(factor, lower=1)
-    return inverse, 4.0 * float(np.sum(np.log(np.diag(factor))))
+    return _symmetric(inverse), 4.0 * float(np.sum(np.log(np.diag(factor))))
 
 
 def _symmetric(lower: Array) -> Array:
     """From the lower triangle, zero above it."""
     out = lower + lower.T
-    out[np.diag_indices(len(out))] *= 0.5
+    out.ravel()[:: len(out) + 1] *= 0.5
     return np.asarray(out)
 
 
 def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
     """Fill the force errors' information: `C^-1` on each axis, and what each key frame says of its own."""
-    slots = len(inverse)
     out[0::2, 0::2] = out[1::2, 1::2] = inverse
-    at = 2 * np.arange(slots)
-    for i in range(2):
-        for k in range(2):
-            out[at + i, at + k] += ee[:, i, k]
-        out[at + i, at + i] += certain
-
-
-def robust_weights(keys: KeyFrames, solution: Solution, marker: float, bulk: float) -> Array:
-    """(K, m) robust weights of the tags: 1 where what the solution leaves is within `bulk` sd, then as Student's fall.
-
-    Flat in the bulk: tags of a frame must weigh alike there, or their averages would be of unlike frames.
-    """
-    used = keys.used
-    e = solution.e[len(solution.e) - used :]
-    left = keys.rows_z[:used] - keys.rows_j[:used] @ solution.x + (keys.rows_a[:used] @ e[..., None])[..., 0]
-    distance = np.sqrt(np.sum(left.reshape(used, -1, 3) ** 2, axis=-1)) / marker
-    seen = keys.information[:used, :, 0, 0] > 0.0
-    return np.asarray(seen * np.minimum(1.0, bulk / np.maximum(distance, 1e-300)) ** 2)
+    at = 2 * np.arange(len(inverse))
+    out[at, at] += ee[:, 0, 0] + certain
+    out[at + 1, at + 1] += ee[:, 1, 1] + certain
+    out[at + 1, at] += ee[:, 1, 0]

@@ -19,13 +19,14 @@ from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
-from onebend.learning.live_model import Setting, live_layout
 from onebend.learning.live_scales import MEMORY_DOUBT
+from onebend.learning.live_setting import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import Nuisance
+from onebend.learning.roughness import RHO, TAU
 from onebend.learning.smoother import Habits, Smoother
-from onebend.learning.spline import RHO, TAU, Spline
+from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
 
 _STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
@@ -38,7 +39,7 @@ class OnlineSettings:
 
     functions: int = 24  # of the spline of log k
     key_frames: int = 30
-    renewed: int = 3  # key frames linearised anew with an update
+    renewed: int = 5  # key frames linearised anew with every other update; one with those between
     priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
     placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
     rest_unknown: bool = True  # the beam may be curved when free
@@ -50,6 +51,7 @@ class OnlineSettings:
     force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
     force_memory: float = 0.3  # s, correlation time of the log's coloured error
     memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
+    force_load: float | None = None  # N, sd of its error that comes with the load; None: 3 % of the largest force
     roughness: float = TAU  # of log k
     steps: float = RHO  # of log k
     adapt: bool = True  # False: the sizes stay as they begin
@@ -181,14 +183,17 @@ class OnlineLearner:
     def parameters(self) -> tuple[Array, Array]:
         """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
         self._state.catch_up()
-        return self._state.x.copy(), self._state.covariance()
+        mean, covariance, _ = self._state.posterior()
+        return mean, covariance
 
     @property
     def stiffness(self) -> UncertainStiffness:
         """k(s) with its band, as it is now."""
-        spline, (mean, covariance) = self._setting.at.spline, self.parameters
-        p = spline.count
-        return UncertainStiffness(spline.knots, mean[:p], covariance[:p, :p], self._gain_sd)
+        self._state.catch_up()
+        spline, (mean, covariance, steps) = self._setting.at.spline, self._state.posterior()
+        fine, onto, p = spline.finer, spline.on_finer, spline.count
+        spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
+        return UncertainStiffness(fine.knots, onto @ mean[:p], 0.5 * (spread + spread.T), self._gain_sd)
 
     @property
     def force_error(self) -> Array:
@@ -228,6 +233,9 @@ def _habits(settings: OnlineSettings) -> Habits:
         renewed=s.renewed,
         zero=s.force_zero,
         least_zero=s.force_noise,
+        load=s.force_load,
+        roughness=s.roughness,
+        steps=s.steps,
         memory_doubt=s.memory_doubt,
         adapt=s.adapt,
         bulk=s.bulk,
@@ -246,8 +254,7 @@ def _scales(settings: OnlineSettings) -> LiveScales:
         coloured=s.force_noise,
         memory=s.force_memory,
         walk=_WALK * s.force_noise if s.force_walk is None else s.force_walk,
-        tau=s.roughness,
-        rho=s.steps,
+        load=1.0,
     )
 
 

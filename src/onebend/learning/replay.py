@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
-from onebend.learning.force_error import ForceError, force_error
+from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.online import OnlineLearner, OnlineSettings
 from onebend.learning.parameters import Priors, layout
@@ -70,6 +70,7 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         force_memory=memory,
         memory_doubt=settings.memory_doubt * max(np.log(longer / memory) / np.log(_LONGER), _LEAST_DOUBT),
         force_zero=error.level,
+        force_load=error.load,
     )
 
 
@@ -104,15 +105,20 @@ class LiveFrame:
 
 def live_frames(observations: Observations) -> list[LiveFrame]:
     """What a live learner can use, in order of time: frames under load, frames at rest well away from contact, and the
-    force log in the rest before and after the film, where no tag is seen."""
+    force log in the rest before and after the film, where no tag is seen.
+
+    The log's zero is that of the first rest, as it is while a push is going on: what a line to the next one took off is
+    put back.
+    """
     o, places = observations, push_places(observations)
+    logged = o.force - ramp(o.clean_force, o.time)
     film = [
         LiveFrame(
             time=float(o.time[t]),
             xy=o.xy[t],
             angle=o.angle[t],
             covariance=o.covariance[t],
-            force=o.force[t],
+            force=logged[t],
             push_s=float(places[t]),
             loaded=bool(o.loaded[t]),
             gravity=o.gravity[t],
@@ -123,7 +129,8 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
         return film
     tags = len(o.marker_s)
     nothing = np.full((tags, 2), np.nan), np.full(tags, np.nan), np.full((tags, 3, 3), np.nan)
-    time, force = o.clean_force.time, o.clean_force.force
+    time = o.clean_force.time
+    force = o.clean_force.force - ramp(o.clean_force, time)
     known = np.all(np.isfinite(force), axis=1)
     gap = max(_REST_STEP, float(np.median(np.diff(o.time))))
 

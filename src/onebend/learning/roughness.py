@@ -24,7 +24,7 @@ TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per un
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
 _TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
-_MIX = 0.3  # share of wide proposals
+MIX = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
 
 
@@ -96,7 +96,7 @@ class _Target:
     def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
         """One step of every chain."""
         count = len(now.logs)
-        stride = np.where(rng.random((count, 1)) < _MIX, 1.5, 0.5) * SPREAD
+        stride = np.where(rng.random((count, 1)) < MIX, 1.5, 0.5) * SPREAD
         ways = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])[rng.integers(0, 3, count)]
         tried = self.at(now.logs + ways * stride * rng.standard_normal((count, 2)), now.own)
         taken = np.log(rng.random(count)) < tried.value - now.value

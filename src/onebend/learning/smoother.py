@@ -6,19 +6,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.learning.force_process import ForceProcess, fast_variance
+from onebend.learning.force_error import LOAD
+from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.frame_input import Frame
-from onebend.learning.key_frames import Past, accept_average, closest_pair, empty, propose_average
-from onebend.learning.live_model import ORDER, Inputs, Place, Setting, linearise, place_at
-from onebend.learning.live_noise import Scatter
+from onebend.learning.key_frames import Past, accept_average, closest_pairs, empty, propose_average
+from onebend.learning.live_frames import Linearizer
+from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
 from onebend.learning.live_scales import ScaleSearch
-from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, robust_weights, solve
+from onebend.learning.live_setting import ORDER, Setting
+from onebend.learning.live_sizes import Sizes
+from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, solve
+from onebend.learning.live_stages import LoadStages
 from onebend.records import Array, BoolArray
 
-_PLACES = 64  # of pushes, whose grids are kept
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
-_FAR = 3.0  # sd: so far, averages that were made before say nothing of how frames scatter
-_NOISE_EVERY = 8  # solutions between two looks at the tags' noise
+_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
+_WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
+_ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
+_FAR_OFF = 5.0  # of the same: so much is hardly the tags' alone
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
 
@@ -30,6 +35,9 @@ class Habits:
     renewed: int  # key frames linearised anew with every frame
     zero: float  # N, sd of the log's zero
     least_zero: float  # N
+    load: float | None  # N, expected to come with the load; None: a share of the largest force
+    roughness: float  # of log k: where its sizes begin
+    steps: float
     memory_doubt: float  # of the log of the force error's memory
     adapt: bool
     bulk: float  # sd
@@ -47,20 +55,26 @@ class Smoother:
         self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
         self.scales = scales
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
-        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), np.nan)
+        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), -np.inf)
         self._setting, self._start, self._habits = setting, start, habits
-        chosen: tuple[str, ...] = ("coloured", "memory", "walk", "white")
-        chosen = chosen if start.fixed is not None else (*chosen, "tau", "rho")
-        self._search = ScaleSearch(scales, chosen, habits.memory_doubt)
-        self._scatter = Scatter(tags, scales.marker)
-        self._solved = 0
+        self._search = ScaleSearch(scales, ("coloured", "memory", "walk", "load", "white"), habits.memory_doubt)
+        spline, level = setting.at.spline, float(start.mean[0])
+        begin = spline.variances(habits.roughness, habits.steps)
+        self._of_k = start.of_k(begin)
+        drawn = habits.adapt and start.fixed is None
+        self._sizes = Sizes(spline, level, habits.roughness, habits.steps) if drawn else None
+        self._stages = LoadStages(setting.length, tags)
+        self._before = 0.0  # the load's own time by changes that are not looked at any more
+        self._guess, self._spent = scales.marker, 0.0
+        self._looks = 0
+        self._coarse = 0.0
         self.pending = True  # a frame has come since the posterior was solved for
-        self._places: dict[float, Place] = {}
+        self._linear = Linearizer(setting)
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
         self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
         self._sums: Sums = gather(self.keys, self.past)
-        self.solution: Solution = solve(self._sums, start, scales, self._process(scales))
+        self.solution: Solution = solve(self._sums, start, self._of_k, scales, self._process(scales))
 
     def enter(self, frame: Frame, rate: Array) -> bool:
         """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
@@ -68,48 +82,29 @@ class Smoother:
         In the same stroke the key frames that have waited longest are linearised anew, and room is made.
         """
         keys = self.keys
+        self._stages.see(frame.time, frame.measured[:, :2], frame.seen, frame.loaded)
         i = self._write(frame, rate)
-        pair = closest_pair(keys, i, self._largest) if keys.used > self._habits.key_frames else None
+        over = 0 if self.pending else keys.used - self._habits.key_frames  # less is done where it is solved too
+        own = keys.own[: keys.used] + self._stages.own(keys.centre)
+        pairs = closest_pairs(keys, i, self._largest, own, over)
         fresh = [i]
-        if pair is not None:
-            propose_average(keys, pair, keys.used)
-            fresh += [keys.used, *(k for k in (pair, pair + 1) if keys.stale[k])]
-        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: self._habits.renewed]
-        near = [k for k in waiting if self._push_s(k) == self._push_s(i)]
-        solved = self.linearise([*fresh, *(near or waiting[:1])])
+        for at, pair in enumerate(pairs, keys.used):
+            propose_average(keys, pair, at)
+            fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
+        solved = self._linear.renew(keys, [*fresh, *self._linear.near(keys, waiting, i)], self.point)
         if i not in solved:
             keys.used -= 1
             return False
         if frame.loaded:
             self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
-        if pair is not None and solved.issuperset(fresh):
-            before = keys.left[[pair, pair + 1]]
-            accept_average(keys, pair, keys.used, self.point)
-            self._scatter.averaged(pair, before, keys.left[pair])
-        elif keys.used > self._habits.key_frames:
+        if solved.issuperset(fresh):
+            for pair, at in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+                accept_average(keys, pair, at, self.point)
+        while keys.used > self._habits.key_frames + 1:
             self._fold_oldest()
         return True
-
-    def linearise(self, chosen: list[int]) -> set[int]:
-        """Key frames at the present estimate; those that have a shape there. The others stay as they were."""
-        solved: set[int] = set()
-        for push_s in dict.fromkeys(self._push_s(i) for i in chosen):
-            solved |= self._linearise_at(self._place(push_s), [i for i in chosen if self._push_s(i) == push_s])
-        return solved
-
-    def _linearise_at(self, place: Place, chosen: list[int]) -> set[int]:
-        keys, nodes = self.keys, len(place.weights)
-        loaded = ~keys.rest[chosen][:, None]
-        force = (keys.force[chosen] - keys.error[chosen]) * loaded
-        given = Inputs(force, keys.rate[chosen] * loaded, keys.gravity[chosen])
-        start = keys.q[chosen][:, :nodes] if np.all(keys.nodes[chosen] == nodes) else None
-        there = linearise(self._setting, place, self.point, given, start)
-        good = there.converged
-        solved = np.asarray(chosen)[good]
-        keys.q[solved, :nodes], keys.nodes[solved] = there.q[good], nodes
-        keys.by_force[solved, :nodes] = there.by_force[good]
-        keys.set_linear(solved, self.point, there.pose[good], there.j[good], there.a[good])
-        return set(solved.tolist())
 
     def _write(self, frame: Frame, rate: Array) -> int:
         """The frame in the place behind the key frames in use, which is returned."""
@@ -120,14 +115,28 @@ class Smoother:
         keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
         keys.measured[i], keys.weight[i] = frame.measured, frame.seen
         keys.set_information(i, frame.information)
-        self._expected = self.solution.error_at(frame.time)
+        if frame.loaded:
+            self._linear.pushed_at(frame.push_s)
+        keys.used += 1
+        self._forget_changes(i)
+        now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
+        self._expected = self.solution.error_at(frame.time, now)
         keys.error[i], keys.stale[i] = self._expected[0], False
-        keys.nodes[i] = 0
+        keys.q[i], keys.grid[i] = 0.0, 0.0
         if i > 0:
             pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
-            keys.q[i], keys.nodes[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.nodes[i - 1]
-        keys.used += 1
+            keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
         return i
+
+    def _forget_changes(self, i: int) -> None:
+        """Keep what changes of the load that are not looked at any more did to the own time of what came before them;
+        i: the frame that has just come."""
+        keys = self.keys
+        keys.own[i] = self._before
+        added, after = self._stages.forgotten(np.append(keys.centre, self.past.time))
+        keys.own[: keys.used] += added[:-1]
+        self.past.own += float(added[-1])
+        self._before += after
 
     def gate(self, frame: Frame) -> tuple[Array, Array, BoolArray]:
         """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
@@ -140,7 +149,7 @@ class Smoother:
         j, a = keys.j[i].reshape(-1, n), keys.a[i].reshape(-1, 2)
         innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
         by_errors = -a[:, None, :] * rows[None, :, None]
-        expected = self.solution.spread(np.concatenate([by_errors.reshape(len(j), -1), j], axis=1)) + own * a @ a.T
+        expected = self.solution.spread(by_errors.reshape(len(j), -1), j) + own * a @ a.T
         blocks = expected.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
         solved = np.linalg.solve(blocks + self.scales.marker**2 * frame.covariance, innovation[..., None])[..., 0]
         distance = np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
@@ -151,37 +160,69 @@ class Smoother:
         if not np.array_equal(used, frame.seen):
             keys.set_information(i, keys.information[i] * used[:, None, None])
             keys.whiten(np.array([i]))
-        if frame.loaded:
-            self._scatter.add(i, keys.root[i])
         unseen = ~frame.seen
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
 
     def advance(self) -> None:
-        """After a frame: every other time the posterior is solved for, in between other scales are tried on it."""
+        """After a frame: every other time the posterior is solved for and log k's sizes make a step, in between other
+        scales are tried on it."""
         if self.pending:
             self.renew()
+            if self._sizes is not None and self._coarse == 0.0:
+                self._sizes.step(self.solution.told)
         elif self._habits.adapt:
-            self._try_scale()
+            self.look_about()
         self.pending = not self.pending
+
+    def look_about(self) -> None:
+        """Other scales on what the last solution was made from, or a count of what the data have settled."""
+        self._looks += 1
+        if self._looks % _NOISE_EVERY == 0:
+            self._spent = self.solution.settled(self._start, self._of_k)
+        else:
+            self._try_scale()
 
     def renew(self) -> None:
         """Solve with what is linearised now, move the estimate, weigh the tags anew."""
         keys, habits = self.keys, self._habits
-        self._sums = gather(keys, self.past)
-        self.solution = solution = solve(self._sums, self._start, self.scales, self._process(self.scales))
+        self._sums = gather(keys, self.past, self._stages.own)
+        if self._sizes is not None:
+            self._of_k = self._start.of_k(self._sizes.parts)
+        self._coarse = self._misfit()
+        try:
+            self.solution = solution = self._solve(self.scales)
+        except np.linalg.LinAlgError:  # rounding: what was known before stands until the next frame
+            return
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
-        keys.weight[: keys.used] = robust_weights(keys, solution, self.scales.marker, habits.bulk)
+        left = left_of(keys, solution)
+        if habits.adapt:
+            self.scales = replace(self.scales, marker=tags_noise(keys, left, self._spent, self._guess))
+        marker = max(self.scales.marker, self._coarse)
+        keys.weight[: keys.used] = robust_weights(keys, left, marker, habits.bulk)
         moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
-        if moved > _FAR:
-            self._scatter.forget()
         if moved > _MOVED:
             self.move()
-        self._solved += 1
-        if habits.adapt and self._solved % _NOISE_EVERY == 0:
-            self._look_at_noise()
+
+    def _solve(self, scales: LiveScales) -> Solution:
+        """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
+        coarse = replace(scales, marker=max(scales.marker, self._coarse))
+        process = self._process(scales)
+        if (
+            self._coarse > _FAR_OFF * scales.marker
+        ):  # it may also be the force that is wrong by more than it is thought to be
+            process = replace(process, load=_WRONG * process.load)
+        return solve(self._sums, self._start, self._of_k, coarse, process)
+
+    def _misfit(self) -> float:
+        """Root mean square of what the point where frames are linearised leaves of them; 0 where it is noise."""
+        keys, loaded = self.keys, ~self.keys.rest[: self.keys.used]
+        left = (keys.root[: keys.used] @ keys.left[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
+        r = without_force(left, keys.rows_a[: keys.used][loaded])
+        size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
+        return size if size > _ROUGH * self.scales.marker else 0.0
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -193,12 +234,13 @@ class Smoother:
         """Linearise everything anew and solve, several times; then look about the scales once more."""
         for _ in range(rounds):
             self.move()
-            self.linearise(list(range(self.keys.used)))
+            self._linear.renew(self.keys, list(range(self.keys.used)), self.point)
             self.renew()
         if self._habits.adapt:
-            self._look_at_noise()
             for _ in range(2 * self._search.round):
-                self._try_scale()
+                self.look_about()
+                if self._sizes is not None:
+                    self._sizes.step(self.solution.told)
         self.pending = False
 
     def move(self) -> None:
@@ -211,18 +253,16 @@ class Smoother:
     def _moved(self) -> float:
         """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
         keys, solution = self.keys, self.solution
-        away = solution.e - np.zeros(2)
-        away[len(away) - keys.used :] -= keys.error[: keys.used]
-        away[: len(away) - keys.used] = 0.0
-        every = np.concatenate([away.ravel(), self.x - self.point]) / solution.unit
-        return float(np.linalg.norm(solution.factor.T @ every))
+        away = np.zeros_like(solution.e)
+        away[len(away) - keys.used :] = solution.e[len(away) - keys.used :] - keys.error[: keys.used]
+        return solution.distance(away, self.x - self.point)
 
     def _try_scale(self) -> None:
         """One trial of other scales on what the last solution was made from."""
         search, here, now = self._search, self.solution, self.scales
         tried = search.proposal(now)
         try:
-            there = solve(self._sums, self._start, tried, self._process(tried))
+            there = self._solve(tried)
         except np.linalg.LinAlgError:
             search.failed()
             return
@@ -234,38 +274,27 @@ class Smoother:
         if worse < 0.0:
             self.scales, self.solution = tried, there
 
-    def _look_at_noise(self) -> None:
-        """The tags' noise from what is left of the last frames."""
-        prior, _ = self._start.precision(self.scales.tau, self.scales.rho)
-        spent = len(self.x) - float(np.sum(self.solution.covariance() * prior)) + 2.0 * self.keys.used
-        marker = self._scatter.noise(self.keys, self.solution, spent)
-        self.scales = self.scales if marker is None else replace(self.scales, marker=marker)
-
-    def covariance(self) -> Array:
-        """(n, n) of the parameters, averaged over what the scales may be."""
-        return self._search.averaged(self.solution.covariance())
+    def posterior(self) -> tuple[Array, Array, Array]:
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
+        solution, p = self.solution, len(self._of_k.b)
+        if self._sizes is None:
+            k, of_k, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
+        else:
+            k, of_k, steps = self._sizes.mixed(solution.told)
+        return *solution.with_k(*self._search.averaged(k, of_k)), steps
 
     def _fold_oldest(self) -> None:
         """The oldest key frame becomes part of the past."""
         keys, process = self.keys, self._process(self.scales)
-        information, b = keys.quadratic(0, self.scales.marker, process.white)
+        information, b = keys.quadratic(0, max(self.scales.marker, self._coarse), process.white)
         fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
-        self.past.add(information, b, float(keys.end[0]), walk=process.walk, fast=fast)
-        self._scatter.folded(keys.left[0])
+        lately = self._stages.own(np.array([keys.centre[0], self.past.time]))
+        own = float(keys.own[0] - self.past.own + lately[0] - lately[1])
+        slow = slow_variance(process, float(keys.end[0]) - self.past.time, own)
+        self.past.add(information, b, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
         keys.drop(0)
-
-    def _push_s(self, i: int) -> float:
-        """Where the force acts on key frame i, to a thousandth."""
-        return round(float(self.keys.push_s[i]), 3)
-
-    def _place(self, push_s: float) -> Place:
-        """Grids are kept for the places met last."""
-        if push_s not in self._places:
-            if len(self._places) >= _PLACES:
-                del self._places[next(iter(self._places))]
-            self._places[push_s] = place_at(self._setting, push_s)
-        return self._places[push_s]
 
     def _process(self, scales: LiveScales) -> ForceProcess:
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
-        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white)
+        load = scales.load * (LOAD * self._largest if self._habits.load is None else self._habits.load)
+        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white, load)

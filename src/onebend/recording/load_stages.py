@@ -15,9 +15,9 @@ from onebend.recording.signals import bridged, runs
 from onebend.records import Array, BoolArray
 
 TURN = 0.05  # of the largest displacement: a beam that comes back by less has not reversed
-_CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
-_BEFORE = 0.03  # of the same: nearer to a turning point than this the load may be turning
-_EARLY = 0.1  # s, of a contact that the tags do not show yet
+CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
+BEFORE = 0.03  # of the same: nearer to a turning point than this the load may be turning
+EARLY = 0.1  # s, of a contact that the tags do not show yet
 
 
 @dataclass(frozen=True)
@@ -39,20 +39,20 @@ def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[Change]:
     out: list[Change] = []
     for first, last in runs(loaded) if largest > 0.0 else ():
         part, when = size[first:last], time[first:last]
-        moved = np.flatnonzero(part > _CLEAR * largest)
+        moved = np.flatnonzero(part > CLEAR * largest)
         if not len(moved):
             continue
         turns = turning_points(part, TURN * largest)
-        out.append(Change(float(when[0]) - _EARLY, float(when[moved[0]]), release=False))
+        out.append(Change(float(when[0]) - EARLY, float(when[moved[0]]), release=False))
         ends = [0, *turns, len(part) - 1]
         for before, at, after in zip(ends, ends[1:], ends[2:], strict=False):
             away = np.abs(part - part[at])
-            earlier, later = away[before : at + 1][::-1] > _BEFORE * largest, away[at : after + 1] > _CLEAR * largest
+            earlier, later = away[before : at + 1][::-1] > BEFORE * largest, away[at : after + 1] > CLEAR * largest
             low = at - int(np.argmax(earlier))
             high = at + int(np.argmax(later)) if later.any() else after
             out.append(Change(float(when[low]), float(when[high]), release=False))
         if last < len(time):
-            out.append(Change(float(when[moved[-1]]), float(when[-1]) + _EARLY, release=True))
+            out.append(Change(float(when[moved[-1]]), float(when[-1]) + EARLY, release=True))
     return out
 
 

@@ -1,0 +1,127 @@
+"""The sizes in log k's prior, drawn frame by frame from their posterior: the same density as in `roughness.py`.
+
+A few chains go on for as long as frames come. What the data say changes little from frame to frame, so that a step of
+every chain at a time keeps up with it. The last draws are kept: given the sizes log k is normal, so its mean and
+covariance are averages over them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+
+from onebend.learning.roughness import JUMP, MIX, RHO, SPREAD, TAU
+from onebend.learning.spline import Spline
+from onebend.records import Array
+
+_CHAINS = 2
+_KEPT = 40  # steps whose draws are kept
+_TOLD = 1e-4  # information that every direction of log k is given: nothing, and a matrix has a factor
+_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class OfK:
+    """What is known of log k beside its prior, all else integrated out: `-2 log p = c' H c - 2 b' c`."""
+
+    information: Array  # (p, p)
+    b: Array  # (p,)
+
+
+class Sizes:
+    """Chains, and their last draws."""
+
+    def __init__(self, spline: Spline, level: float, tau: float, rho: float) -> None:
+        """`level`: prior mean of log k; `tau`, `rho`: where roughness and steps begin."""
+        self._spline, self._level = spline, level
+        self._rng = np.random.default_rng(0)
+        self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
+        self._own = np.ones((_CHAINS, len(spline.share)))
+        self._expected = np.log([TAU, RHO])
+        self._drawn = np.tile(self._variances(self._logs, self._own), (_KEPT, 1))  # (B KEPT, n)
+        self._at = 0
+
+    @property
+    def parts(self) -> Array:
+        """(n,) mean variances of the parts: the normal prior that comes nearest."""
+        return np.asarray(np.mean(self._drawn, axis=0))
+
+    def step(self, told: OfK) -> None:
+        """One step of every chain."""
+        rng, b = self._rng, _CHAINS
+        rows, seen = self._rows(told)
+        on_parts = rows @ self._spline.parts
+        stride = np.where(rng.random((b, 1)) < MIX, 1.5, 0.5) * SPREAD
+        logs = self._logs + _WAYS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
+        logs, own = np.concatenate([self._logs, logs]), np.concatenate([self._own, self._own])
+        variance = self._variances(logs, own)
+        factors, value = self._density(logs, own, variance, on_parts, seen)
+        taken = np.log(rng.random(b)) < value[b:] - value[:b]
+        chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
+        self._logs = logs[chosen]
+        step = self._steps(variance[chosen], [factors[i] for i in chosen.tolist()], on_parts, seen)
+        scale = np.exp(self._logs[:, 1:]) * self._spline.share
+        self._own = (0.5 + 0.5 * (step / scale) ** 2) / rng.standard_exponential(step.shape)
+        self._drawn[self._at : self._at + b] = self._variances(self._logs, self._own)
+        self._at = (self._at + b) % len(self._drawn)
+
+    def mixed(self, told: OfK) -> tuple[Array, Array, Array]:
+        """Mean (p,) and covariance (p, p) of log k averaged over the last draws, and the mean steps (p - 1,)."""
+        rows, seen = self._rows(told)
+        weights, count = self._spline.parts, self._spline.count
+        on_parts = rows @ weights
+        across = on_parts * self._drawn[:, None]  # (D, p, n)
+        root = np.linalg.cholesky(across @ on_parts.T + np.eye(len(rows)))
+        half = np.linalg.solve(root, across)
+        away = np.linalg.solve(root, np.broadcast_to(seen[:, None], (*root.shape[:2], 1)))
+        parts = (np.swapaxes(half, 1, 2) @ away)[..., 0]  # (D, n)
+        means, half = parts @ weights.T, (half @ weights.T).reshape(-1, count)
+        mean, draws = np.mean(means, axis=0), len(self._drawn)
+        out = (weights * self.parts) @ weights.T - half.T @ half / draws
+        out += (means - mean).T @ (means - mean) / draws
+        return mean + self._level, 0.5 * (out + out.T), np.mean(parts, axis=0)[count : 2 * count - 1]
+
+    def _rows(self, told: OfK) -> tuple[Array, Array]:
+        """(p, p) and (p,): what the data say, as rows of unit noise on log k less its level."""
+        p = len(told.b)
+        root, info = dpotrf(told.information + _TOLD * np.eye(p), lower=1)
+        if info:
+            raise np.linalg.LinAlgError("what the data say of log k is not positive definite")
+        right = told.b - told.information @ np.full(p, self._level)
+        seen, _ = dtrtrs(root, right, lower=1)
+        return root.T, seen
+
+    def _variances(self, logs: Array, own: Array) -> Array:
+        """(B, n) of the parts."""
+        out = self._spline.variances(*np.exp(logs.T))
+        free = (np.exp(logs[:, 1:]) * self._spline.share) ** 2 * own
+        out[:, self._spline.count :] = free / (1.0 + free / JUMP**2)
+        return out
+
+    def _density(
+        self, logs: Array, own: Array, variance: Array, on_parts: Array, seen: Array
+    ) -> tuple[list[Array], Array]:
+        """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""
+        spread = (on_parts * variance[:, None]) @ on_parts.T
+        spread.reshape(len(spread), -1)[:, :: len(seen) + 1] += 1.0
+        free = (np.exp(logs[:, 1:]) * self._spline.share) ** 2 * own
+        value = -0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
+        value -= 0.5 * np.sum(((logs - self._expected) / SPREAD) ** 2, axis=1)
+        factors = []
+        for i, one in enumerate(spread):
+            root, _ = dpotrf(one, lower=1)
+            white, _ = dtrtrs(root, seen, lower=1)
+            value[i] -= np.sum(np.log(np.diag(root))) + 0.5 * (white @ white)
+            factors.append(root)
+        return factors, value
+
+    def _steps(self, variance: Array, factors: list[Array], on_parts: Array, seen: Array) -> Array:
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
+        misses."""
+        drawn = np.sqrt(variance) * self._rng.standard_normal(variance.shape)
+        missed = seen - drawn @ on_parts.T - self._rng.standard_normal((len(factors), len(seen)))
+        pull = np.stack([dpotrs(root, one, lower=1)[0] for root, one in zip(factors, missed, strict=True)])
+        steps = slice(self._spline.count, None)
+        return np.asarray(drawn[:, steps] + variance[:, steps] * (pull @ on_parts[:, steps]))
