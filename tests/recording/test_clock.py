@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock import find_offset, fit_clock
+from onebend.recording.clock import fit_clock
 from onebend.recording.noise import fit_noise, log_evidence
 from onebend.recording.relation import levers
 from onebend.records import ForceNoise
@@ -31,7 +31,7 @@ def turned(angle: float) -> np.ndarray:
     ],
 )
 def test_found_within_its_sd(pushed: Pushed, said: float, push_s: float | None) -> None:
-    found = find_offset(pushed.markers(jitter=0.5), pushed.log(), said, 2.0, push_s=push_s)
+    found = fit_clock(pushed.markers(jitter=0.5), pushed.log(), said, 2.0, push_s=push_s).clock
     assert found.found
     assert found.said == said
     assert found.sd < 0.05
@@ -42,7 +42,7 @@ def test_claimed_sd_covers() -> None:
     misses = []
     for seed in range(8):
         pushed = Pushed(seed=10 + seed)
-        found = find_offset(pushed.markers(), pushed.log(), 250.0, 2.0)
+        found = fit_clock(pushed.markers(), pushed.log(), 250.0, 2.0).clock
         misses.append((found.offset - pushed.offset) / found.sd)
     # chi-square of 8: between 2.0 and 20 in 98 of 100 sets; the noise's sizes are estimated too, hence a little more.
     assert 1.0 < np.sum(np.square(misses)) < 28.0
@@ -52,16 +52,16 @@ def test_claimed_sd_covers() -> None:
 def test_sign_and_axes_of_the_log_do_not_matter_to_polynomials(matrix: np.ndarray) -> None:
     pushed = Pushed(seed=20)
     log = pushed.log()
-    plain = find_offset(pushed.markers(), log, 250.0, 2.0)
-    other = find_offset(pushed.markers(), replace(log, force=log.force @ matrix.T), 250.0, 2.0)
+    plain = fit_clock(pushed.markers(), log, 250.0, 2.0).clock
+    other = fit_clock(pushed.markers(), replace(log, force=log.force @ matrix.T), 250.0, 2.0).clock
     assert abs(other.offset - plain.offset) < 0.5 * plain.sd
 
 
 def test_sign_does_not_matter_to_levers() -> None:
     pushed = Pushed(seed=20)
     log = pushed.log()
-    plain = find_offset(pushed.markers(), log, 250.0, 2.0, push_s=1.0)
-    other = find_offset(pushed.markers(), replace(log, force=-log.force), 250.0, 2.0, push_s=1.0)
+    plain = fit_clock(pushed.markers(), log, 250.0, 2.0, push_s=1.0).clock
+    other = fit_clock(pushed.markers(), replace(log, force=-log.force), 250.0, 2.0, push_s=1.0).clock
     assert abs(other.offset - plain.offset) < 0.5 * plain.sd
 
 
@@ -75,7 +75,7 @@ def test_dropouts_and_hidden_tags_are_survived() -> None:
     xy[hidden, 2], angle[hidden, 2] = np.nan, np.nan
     xy[40, 0], angle[40, 0] = np.nan, np.nan
     torn = replace(log, time=log.time[kept], force=log.force[kept])
-    found = find_offset(replace(markers, xy=xy, angle=angle), torn, 249.0, 2.0)
+    found = fit_clock(replace(markers, xy=xy, angle=angle), torn, 249.0, 2.0).clock
     assert found.found
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.06)
 
@@ -85,7 +85,7 @@ def test_a_slow_log_has_no_bias(thinned: int) -> None:
     pushed = Pushed(white=0.002, coloured=0.001, seed=26)
     log = pushed.log()
     thin = replace(log, time=log.time[::thinned], force=log.force[::thinned])
-    found = find_offset(pushed.markers(), thin, 250.0, 2.0)
+    found = fit_clock(pushed.markers(), thin, 250.0, 2.0).clock
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.015)
 
 
@@ -109,13 +109,13 @@ def test_force_without_relation_is_not_matched_closely() -> None:
     pushed = Pushed(seed=23)
     log = pushed.log()
     noise = 0.3 * np.random.default_rng(0).standard_normal(log.force.shape)
-    found = find_offset(pushed.markers(), replace(log, force=noise), 249.0, 2.0)
+    found = fit_clock(pushed.markers(), replace(log, force=noise), 249.0, 2.0).clock
     assert not found.found or found.sd > 0.2
 
 
 def test_without_a_said_time_the_whole_overlap_is_searched() -> None:
     pushed = Pushed(before=5.0, after=3.0, seed=24)
-    found = find_offset(pushed.markers(), pushed.log(), np.nan, np.inf)
+    found = fit_clock(pushed.markers(), pushed.log(), np.nan, np.inf).clock
     assert found.found
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.05)
 
@@ -123,7 +123,7 @@ def test_without_a_said_time_the_whole_overlap_is_searched() -> None:
 def test_push_in_one_direction_claims_less() -> None:
     both = Pushed(seed=25, film=8.0)
     one = replace(both, film=4.2, after=0.2)
-    sds = [find_offset(each.markers(), each.log(), 250.0, 2.0).sd for each in (both, one)]
+    sds = [fit_clock(each.markers(), each.log(), 250.0, 2.0).clock.sd for each in (both, one)]
     assert sds[1] > 1.3 * sds[0]
 
 

@@ -68,7 +68,7 @@ def test_force_told_by_the_turns_is_the_one_that_made_them() -> None:
 
 
 def test_a_jump_is_found_and_no_other() -> None:
-    time = 0.1 * np.arange(60)
+    time = np.linspace(0.0, 5.9, 60)
     rng = np.random.default_rng(2)
     noise = ForceNoise(white=0.003, coloured=0.004, tau=0.3, walk=1e-4)
     root = np.linalg.cholesky(noise.covariance(time))

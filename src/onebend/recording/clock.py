@@ -16,27 +16,18 @@ sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force lea
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from onebend.recording.clock_moments import make_moments
 from onebend.recording.clock_rows import Rows, binned, thinned
+from onebend.recording.clock_search import Prior, coarse_search, likely_offsets, likely_span, refined
 from onebend.recording.clock_sharp import STEP_DOUBT, moments_of, sharpened
 from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
-from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
-
-LONG = 12.0  # s: offsets of a longer range are looked through roughly first
-FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that is not looked at again
-MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
-FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
-LEAST = 0.2  # s, looked at closely on either side of the first estimate
-
-Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
 
 @dataclass(frozen=True)
@@ -60,28 +51,6 @@ class ClockFit:
     clock: ClockOffset
     noise: ForceNoise | None
     remarks: tuple[Remark, ...] = ()
-
-
-@dataclass(frozen=True)
-class Search:
-    """One way to explain the log, tried at all offsets."""
-
-    track: Track
-    noise: ForceNoise
-    chance: Array  # log posterior over the coarse offsets
-
-
-def find_offset(
-    markers: Markers,
-    log: ForceLog,
-    said: float,
-    uncertainty: float,
-    *,
-    push_s: float | None = None,
-    settings: ClockSettings = ClockSettings(),
-) -> ClockOffset:
-    """`log time = video time + offset`, searched over `said` +- (`uncertainty` + margin) [s]; see `fit_clock`."""
-    return fit_clock(markers, log, said, uncertainty, push_s=push_s, settings=settings).clock
 
 
 def fit_clock(
@@ -113,30 +82,10 @@ def fit_clock(
     most = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
     rows = binned(log, max(8 * rate, settings.slowest), span, most)
     enough = len(rows.time) >= 10 and rows.largest > 0
-    ways = [track for track in tracks(markers, push_s, settings) if enough and track.covered.sum() >= 10]
-    coarse = likely_offsets(ways[-1], rows, low, high, rate) if ways else np.empty(0)
-    searches = [coarse_search(track, rows, coarse, prior) for track in ways]
-    moments = None
-    if push_s is not None and ways:
-        moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
-    if ways and moments is None:  # the same with an error that changes with the load; the data say which it is
-        which = int(np.argmax([search.chance.max() for search in searches]))
-        stepped = tracks(markers, push_s, settings, settings.steps)[which]
-        searches.append(coarse_search(stepped, rows, coarse, prior))
-    searches = [search for search in searches if np.isfinite(search.chance).any()]
-    if not searches:
+    found = matched(markers, rows, rate, push_s, (low, high), prior, settings) if enough else None
+    if found is None:
         return ClockFit(unsettled, None, (Remark("warning", f"{TOO_LITTLE}; {as_written(uncertainty)}."),))
-    best = max(searches, key=lambda search: float(search.chance.max()))
-    offset, sd = refined(best, rows, coarse, prior)
-    noise = best.noise
-    sharp = None
-    if moments is not None:
-        few = thinned(rows, max(4 * rate, settings.sharp_rows / (moments.track.duration + settings.hold)))
-        sharp = sharpened(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
-    if sharp is not None:
-        offset, sd, noise = sharp
-    if best is searches[-1] and len(searches) > len(ways):
-        sd = float(np.hypot(sd, STEP_DOUBT))
+    offset, sd, noise = found
     if not sd < 0.5 * spread:
         text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {as_written(uncertainty)}."
         return ClockFit(unsettled, noise, (Remark("warning", text),))
@@ -144,11 +93,45 @@ def fit_clock(
     return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
 
 
-def likely_span(searches: list[Search], coarse: Array, first: float, low: float, high: float) -> tuple[float, float]:
-    """s, lowest and highest offset that is worth a closer look."""
-    chance = np.max([search.chance - search.chance.max() for search in searches], axis=0)
-    good = coarse[chance > -UNLIKELY]
-    return max(low, min(float(good.min()), first - LEAST)), min(high, max(float(good.max()), first + LEAST))
+def matched(
+    markers: Markers,
+    rows: Rows,
+    rate: float,
+    push_s: float | None,
+    within: tuple[float, float],
+    prior: Prior,
+    settings: ClockSettings,
+) -> tuple[float, float, ForceNoise] | None:
+    """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
+
+    A first look explains the force by polynomials of the tags, a closer one by the moments of the push, where known.
+    """
+    low, high = within
+    ways = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
+    if not ways:
+        return None
+    coarse = likely_offsets(ways[-1], rows, low, high, rate)
+    searches = [coarse_search(track, rows, coarse, prior) for track in ways]
+    moments = None
+    if push_s is not None:
+        moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
+    if moments is None:  # the same with an error that changes with the load; the data say which it is
+        which = int(np.argmax([search.chance.max() for search in searches]))
+        stepped = tracks(markers, push_s, settings, settings.steps)[which]
+        searches.append(coarse_search(stepped, rows, coarse, prior))
+    searches = [search for search in searches if np.isfinite(search.chance).any()]
+    if not searches:
+        return None
+    best = max(searches, key=lambda search: float(search.chance.max()))
+    offset, sd = refined(best, rows, coarse, prior)
+    if moments is not None:
+        few = thinned(rows, max(4 * rate, settings.sharp_rows / (moments.track.duration + settings.hold)))
+        sharp = sharpened(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
+        if sharp is not None:
+            return sharp
+    if best is searches[-1] and len(searches) > len(ways):
+        sd = float(np.hypot(sd, STEP_DOUBT))
+    return offset, sd, best.noise
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:
@@ -189,108 +172,3 @@ def displacements(markers: Markers) -> Array:
     flat = markers.xy.reshape(len(markers.time), -1)
     flat = flat[:, np.isfinite(flat).any(axis=0)]
     return np.asarray(flat - np.nanmedian(flat, axis=0)) if flat.size else np.zeros((len(markers.time), 1))
-
-
-def likely_offsets(track: Track, rows: Rows, low: float, high: float, rate: float) -> Array:
-    """Offsets to try from `low` to `high` [s], dense; of a long range only those around what a first look finds."""
-    fine = np.arange(low, high + 0.05, min(0.05, 0.25 / rate))
-    if high - low < LONG:
-        return fine
-    look = np.arange(low, high, max(min(0.25, 0.25 / rate), 0.05))
-    thin = thinned(rows, FIRST_LOOK / track.duration)
-    chance = chances(track, thin, look, roughly(first_guess(thin.force, thin.width), FAR_OFF * rows.largest))
-    best = np.argsort(-chance)[:MOST_LOOKS]
-    good = look[best[chance[best] >= chance.max() - UNLIKELY]]
-    return np.asarray(fine[np.abs(fine[:, None] - good).min(axis=1) < AROUND])
-
-
-def roughly(noise: ForceNoise, size: float) -> ForceNoise:
-    """`noise` with a coloured part of at least `size` [N]: what offsets that are a little off leave unexplained."""
-    return replace(noise, coloured=max(noise.coloured, size), tau=max(noise.tau, 0.5))
-
-
-def coarse_search(track: Track, rows: Rows, offset: Array, prior: Prior) -> Search:
-    """The log posterior over all offsets, with the noise fitted at the best of them, twice."""
-    noise = first_guess(rows.force, rows.width)
-    chance = np.full(len(offset), -np.inf)
-    for size in (NEAR * rows.largest, 0.0):
-        chance = chances(track, rows, offset, roughly(noise, size) if size else noise)
-        if not np.isfinite(chance).any():
-            break
-        design = rows.largest * track.mean(rows.time - offset[int(np.argmax(chance + prior(offset)))], rows.width)
-        use = np.isfinite(design).all(axis=(1, 2))
-        noise = fit_noise(rows.time[use], design[use], rows.force[use], noise)
-    return Search(track, noise, chance + prior(offset))
-
-
-def chances(track: Track, rows: Rows, offset: Array, noise: ForceNoise) -> Array:
-    """Log evidence of every offset; minus infinity where film and log have too little in common.
-
-    Each offset covers other rows with film, so they are compared by what the markers add to the rows they cover: the
-    evidence with them over the evidence without, which takes a force that changes for a random walk and a force that
-    stands still for noise. A film laid over a quiet stretch of the log gains nothing.
-    """
-    chance = np.full(len(offset), -np.inf)
-    least = max(10.0, 0.25 * min(len(rows.time), track.duration / rows.width))
-    moved = rows.moved(first_guess(rows.force, rows.width))
-    reach = (track.time[0] - track.before - rows.width, track.time[-1] + track.after + rows.width)
-    none: dict[bytes, float] = {}
-    roots: dict[bytes, Array] = {}
-    for i, each in enumerate(offset):
-        near = np.arange(*np.searchsorted(rows.time, (reach[0] + each, reach[1] + each)))
-        if len(near) < least:
-            continue
-        design = rows.largest * track.mean(rows.time[near] - each, rows.width)
-        told = np.isfinite(design).all(axis=(1, 2))
-        use, design = near[told], design[told]
-        if len(use) < least:
-            continue
-        time, force, key = rows.time[use], rows.force[use], use.tobytes()
-        if key not in roots:
-            roots[key] = noise.root(time)
-            walk = np.minimum(moved[use][:, None], moved[use]) - moved[use][0]
-            root = np.linalg.cholesky(noise.covariance(time) + walk)
-            nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
-            none[key] = log_evidence(root, nothing, force)
-        chance[i] = log_evidence(roots[key], design, force) - none[key]
-    return chance
-
-
-def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[float, float]:
-    """Mean and sd of the posterior around its highest peak; other peaks widen the sd by their share."""
-    centre, reach = float(coarse[int(np.argmax(search.chance))]), max(3 * (coarse[1] - coarse[0]), 0.1)
-    mean, sd = centre, float("inf")
-    for _ in range(6):
-        offset = np.linspace(centre - reach, centre + reach, 33)
-        gain = fixed_rows(search, rows, offset)
-        if gain is None:
-            break
-        mean, sd = moments_of(offset, gain + prior(offset))
-        if 0.08 * reach < sd < 0.3 * reach and abs(mean - centre) < 0.5 * reach:
-            break
-        centre, reach = mean, min(max(4.5 * sd, 1e-3), 2 * reach)
-    return mean, with_other_peaks(search, rows, coarse, mean, max(sd, 1e-3), reach)
-
-
-def with_other_peaks(search: Search, rows: Rows, coarse: Array, mean: float, sd: float, reach: float) -> float:
-    """`sd` of the peak at `mean` widened by the share of all that lies farther away than `reach`."""
-    best = float(coarse[int(np.argmax(search.chance))])
-    ends = fixed_rows(search, rows, np.array([best, mean]))
-    away = np.abs(coarse - mean) > max(reach, 4 * sd)
-    if ends is None or not away.any():
-        return sd
-    # The coarse offsets may straddle a sharp peak: its own height, then its mass as a normal distribution.
-    peak = float(search.chance.max() + max(ends[1] - ends[0], 0.0))
-    mass = np.exp(search.chance[away] - peak) * (coarse[1] - coarse[0])
-    whole = float(mass.sum()) + sd * np.sqrt(2 * np.pi)
-    return float(np.sqrt(sd**2 + mass @ (coarse[away] - mean) ** 2 / whole))
-
-
-def fixed_rows(search: Search, rows: Rows, offset: Array) -> Array | None:
-    """Log evidence at every `offset`, over the rows that all of them cover; None where these are too few."""
-    designs = [rows.largest * search.track.mean(rows.time - each, rows.width) for each in offset]
-    use = np.all([np.isfinite(design).all(axis=(1, 2)) for design in designs], axis=0)
-    if use.sum() < 10:
-        return None
-    root = search.noise.root(rows.time[use])
-    return np.array([log_evidence(root, design[use], rows.force[use]) for design in designs])
