@@ -32,7 +32,7 @@ from onebend.learning.gauss_newton import (
     together,
 )
 from onebend.learning.parameters import Layout, Priors, layout
-from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, mixed
+from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, Draws, mixed
 from onebend.learning.scales import Known
 from onebend.learning.spline import Spline
 from onebend.records import Array, ForceNoise, Observations
@@ -177,6 +177,6 @@ def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
     told = Known(data, [seen], at, LEVEL, drawn.scales).told(drawn.scales)
     covariance = np.linalg.pinv(told.information, hermitian=True)
     if prior_of_k:
-        covariance = mixed(at.spline, [told], LEVEL, chains=30, burn=50, kept=150).covariance
+        covariance = mixed(at.spline, [told], LEVEL, Draws(30, 50, 150)).covariance
     g = thirds(at.spline)
     return np.asarray(np.einsum("gi,ij,gj->g", g, covariance, g))

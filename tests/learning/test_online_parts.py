@@ -8,7 +8,7 @@ import pytest
 from onebend.learning.force_error import ANEW, RELEASED
 from onebend.learning.live_sizes import OfK, Sizes
 from onebend.learning.live_stages import LoadStages
-from onebend.learning.roughness import Told, mixed
+from onebend.learning.roughness import Draws, Told, mixed
 from onebend.learning.spline import Spline
 from onebend.recording.load_stages import load_changes
 
@@ -55,7 +55,7 @@ def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
         mean, covariance, _ = sizes.mixed(told)
         means.append(mean)
         sds.append(np.sqrt(np.diag(covariance)))
-    batch = mixed(spline, [Told(told.information, told.b)], 0.0, chains=30, burn=60, kept=300)
+    batch = mixed(spline, [Told(told.information, told.b)], 0.0, Draws(30, 60, 300))
     sd = np.sqrt(np.diag(batch.covariance))
     np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
     np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)

@@ -10,7 +10,7 @@ mixture of normals given the sizes, so that few draws are enough. Chains run sid
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,10 +45,8 @@ class Mixed:
     covariance: Array  # (p, p)
     steps: Array  # (p - 1,) means of the steps
     shape: Array  # (levels, S) how wide its bands are over those of a normal, see `UncertainStiffness`
-    parts: Array  # (n,) mean variances of the parts: the normal prior that comes nearest
     tau: float  # medians
     rho: float
-    chains: Array  # (B, 2 p + 1) where the chains stand: what the next draws of nearly the same begin from
 
 
 @dataclass(frozen=True)
@@ -61,6 +59,11 @@ class _Chains:
     root: Array  # (B, r, r) Cholesky factors of the data's covariance
     white: Array  # (B, r) the data, whitened by them
     value: Array  # (B,) log density of the sizes, log k integrated out
+
+    @property
+    def stand(self) -> Array:
+        """(B, 2 p + 1) the sizes, from which other chains can go on."""
+        return np.concatenate([self.logs, self.own], axis=1)
 
 
 class _Target:
@@ -122,53 +125,61 @@ class _Target:
         return np.asarray(drawn[:, self.local] + variance[:, self.local] * local[..., 0])
 
 
-def mixed(
-    spline: Spline,
-    told: Sequence[Told],
-    level: float,
-    *,
-    chains: int,
-    burn: int,
-    kept: int,
-    start: Array | None = None,
-) -> Mixed:
-    """What is known of log k around `level`, over `chains` chains for each of `told`.
+@dataclass(frozen=True)
+class Draws:
+    """How many draws: `chains` for each of what is told, `kept` of each after `burn` that are left out."""
 
-    A sharp joint is found late by chains that begin anywhere; they begin where others ended (`Mixed.chains`) if given.
+    chains: int
+    burn: int
+    kept: int
+
+
+def drawn_parts(
+    spline: Spline, told: Told, level: float, draws: Draws, start: Array | None = None
+) -> tuple[Array, Array]:
+    """(n,) mean variances of the parts of log k, and (B, 2 p + 1) where the chains stand.
+
+    A sharp joint is found late by chains that begin anywhere; they begin where others ended (`start`) if given.
     """
-    target, rng = _Target(spline, told, level, chains), np.random.default_rng(0)
-    count, p = chains * len(told), spline.count
-    begin = _anywhere(count, p, rng) if start is None else start[np.arange(count) % len(start)]
-    now = target.at(begin[:, :2], begin[:, 2:])
+    chains = list(_drawn_chains(_Target(spline, [told], level, draws.chains), draws, start))
+    return np.mean([one.variance.mean(axis=0) for one in chains], axis=0), chains[-1].stand
+
+
+def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, start: Array | None = None) -> Mixed:
+    """What is known of log k around `level`; `start` as for `drawn_parts`."""
+    target, p = _Target(spline, told, level, draws.chains), spline.count
     mean, second, sizes, marginals = np.zeros(p), np.zeros((p, p)), [], []
-    parts, variance = np.zeros(now.variance.shape[1]), np.zeros(now.variance.shape[1])
+    parts = np.zeros(target.weights.shape[1])
     on_places = spline.basis(SHAPE_PLACES) @ target.weights  # (S, n)
-    for i in range(burn + kept):
-        now = target.moved(now, rng)
-        if i < burn:
-            continue
+    for now in _drawn_chains(target, draws, start):
         across = np.linalg.solve(now.root, target.on_parts * now.variance[:, None])  # (B, r, n)
         of_parts = np.einsum("brn,br->bn", across, now.white)
-        means, told_away = (
-            of_parts @ target.weights.T,
-            np.sqrt(target.share)[:, None, None] * (across @ target.weights.T),
-        )
+        means = of_parts @ target.weights.T
+        told_away = np.sqrt(target.share)[:, None, None] * (across @ target.weights.T)
         second += (target.weights * (target.share @ now.variance)) @ target.weights.T
         second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
         mean += target.share @ means
         parts += target.share @ of_parts
-        variance += target.share @ now.variance
         sizes.append(now.logs)
         left = now.variance @ (on_places**2).T - np.sum((across @ on_places.T) ** 2, axis=1)
         marginals.append(np.stack([of_parts @ on_places.T, np.sqrt(np.maximum(left, 0.0))]))
-    mean, second = mean / kept, second / kept
+    mean, second, parts = mean / draws.kept, second / draws.kept, parts / draws.kept
     tau, rho = np.exp(np.median(np.concatenate(sizes), axis=0)).tolist()
     covariance = second - np.outer(mean, mean)
-    covariance = 0.5 * (covariance + covariance.T)
     means, sds = np.concatenate(marginals, axis=1)
-    shape = _shape(means, sds, np.tile(target.share, kept) / kept)
-    stand = np.concatenate([now.logs, now.own], axis=1)
-    return Mixed(mean + level, covariance, parts[p : 2 * p - 1] / kept, shape, variance / kept, tau, rho, stand)
+    shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
+    return Mixed(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape, tau, rho)
+
+
+def _drawn_chains(target: _Target, draws: Draws, start: Array | None) -> Iterator[_Chains]:
+    """The kept draws; every run is the same."""
+    rng, count = np.random.default_rng(0), len(target.share)
+    begin = _anywhere(count, target.spline.count, rng) if start is None else start[np.arange(count) % len(start)]
+    now = target.at(begin[:, :2], begin[:, 2:])
+    for i in range(draws.burn + draws.kept):
+        now = target.moved(now, rng)
+        if i >= draws.burn:
+            yield now
 
 
 def _anywhere(count: int, p: int, rng: np.random.Generator) -> Array:

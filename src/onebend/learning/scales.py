@@ -26,7 +26,7 @@ from onebend.learning.gauss_newton import (
     split,
 )
 from onebend.learning.parameters import Layout
-from onebend.learning.roughness import Mixed, Told, mixed
+from onebend.learning.roughness import Draws, Mixed, Told, drawn_parts, mixed
 from onebend.records import Array
 
 CHOSEN = ("coloured", "memory", "walk", "load")
@@ -37,8 +37,8 @@ SPREAD = np.array([0.7, 0.9, 1.1, 1.2])
 _MOST = 4.0
 _GUESS_COUNTS = 3.0
 _CENTRE = 0.25  # share of the node in the middle
-_ON_THE_WAY = {"chains": 12, "burn": 15, "kept": 25}
-_AT_THE_END = {"chains": 4, "burn": 20, "kept": 60}  # for each of the scales that are averaged over
+_ON_THE_WAY = Draws(chains=12, burn=15, kept=25)
+_AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the scales that are averaged over
 # Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
 # below this the solver's own error (1e-8 L) would have to be fitted.
 _LEAST = 0.02
@@ -107,8 +107,9 @@ def choose_scales(known: Known, start: Scales) -> Scales:
     options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
     found = minimize(known.cost(start), known.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     chosen = known.scaled(start, found.x)
-    of_k = mixed(known.at.spline, [known.told(chosen)], known.level, start=start.chains, **_ON_THE_WAY)
-    return replace(chosen, parts=of_k.parts, chains=of_k.chains)
+    told = known.told(chosen)
+    parts, chains = drawn_parts(known.at.spline, told, known.level, _ON_THE_WAY, start.chains)
+    return replace(chosen, parts=parts, chains=chains)
 
 
 def averaged(known: Known, scales: Scales) -> tuple[Mixed, Array]:
@@ -120,7 +121,7 @@ def averaged(known: Known, scales: Scales) -> tuple[Mixed, Array]:
         there, _, factor = known.solve(one)
         out += weight * (cho_solve(factor, np.eye(len(best))) + np.outer(there - best, there - best))
     told = [known.told(one, weight) for weight, one in zip(weights, nodes, strict=True)]
-    of_k, p = mixed(known.at.spline, told, known.level, start=scales.chains, **_AT_THE_END), known.at.spline.count
+    of_k, p = mixed(known.at.spline, told, known.level, _AT_THE_END, scales.chains), known.at.spline.count
     follow = np.linalg.solve(out[:p, :p], out[:p]).T  # how the rest follows log k
     out = out + follow @ (of_k.covariance - out[:p, :p]) @ follow.T
     return of_k, 0.5 * (out + out.T)
