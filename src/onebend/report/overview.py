@@ -131,7 +131,8 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     start, doubt = recording.start
     source = " ".join((recording.force.file.name, recording.force.topic)).strip()
     what = "the video starts" if recording.video is not None else "the tracks start"
-    said = f"{what} at {start:.3f} s of the log, give or take {doubt:.2g} s"
+    told = f"give or take {doubt:.2g} s" if doubt > 0.0 else "as written: exact, nothing is looked for"
+    said = f"{what} at {start:.3f} s of the log, {told}"
     return [
         ("force log", f"{source}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
         ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "
