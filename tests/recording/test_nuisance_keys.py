@@ -165,7 +165,7 @@ def test_a_film_and_a_log_of_one_clock_are_observed_so() -> None:
     assert (found.clock.offset, found.clock.sd) == (250.0, 0.0)
 
 
-@pytest.mark.parametrize("uncertainty", [1e-15, 1e-6, 1e-4, 1e-3, 5e-3, 0.02, 0.05])
+@pytest.mark.parametrize("uncertainty", [1e-15, 1e-4, 5e-3, 0.05])
 @pytest.mark.parametrize("push_s", [None, 1.0])
 def test_a_start_that_is_known_closely_is_taken_at_its_word(uncertainty: float, push_s: float | None) -> None:
     pushed = Pushed(seed=31)
@@ -202,5 +202,3 @@ def test_a_turn_of_the_base_does_not_outdo_a_start_that_is_known_better() -> Non
         clock = base_clock(seen, log, 101.0, uncertainty)
         assert (clock.offset, clock.sd, clock.found) == (101.0, uncertainty, False)
     assert base_clock(seen, log, 101.0, 2.0).offset == pytest.approx(101.7, abs=0.005)
-
-

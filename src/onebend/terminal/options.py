@@ -66,7 +66,8 @@ ClampSd = Annotated[
         "--clamp-sd-deg",
         min=0.0,
         metavar="DEG",
-        help=f"How far the clamp may be turned, one sd; default: the recording's, or {CLAMP_DEG:.2g}. It trades off against k.",
+        help=f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
+        f"{CLAMP_DEG:.2g}. It trades off against k.",
     ),
 ]
 Threads = Annotated[
