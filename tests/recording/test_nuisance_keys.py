@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,6 @@ from onebend.recording.clock_range import reach_of, search_range
 from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.gravity import BaseLog, base_clock
-from onebend.recording.source_entries import VideoEntry
 from onebend.records import CURVATURE_SD
 from onebend.report.overview import overview
 from onebend.report.wording import clock_words
@@ -105,15 +105,18 @@ def test_a_curvature_that_is_ruled_out_is_said_to_be_unused(tmp_path: Path) -> N
 def test_what_is_stated_is_carried_along() -> None:
     whole = recording()
     assert whole.video is not None
+    exact = replace(whole.video, start=250.0, start_uncertainty=0.0)
     stated = replace(
         whole,
-        video=replace(whole.video, clamp_sd=0.02),
+        video=replace(exact, clamp_sd=0.02),
         beam=replace(whole.beam, curvature_sd=0.4),
         scale_sd=0.05,
     )
     found = observed(rec=stated)
     assert (found.clamp_sd, found.curvature_sd, found.scale_sd) == (0.02, 0.4, 0.05)
-    usual = observed()
+    assert found.clock is not None
+    assert (found.clock.offset, found.clock.sd) == (250.0, 0.0)
+    usual = observed(rec=replace(whole, video=exact))
     assert usual.curvature_sd == CURVATURE_SD
     assert math.isnan(usual.clamp_sd)
     assert math.isnan(usual.scale_sd)
@@ -158,13 +161,6 @@ def test_the_noise_is_found_at_an_exact_start() -> None:
     assert fit_clock(pushed.markers(), silent, pushed.offset, 0.0).noise is None
 
 
-def test_a_film_and_a_log_of_one_clock_are_observed_so() -> None:
-    pushed = recording(video=VideoEntry(Path("video.mp4"), start=250.0, start_uncertainty=0.0))
-    found = observed(rec=pushed)
-    assert found.clock is not None
-    assert (found.clock.offset, found.clock.sd) == (250.0, 0.0)
-
-
 @pytest.mark.parametrize("uncertainty", [1e-15, 1e-4, 5e-3, 0.05])
 @pytest.mark.parametrize("push_s", [None, 1.0])
 def test_a_start_that_is_known_closely_is_taken_at_its_word(uncertainty: float, push_s: float | None) -> None:
@@ -177,6 +173,16 @@ def test_a_start_that_is_known_closely_is_taken_at_its_word(uncertainty: float, 
         assert off or abs(fit.clock.offset - said) < 3.0 * uncertainty
         assert fit.clock.found or fit.clock.offset == said
         assert all(remark.level == "note" for remark in fit.remarks) or off
+
+
+@pytest.mark.parametrize("push_s", [None, 1.0])
+def test_a_close_start_that_the_data_contradict_is_kept_and_warned_of(push_s: float | None) -> None:
+    pushed = Pushed(seed=31)
+    fit = fit_clock(pushed.markers(), pushed.log(), pushed.offset + 0.3, 0.02, push_s=push_s)
+    assert (fit.clock.offset, fit.clock.found) == (pushed.offset + 0.3, False)
+    (remark,) = fit.remarks
+    assert remark.level == "warning"
+    assert re.search(r"the film start -0\.(29|30)\d s from start_s, more than its uncertainty", remark.text)
 
 
 def test_the_range_searched_grows_evenly_with_what_is_not_known() -> None:

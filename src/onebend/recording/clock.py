@@ -90,7 +90,7 @@ def fit_clock(
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
     offset, sd, noise = found
     if not sd < 0.5 * spread:
-        return ClockFit(unsettled, noise, (unsettled_remark(sd, uncertainty),))
+        return ClockFit(unsettled, noise, (unsettled_remark(offset - said, sd, uncertainty),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
     return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
 
