@@ -23,8 +23,8 @@ import numpy as np
 from onebend.recording.clock_moments import make_moments
 from onebend.recording.clock_range import ROUGHLY, prior_spread, search_range
 from onebend.recording.clock_rows import Rows, binned, thinned
-from onebend.recording.clock_search import Prior, coarse_search, likely_offsets, likely_span, refined
-from onebend.recording.clock_sharp import STEP_DOUBT, sharpened
+from onebend.recording.clock_search import coarse_search, likely_offsets, likely_span, refined
+from onebend.recording.clock_sharp import STEP_DOUBT, Prior, sharpened
 from onebend.recording.clock_words import TOO_LITTLE, remarks_on, unsettled_remark
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.recording.clock_search import Prior
-from onebend.recording.clock_sharp import moments_of
+from onebend.recording.clock_sharp import Prior, moments_of
 from onebend.records import Array
 
 ROUGHLY = 0.1  # s: a start said to be right to this or less was not read off a watch, and is taken at its word
