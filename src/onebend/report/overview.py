@@ -99,6 +99,8 @@ def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]
     how = "not calibrated: the tags' size gives the scale"
     if camera is not None:
         how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
+    if np.isfinite(recording.scale_sd):
+        how += f"; lengths to {100.0 * recording.scale_sd:.3g} % (sd)"
     video = " ".join((recording.video.file.name, recording.video.topic)).strip()
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
