@@ -23,10 +23,10 @@ from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
 from onebend.learning.film import REST_MODES
-from onebend.learning.parameters import Priors
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.recording.frame import MOUNTING_SD
-from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
+from onebend.records import CLAMP_SD as HELD_SD
+from onebend.records import CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything", "stages", "franka")
@@ -35,7 +35,7 @@ LENGTH = 0.15  # m
 PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
 MOUNTING = TURN_SD  # rad, one sd of a tag's turn
-CLAMP_SD = float(np.hypot(Priors().clamp, MOUNTING_SD))  # rad, of the clamp's direction where the rest is unknown
+CLAMP_SD = float(np.hypot(HELD_SD, MOUNTING_SD))  # rad, of the clamp's direction where the rest is unknown
 PUSHED = 0.98  # where the push is said to act: off it either way there is beam
 STRAIGHT = Powers((0.0,))
 GAIN = 0.05  # one sd, as stated
@@ -156,7 +156,7 @@ def rest_curvature(rng: np.random.Generator) -> Profile:
     s = np.linspace(0.0, 1.0, 601)
     height = cumulative_trapezoid(REST_MODES.angle(s), s, axis=0, initial=0.0)[200::200]
     line = s[200::200] @ height / np.sum(s[200::200] ** 2)
-    precision = np.eye(3) / Priors().curvature ** 2 + np.outer(line, line) / CLAMP_SD**2
+    precision = np.eye(3) / CURVATURE_SD**2 + np.outer(line, line) / CLAMP_SD**2
     states = np.linalg.cholesky(np.linalg.inv(precision)) @ rng.standard_normal(3)
     return Powers(tuple(np.linalg.solve(Modes(3, "powers").to_legendre, states).tolist()))
 

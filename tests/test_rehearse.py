@@ -54,6 +54,16 @@ def test_more_information_never_widens_the_band() -> None:
     assert all(0.0 <= one.share < 1.0 and one.mean_width <= now.quality.mean_width * 1.001 for one in doubts(WRIST))
 
 
+def test_one_clock_leaves_nothing_to_doubt_of_it() -> None:
+    one = replace(WRIST, clock_sd=0.0)
+    used = instruments(one)
+    assert used.bench.clock_sd == 0.0
+    assert "clock" not in known_exactly(used)
+    assert predict(one).quality.mean_width < predict(WRIST).quality.mean_width
+    with pytest.raises(RecordingError, match="clock's sd"):
+        setup_of(known_beam("linear"), [Wish()], clock_sd=-0.01)
+
+
 def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
     twice = replace(WRIST, pushes=WRIST.pushes * 2)
     used = instruments(WRIST)

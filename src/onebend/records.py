@@ -25,6 +25,9 @@ StiffnessAlong = Literal["unknown", "even"]
 PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
 TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
+CLAMP_SD = 3e-3  # rad, of the clamp's direction against the beam's own at rest
+CURVATURE_SD = 0.15  # rad, Legendre states of a natural curvature
+SCALE_SD = 3e-3  # of lengths in the picture of a camera that is not calibrated
 UNKNOWN_ANGLE_SD = float(np.pi)  # rad, stands in a covariance for an angle that is not measured (and is NaN)
 
 
@@ -144,7 +147,10 @@ class CleanForce:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """`log time = video time + offset`. A sensor's own lag cannot be told apart from it and is inside."""
+    """`log time = video time + offset`. A sensor's own lag cannot be told apart from it and is inside.
+
+    An `sd` of 0 says that the offset was stated to be exact; nothing was looked for.
+    """
 
     offset: float  # s
     sd: float  # s
@@ -206,7 +212,7 @@ class Observations:
     mass_sd: float = math.nan  # one sd of the mass over itself; NaN: as usual for one that was weighed
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
-    clamp_sd: float = math.nan  # rad, one sd of the clamp's direction against x; NaN: as usual
+    clamp_sd: float = math.nan  # rad, one sd of the clamp's direction (static: against x); NaN: as usual
     stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
     held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     remarks: tuple[Remark, ...] = ()
@@ -214,3 +220,5 @@ class Observations:
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's
     turn_sd: float = TURN_SD  # rad, tolerance of the tags' turns
+    curvature_sd: float = CURVATURE_SD  # rad, one sd of the Legendre states of q0; only where rest is "unknown"
+    scale_sd: float = math.nan  # one sd of lengths in the picture; NaN: as usual

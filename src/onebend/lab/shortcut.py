@@ -5,12 +5,14 @@ For studies of many runs, and for those that need the force's error to be exactl
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf
 
 import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.lab.virtual import Bench, Virtual
+from onebend.recording.entries import Recording
 from onebend.recording.force import clean_force, force_at
 from onebend.recording.frame import to_beam_frame
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations
@@ -40,7 +42,7 @@ def observe_quickly(
     seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
     known = np.all(np.isfinite(force), axis=1)
-    return Observations(
+    made = Observations(
         name=rec.name,
         length=rec.beam.length,
         time=time[known],
@@ -60,10 +62,21 @@ def observe_quickly(
         gravity=np.zeros_like(force)[known],
         mass=rec.beam.mass,
         placement_sd=rec.tags.placement_sd,
-        turn_sd=rec.tags.turn_sd,
         rest=rec.beam.rest,
         clock=_clock(bench, clock_error, clock_sd),
         clean_force=clean,
+    )
+    return _as_stated(made, rec)
+
+
+def _as_stated(made: Observations, rec: Recording) -> Observations:
+    """With what the recording says of its tolerances."""
+    return replace(
+        made,
+        turn_sd=rec.tags.turn_sd,
+        clamp_sd=rec.clamp_sd,
+        curvature_sd=rec.beam.curvature_sd,
+        scale_sd=rec.scale_sd,
         place_sd=rec.place_sd,
         direction_sd=rec.direction_sd,
     )

@@ -10,7 +10,7 @@ from onebend.beam.grid import Grid, make_grid
 from onebend.learning.film import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors
 from onebend.learning.spline import Spline
-from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array
+from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, SCALE_SD, TURN_SD, Array
 
 ORDER, WIDEST = 12, 0.5
 _GRIDS = 50  # over the length: a push between two is moved there along the tangent
@@ -58,17 +58,20 @@ def live_layout(
     mounted = TURN_SD if priors.mounting is None else priors.mounting
     pushed = PLACE_SD if priors.place is None else priors.place
     turned = DIRECTION_SD if priors.direction is None else priors.direction
+    clamped = CLAMP_SD if priors.clamp is None else priors.clamp
+    bent = CURVATURE_SD if priors.curvature is None else priors.curvature
+    scaled = SCALE_SD if priors.scale is None else priors.scale
     numbers = range(1, tags + 1)
     wanted: list[tuple[str, str, float, tuple[str, ...]]] = [
         ("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", "rad", priors.curvature if rest_unknown else 0.0, ("q0 mean", "q0 slope", "q0 bow")),
+        ("curvature", "rad", bent if rest_unknown else 0.0, ("q0 mean", "q0 slope", "q0 bow")),
         ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
         ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
         ("turn", "rad", mounted, tuple(f"tag {i} turn" for i in numbers)),
-        ("clamp", "rad", priors.clamp, ("clamp angle",)),
+        ("clamp", "rad", clamped, ("clamp angle",)),
         ("origin", "m", origin, ("origin x", "origin y")),
-        ("scale", "1", 0.0 if calibrated else priors.scale, ("camera scale",)),
+        ("scale", "1", 0.0 if calibrated else scaled, ("camera scale",)),
         ("clock", "s", priors.clock or 0.0, ("clock offset",)),
         ("place", "m", pushed, ("push place",)),
         ("direction", "rad", turned, ("force axes",)),

@@ -9,7 +9,7 @@ import numpy as np
 from onebend.learning.mass import weighs
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD
-from onebend.records import Array, IntArray, Observations
+from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
 _EVEN = 0.01  # of k: what is left of its variation where it is one number
@@ -21,12 +21,12 @@ _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its error
 class Priors:
     """One sd of each nuisance before the data; 0 freezes it."""
 
-    curvature: float = 0.15  # rad, Legendre states of q0; frozen where rest = "straight"
+    curvature: float | None = None  # rad, Legendre states of q0; frozen where rest = "straight"; None: as turns
     mounting: float | None = None  # rad, a tag's turn on the beam; None: as the recording says
     placement: float | None = None  # m, a tag's place along and across; None: as the recording says
-    clamp: float = 3e-3  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
+    clamp: float | None = None  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
     origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
-    scale: float = 3e-3  # of lengths in the picture, where the camera is not calibrated
+    scale: float | None = None  # of lengths in the picture, where the camera is not calibrated; see `scale_sd`
     mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
     mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
     mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
@@ -101,7 +101,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     tags = [f"tag {i}" for i in first.tag_id]
     placement = first.placement_sd if priors.placement is None else priors.placement
     mounting = first.turn_sd if priors.mounting is None else priors.mounting
-    curvature = priors.curvature if any(r.rest == "unknown" for r in recordings) else 0.0
+    curvature = max(curvature_sd(r, priors) for r in recordings)
     heavy = any(weighs(r) for r in recordings)
     mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
@@ -114,11 +114,10 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
     ]
     for r, one in enumerate(recordings):
         origin = one.placement_sd if priors.origin is None else priors.origin
-        scale = priors.scale if one.view is not None and not one.view.calibrated else 0.0
         wanted += [
             ("clamp", r, "rad", clamp_sd(one, priors), (f"{one.name}: clamp angle",)),
             ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
-            ("scale", r, "1", scale, (f"{one.name}: camera scale",)),
+            ("scale", r, "1", scale_sd(one, priors), (f"{one.name}: camera scale",)),
             ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
             ("place", r, "m", _pushed(one, one.place_sd, priors.place), (f"{one.name}: push place",)),
             ("direction", r, "rad", _pushed(one, one.direction_sd, priors.direction), (f"{one.name}: force axes",)),
@@ -143,17 +142,33 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
 
     The frame's x axis is the line through the tags at rest: it is off by what their places are, and the fit knows those
     from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
-    no more is known than how well a base tag is put on, unless the recording says it.
+    no more is known than how well a base tag is put on. Of poses the stated sd is all. 0 freezes it.
     """
-    if priors.clamp == 0.0:
-        return 0.0
-    if np.isfinite(one.clamp_sd):
-        return one.clamp_sd
+    stated = one.clamp_sd if priors.clamp is None else priors.clamp
+    if stated == 0.0 or (one.static and np.isfinite(stated)):
+        return stated
+    own = stated if np.isfinite(stated) else CLAMP_SD
     reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
-    if one.rest == "unknown" or not np.any(reach > 0.0):
-        return float(np.hypot(priors.clamp, MOUNTING_SD))
+    if curvature_sd(one, priors) > 0.0 or not np.any(reach > 0.0):
+        return float(np.hypot(own, MOUNTING_SD))
     placement = one.placement_sd if priors.placement is None else priors.placement
-    return float(np.hypot(priors.clamp, 2.0 * placement / np.linalg.norm(reach)))
+    return float(np.hypot(own, 2.0 * placement / np.linalg.norm(reach)))
+
+
+def curvature_sd(one: Observations, priors: Priors) -> float:
+    """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
+    if one.rest == "straight":
+        return 0.0
+    return one.curvature_sd if priors.curvature is None else priors.curvature
+
+
+def scale_sd(one: Observations, priors: Priors) -> float:
+    """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
+    if one.view is None:
+        return 0.0
+    usual = 0.0 if one.view.calibrated else SCALE_SD
+    stated = one.scale_sd if np.isfinite(one.scale_sd) else usual
+    return stated if priors.scale is None or one.view.calibrated else priors.scale
 
 
 def _ends(one: Observations, *what: str) -> tuple[str, ...]:

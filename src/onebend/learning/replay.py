@@ -11,7 +11,7 @@ from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
 from onebend.learning.online import OnlineLearner, OnlineSettings
-from onebend.learning.parameters import Priors, layout
+from onebend.learning.parameters import Priors, layout, scale_sd
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray, Observations
 
@@ -56,7 +56,8 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         settings, placement_sd=o.placement_sd, rest_unknown=o.rest == "unknown", priors=_priors(o, settings)
     )
     if o.view is not None:
-        known = replace(known, calibrated=o.view.calibrated)
+        sd = scale_sd(o, settings.priors)
+        known = replace(known, calibrated=sd == 0.0, priors=replace(known.priors, scale=sd))
     largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0
     if largest == 0.0 or not (np.any(o.force_sd > 0.0) or o.clean_force is not None):
         return known  # nothing is said of the force's noise
@@ -78,8 +79,8 @@ def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     """What the fit takes as known before the data."""
     at = layout(Spline(settings.functions), [o], [0], settings.priors)
     sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
-    of_tags = {"placement": "along", "mounting": "turn"}
-    sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in of_tags.items()}
+    shared = {"curvature": "curvature", "placement": "along", "mounting": "turn"}
+    sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in shared.items()}
     return replace(settings.priors, **sd)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from onebend.beam.kinematics import angles, jacobians, places, positions
 from onebend.beam.modes import Modes
-from onebend.learning.parameters import Priors
+from onebend.learning.parameters import Priors, curvature_sd
 from onebend.recording.chords import chord_angles
 from onebend.records import Array, BoolArray, Observations
 
@@ -45,8 +45,9 @@ def at_rest(observations: Observations, priors: Priors = Priors()) -> AtRest:
     if not np.any(known):
         return AtRest(np.zeros(_REST_MODES.n), np.zeros((m, 2)), np.zeros(m), seen=False)
     theta = np.zeros(_REST_MODES.n)
-    if observations.rest == "unknown":
-        theta = _rest_states(observations, known, priors)
+    bent_sd = curvature_sd(observations, priors)
+    if bent_sd > 0.0:
+        theta = _rest_states(observations, known, bent_sd)
     at = places(observations.length, _REST_MODES, observations.marker_s)
     alpha = angles(at, theta[None])[0]
     away = observations.rest_xy - positions(at, theta[None])[0]
@@ -70,8 +71,8 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
     return observations.xy - shift, tangent
 
 
-def _rest_states(observations: Observations, known: BoolArray, priors: Priors) -> Array:
-    """States that balance curvature against mounting, each measured by its own sd."""
+def _rest_states(observations: Observations, known: BoolArray, bent_sd: float) -> Array:
+    """States that balance curvature (one sd `bent_sd`, rad) against mounting, each measured by its own sd."""
     at = places(observations.length, _REST_MODES, observations.marker_s[known])
     of_tags = np.repeat([observations.placement_sd, observations.turn_sd], [2 * len(at.s), len(at.s)])
     sd = np.maximum(of_tags, _EXACT)
@@ -85,7 +86,7 @@ def _rest_states(observations: Observations, known: BoolArray, priors: Priors) -
             ]
         )
         jacobian[2 * len(at.s) :] *= np.isfinite(observations.rest_angle[known])[:, None]
-        rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / priors.curvature])
-        right = np.concatenate([away / sd, -theta / priors.curvature])
+        rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / bent_sd])
+        right = np.concatenate([away / sd, -theta / bent_sd])
         theta = theta + np.linalg.lstsq(rows, right, rcond=None)[0]
     return theta

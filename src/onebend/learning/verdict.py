@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from onebend.learning.criticism_words import criticism_remarks
 from onebend.learning.misses import film_rms
 from onebend.learning.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
-from onebend.records import Array, Remark
+from onebend.records import Array, Observations, Remark
 
 _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
@@ -43,7 +45,7 @@ def _search(posterior: Posterior) -> list[Remark]:
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:
-    usual = max(clamp_sd(film.observations, Priors()) for film in posterior.films)
+    usual = max(_usual_clamp(film.observations) for film in posterior.films)
     sd = max((float(b.prior_sd[0]) for b in posterior.at.blocks if b.name == "clamp"), default=usual)
     if sd <= 1.001 * usual:
         return []
@@ -52,6 +54,11 @@ def _clamp(posterior: Posterior) -> list[Remark]:
         "turned clamp looks like a softer beam near it, so this can cost what the data say of k there; see the band"
     )
     return [Remark("warning", text)]
+
+
+def _usual_clamp(one: Observations) -> float:
+    """rad, the clamp's sd where nobody says more of it; of poses, what their recording says."""
+    return clamp_sd(one if one.static else replace(one, clamp_sd=np.nan), Priors())
 
 
 def _nuisances(posterior: Posterior) -> list[Remark]:

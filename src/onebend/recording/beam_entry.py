@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from onebend.recording.schema import key, number, one_of, text
-from onebend.records import MassAlong, Rest, StiffnessAlong
+from onebend.records import CURVATURE_SD, MassAlong, Rest, StiffnessAlong
 
 
 @dataclass(frozen=True)
@@ -52,3 +52,11 @@ class BeamEntry:
         example='"straight"',
         default="straight",
     )
+    curvature_sd: float = key(
+        "rest_curvature_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        'how far it may be turned from clamp to tip by its own curvature, where rest = "unknown" (one standard '
+        "deviation), degrees; 0: straight",
+        example="8.6",
+        default=CURVATURE_SD,
+    )  # rad

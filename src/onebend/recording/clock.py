@@ -21,10 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.recording.clock_moments import make_moments
+from onebend.recording.clock_range import ROUGHLY, prior_spread, search_range
 from onebend.recording.clock_rows import Rows, binned, thinned
 from onebend.recording.clock_search import coarse_search, likely_offsets, likely_span, refined
-from onebend.recording.clock_sharp import STEP_DOUBT, Prior, moments_of, sharpened
-from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
+from onebend.recording.clock_sharp import STEP_DOUBT, Prior, sharpened
+from onebend.recording.clock_words import TOO_LITTLE, remarks_on, unsettled_remark
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
@@ -66,31 +67,56 @@ def fit_clock(
 
     The prior takes `uncertainty` [s] as two sd of `said`, with exponential tails beyond. Where `said` is NaN every
     offset counts alike under which half of the film is inside the log. `found` is False where the data leave more than
-    half of the prior's spread; then the offset is what was said. `push_s` is the place of the push; with it, `log`
+    half of the prior's spread; then the offset is what was said. An `uncertainty` of 0 says that `said` is exact: it
+    is taken with an sd of 0, and only the log's noise is looked for. `push_s` is the place of the push; with it, `log`
     must be in the beam's axes (its sign and bias do not matter).
 
     Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
     beam moves slowly against its own oscillations for most of the film.
     """
-    low, high, prior = search_range(markers.time, log.time, said, uncertainty, settings)
+    if uncertainty == 0.0 and np.isfinite(said):
+        exact = ClockOffset(offset=said, sd=0.0, said=said, found=True)
+        return ClockFit(exact, noise_at(markers, log, said, push_s, settings))
+    low, high, prior = search_range(markers.time, log.time, said, uncertainty, settings.margin)
     spread = prior_spread(low, high, prior)
-    unsettled = ClockOffset(offset=said, sd=spread if np.isfinite(uncertainty) else np.inf, said=said, found=False)
+    doubt = min(spread, uncertainty) if uncertainty < ROUGHLY else spread if np.isfinite(uncertainty) else np.inf
+    unsettled = ClockOffset(offset=said, sd=doubt, said=said, found=False)
     rate = bandwidth(markers.time, displacements(markers))
     if not np.isfinite(rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
-    span = (markers.time[0] + low, markers.time[-1] + high)
-    most = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
-    rows = binned(log, max(8 * rate, settings.slowest), span, most)
-    enough = len(rows.time) >= 10 and rows.largest > 0
-    found = matched(markers, rows, rate, push_s, (low, high), prior, settings) if enough else None
+    rows = compared_rows(markers, log, rate, (low, high), settings)
+    found = None if rows is None else matched(markers, rows, rate, push_s, (low, high), prior, settings)
     if found is None:
-        return ClockFit(unsettled, None, (Remark("warning", f"{TOO_LITTLE}; {as_written(uncertainty)}."),))
+        return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
     offset, sd, noise = found
     if not sd < 0.5 * spread:
-        text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {as_written(uncertainty)}."
-        return ClockFit(unsettled, noise, (Remark("warning", text),))
+        return ClockFit(unsettled, noise, (unsettled_remark(offset - said, sd, uncertainty),))
     clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
     return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
+
+
+def compared_rows(
+    markers: Markers, log: ForceLog, rate: float, within: tuple[float, float], settings: ClockSettings
+) -> Rows | None:
+    """The log's rows that the film is laid over at offsets `within` [s]; None where they are too few, or all zero."""
+    span = (markers.time[0] + within[0], markers.time[-1] + within[1])
+    most = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
+    rows = binned(log, max(8 * rate, settings.slowest), span, most)
+    return rows if len(rows.time) >= 10 and rows.largest > 0 else None
+
+
+def noise_at(
+    markers: Markers, log: ForceLog, offset: float, push_s: float | None, settings: ClockSettings
+) -> ForceNoise | None:
+    """The log's noise at a known offset [s]; None where film and log have too little in common."""
+    rate = bandwidth(markers.time, displacements(markers))
+    rows = compared_rows(markers, log, rate, (offset, offset), settings) if np.isfinite(rate) else None
+    if rows is None:
+        return None
+    ways = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
+    searches = [coarse_search(track, rows, np.array([offset]), np.zeros_like) for track in ways]
+    searches = [search for search in searches if np.isfinite(search.chance).all()]
+    return max(searches, key=lambda search: float(search.chance[0])).noise if searches else None
 
 
 def matched(
@@ -140,31 +166,6 @@ def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, step
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
     made = [make_track(markers, push_s=place, polynomials=scale, **same) for place, scale in ways]
     return [track for track in made if track is not None]
-
-
-def search_range(
-    film: Array, log: Array, said: float, uncertainty: float, settings: ClockSettings
-) -> tuple[float, float, Prior]:
-    """Lowest and highest offset to try, and the log of the prior over offsets."""
-    half = 0.5 * (film[-1] - film[0])
-    first, last = log[0] - film[0] - half, log[-1] - film[-1] + half
-    if not (np.isfinite(said) and np.isfinite(uncertainty)):
-        return first, last, lambda offset: np.zeros_like(offset)
-    reach, scale = uncertainty + settings.margin, uncertainty / 2 + 0.05
-
-    def prior(offset: Array) -> Array:
-        away = np.abs(offset - said) / scale
-        return np.asarray(-np.where(away < 2, 0.5 * away**2, 2 * away - 2))
-
-    return max(first, said - reach), min(last, said + reach), prior
-
-
-def prior_spread(low: float, high: float, prior: Prior) -> float:
-    """sd of the prior over offsets, s."""
-    if high <= low:
-        return float("inf")
-    offset = np.linspace(low, high, 2001)
-    return moments_of(offset, prior(offset))[1]
 
 
 def displacements(markers: Markers) -> Array:

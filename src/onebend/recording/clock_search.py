@@ -37,7 +37,8 @@ def likely_span(searches: list[Search], coarse: Array, first: float, low: float,
 
 def likely_offsets(track: Track, rows: Rows, low: float, high: float, rate: float) -> Array:
     """Offsets to try from `low` to `high` [s], dense; of a long range only those around what a first look finds."""
-    fine = np.arange(low, high + 0.05, min(0.05, 0.25 / rate))
+    most = min(0.05, 0.1 * (high - low))
+    fine = np.arange(low, high + most, min(most, 0.25 / rate))
     if high - low < LONG:
         return fine
     look = np.arange(low, high, max(min(0.25, 0.25 / rate), 0.05))
@@ -102,7 +103,8 @@ def chances(track: Track, rows: Rows, offset: Array, noise: ForceNoise) -> Array
 
 def refined(search: Search, rows: Rows, coarse: Array, prior: Prior) -> tuple[float, float]:
     """Mean and sd of the posterior around its highest peak; other peaks widen the sd by their share."""
-    centre, reach = float(coarse[int(np.argmax(search.chance))]), max(3 * (coarse[1] - coarse[0]), 0.1)
+    centre = float(coarse[int(np.argmax(search.chance))])
+    reach = max(3 * (coarse[1] - coarse[0]), min(0.1, 0.25 * float(np.ptp(coarse))))
     mean, sd = centre, float("inf")
     for _ in range(6):
         offset = np.linspace(centre - reach, centre + reach, 33)

@@ -74,7 +74,8 @@ def sharpened(
 
     `first` [s]: an estimate of the offset. The noise is that at the likeliest offset: found at `first`, then again.
     """
-    offsets = np.arange(span[0], span[1] + 1e-9, max(STEP, (span[1] - span[0]) / (MOST - 1)))
+    wide = span[1] - span[0]
+    offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST - 1)))
     shared, z = common(moments, rows, np.append(offsets, first), first)
     if shared is None:
         return None

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from onebend.recording.clock_range import ROUGHLY
 from onebend.records import ClockOffset, Remark
 
-TOO_LITTLE = "Film and log share too little force and motion to match the clocks"
+AS_WRITTEN = "start_s is used as it is written"
+_CONTRADICTS = 3.0  # sd of the data beyond the uncertainty
+TOO_LITTLE = f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}."
 
 
-def as_written(uncertainty: float) -> str:
-    """What is used where the data settle nothing."""
-    if uncertainty > 0.0:
-        return "start_s is used as it is written"
-    return (
-        "start_s is used as it is written. start_uncertainty_s = 0 calls it exact: where it may be off, write by how "
-        "much, or leave both out and the whole log is searched"
-    )
+def unsettled_remark(away: float, sd: float, uncertainty: float) -> Remark:
+    """What is said where the data leave the offset open to `sd` [s], no closer than it was known before, and would
+    have the film start `away` [s] from what was said."""
+    if uncertainty < ROUGHLY and abs(away) > uncertainty + _CONTRADICTS * sd:
+        told = f"The data would have the film start {away:+.3f} s from start_s, more than its uncertainty"
+        return Remark("warning", f"{told}; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s.")
+    if uncertainty < ROUGHLY:
+        return Remark("note", f"The data tell the clocks' offset no better than start_uncertainty_s; {AS_WRITTEN}.")
+    return Remark("warning", f"The clocks could not be matched from the data (one sd {sd:.2g} s); {AS_WRITTEN}.")
 
 
 def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) -> tuple[Remark, ...]:

@@ -203,12 +203,19 @@ class Recording:
     markers: MarkersEntry | None = None
     poses: PosesEntry | None = None
     photos: PhotosEntry | None = None
+    scale_sd: float = math.nan  # of lengths in the picture; NaN: as usual
 
     @property
     def start(self) -> tuple[float, float]:
         """s: what the film's (or the tracker's) clock lacks to the log's as written, and its largest error."""
         source = self.video or self.markers
         return (source.start, source.start_uncertainty) if source is not None else (math.nan, math.inf)
+
+    @property
+    def clamp_sd(self) -> float:
+        """rad, as stated of the clamp's direction where the beam is seen at rest; NaN: as usual."""
+        source = self.video or self.markers
+        return math.nan if source is None else source.clamp_sd
 
     @property
     def place_sd(self) -> float:

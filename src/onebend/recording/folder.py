@@ -14,9 +14,16 @@ from onebend.recording.bag import is_bag
 from onebend.recording.bag_recording import check_bag, with_bags
 from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
-from onebend.recording.odd_entries import entry_remarks
+from onebend.recording.odd_entries import entry_remarks, spread_remarks
 from onebend.recording.schema import Mistakes, read_table, report_unknown
-from onebend.recording.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
+from onebend.recording.source_entries import (
+    CameraEntry,
+    MarkersEntry,
+    PhotosEntry,
+    PosesEntry,
+    UncalibratedEntry,
+    VideoEntry,
+)
 from onebend.records import Remark
 
 FILE_NAME = "recording.toml"
@@ -52,8 +59,11 @@ def read_recording(folder: Path | str) -> Recording:
     beam = read_table(BeamEntry, data["beam"], ("beam",), mistakes)
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
-        for name, record in SECTIONS.items()
+        for name, record in (SECTIONS | {"camera": camera_record(data)}).items()
     }
+    scale_sd = math.nan if sections["camera"] is None else sections["camera"].scale_sd
+    if isinstance(sections["camera"], UncalibratedEntry):
+        sections["camera"] = None
     beam = with_paths(beam, "beam", folder, mistakes)
     found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
     check_together(found, data, mistakes)
@@ -68,7 +78,12 @@ def read_recording(folder: Path | str) -> Recording:
         name=data.get("name", folder.resolve().name),
         beam=beam,
         tags=tags,
-        remarks=(*remarks_on(tags, data), *entry_remarks(beam, found["camera"])),
+        remarks=(
+            *remarks_on(tags, data),
+            *entry_remarks(beam, found["camera"]),
+            *spread_remarks(beam, found, scale_sd),
+        ),
+        scale_sd=scale_sd,
         **found,
     )
     return with_bags(rec, data)
@@ -88,6 +103,13 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
         raise RecordingError(f"{path} is not UTF-8 text (byte {wrong.start}). Save it as UTF-8.") from None
     except tomllib.TOMLDecodeError as wrong:
         raise RecordingError(f"{path} is not valid TOML: {wrong}. Text needs quotes, numbers a dot.") from None
+
+
+def camera_record(data: dict[str, Any]) -> type:
+    """What [camera] is read as: a calibration, or all that is known of a camera without one."""
+    table = data.get("camera")
+    alone = isinstance(table, dict) and set(table) == {"scale_sd"}
+    return UncalibratedEntry if alone else CameraEntry
 
 
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
@@ -180,5 +202,8 @@ def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
     film = data.get("video", data.get("markers"))
     if film is not None and "start_s" not in film and "force" in data:
         what = "the video starts" if "video" in data else "the tracks start"
-        remarks.append(Remark("note", f"recording.toml does not say when {what} on the force log's clock."))
+        text = f"recording.toml does not say when {what} on the force log's clock."
+        if "start_uncertainty_s" in film:
+            text = f"{text[:-1]}: start_uncertainty_s says nothing without start_s."
+        remarks.append(Remark("note", text))
     return tuple(remarks)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.recording.clock_range import ROUGHLY, reach_of
 from onebend.recording.entries import GravityEntry
 from onebend.records import Array, ClockOffset, Markers
 
@@ -74,7 +75,8 @@ def base_clock(markers: Markers, log: BaseLog, said: float, uncertainty: float, 
             return math.inf
         return float(np.var(np.interp(at[inside], log.time, log.angle) - angle[inside]))
 
-    reach, centre, width = uncertainty + margin, said, 0.02
+    farthest = reach_of(uncertainty, margin)
+    reach, centre, width = farthest, said, 0.02
     for width in (0.02, 0.002):
         tries = np.arange(centre - reach, centre + reach + width / 2, width)
         cost = np.array([misfit(each) for each in tries])
@@ -85,8 +87,10 @@ def base_clock(markers: Markers, log: BaseLog, said: float, uncertainty: float, 
     near = slice(max(best - 10, 0), best + 11)
     curve = float(np.polyfit(tries[near] - centre, cost[near], 2)[0])
     independent = max(float(np.ptp(time)), 2.0)
-    sd = math.sqrt(cost[best] / (independent * curve)) if curve > 0 else uncertainty
-    return ClockOffset(offset=centre, sd=max(sd, width), said=said, found=True)
+    sd = max(math.sqrt(cost[best] / (independent * curve)) if curve > 0 else uncertainty, width)
+    if uncertainty < ROUGHLY and (sd > 0.5 * uncertainty or abs(centre - said) > farthest):
+        return unsettled  # what is written is known better
+    return ClockOffset(offset=centre, sd=sd, said=said, found=True)
 
 
 def gravity_in_frame(entry: GravityEntry | None, log: BaseLog | None, markers: Markers, time: Array) -> Array:

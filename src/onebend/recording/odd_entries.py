@@ -1,15 +1,22 @@
-"""What in recording.toml is possible but unlikely: a camera, or a mass, that was probably written down wrong."""
+"""What in recording.toml is possible but unlikely: a camera, a mass, or an sd, that was probably written down wrong."""
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.source_entries import CameraEntry
-from onebend.records import Remark
+from onebend.records import CURVATURE_SD, Remark
 
 PIXELS = 0.05  # by which fx and fy may differ: pixels are square
 MIDDLE = 0.2  # of the picture, that the principal point may be away from its middle
 SHORTEST, LONGEST = 0.3, 10.0  # focal length over the picture's longer side: 118 deg to 6 deg of view
 HEAVIEST = 50.0  # kg/m, a steel bar of 90 mm
+LOOSEST = math.radians(15.0)  # sd of a clamp's direction
+ROUNDEST = 2.0  # rad, sd of what a beam turns by its own curvature
+ROUGHEST = 0.1  # sd of a picture's scale
+SOURCES = ("video", "markers", "poses", "photos")
 
 
 def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, ...]:
@@ -18,6 +25,24 @@ def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, 
     if beam.mass / beam.length > HEAVIEST:
         out.append(f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?")
     return tuple(Remark("warning", text) for text in out)
+
+
+def spread_remarks(beam: BeamEntry, found: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
+    """Of the stated sds of clamp, rest shape and scale: a warning where one is too large, a note where none is used."""
+    out = []
+    clamp = max((found[name].clamp_sd for name in SOURCES if found[name] is not None), default=math.nan)
+    if clamp > LOOSEST:
+        out.append(
+            f"clamp_sd_deg = {math.degrees(clamp):.3g} lets the clamp turn freely: k near it cannot be known then."
+        )
+    if beam.rest == "unknown" and beam.curvature_sd > ROUNDEST:
+        out.append(f"rest_curvature_sd_deg = {math.degrees(beam.curvature_sd):.3g} is a beam that may be rolled up.")
+    if scale_sd > ROUGHEST:
+        out.append(f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:.3g} %: is it a share (0.003 = 0.3 %)?")
+    remarks = [Remark("warning", text) for text in out]
+    if beam.rest == "straight" and beam.curvature_sd not in (0.0, CURVATURE_SD):
+        remarks.append(Remark("note", 'rest_curvature_sd_deg is used only with rest = "unknown".'))
+    return tuple(remarks)
 
 
 def camera_doubts(camera: CameraEntry) -> list[str]:

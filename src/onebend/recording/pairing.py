@@ -46,6 +46,8 @@ def match_clocks(
 ) -> ClockFit:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
+    Where the start is said to be exact, it is as written, with an sd of 0.
+
     Raises:
         ObservationError: film and log do not overlap, or nothing says when the film starts.
     """
@@ -58,13 +60,14 @@ def match_clocks(
         check_pace(rec, markers, log)
         turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
         fit = fit_clock(markers, turned, said, uncertainty, push_s=push_place(rec, log), settings=settings)
+    exact = uncertainty == 0.0 and math.isfinite(said)
+    if exact and fit is None:
+        fit = ClockFit(ClockOffset(offset=said, sd=0.0, said=said, found=True), None)
     if base is not None and (fit is None or not fit.clock.found):
         seen = base_clock(markers, base, said, uncertainty, margin=settings.margin)
         if seen.found or fit is None:
             fit = ClockFit(seen, None)
     assert fit is not None
-    if rec.markers is not None and uncertainty == 0.0 and math.isfinite(said):
-        fit = ClockFit(ClockOffset(offset=said, sd=0.0, said=said, found=True), fit.noise)  # one clock for both
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
             f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "

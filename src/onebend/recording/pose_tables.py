@@ -76,6 +76,8 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         mass=mass,
         placement_sd=rec.tags.placement_sd,
         turn_sd=rec.tags.turn_sd,
+        curvature_sd=rec.beam.curvature_sd,
+        scale_sd=rec.scale_sd,
         rest=rec.beam.rest,
         clock=None,
         clean_force=None,

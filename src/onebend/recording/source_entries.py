@@ -38,6 +38,18 @@ def clamp_sd(default: float) -> Any:
     return key("clamp_sd_deg", number(least=0, scale=math.pi / 180), says, example="1.0", default=default)
 
 
+def clamp_turn_sd() -> Any:
+    """The key `clamp_sd_deg`, kept in rad, where the beam is seen at rest; NaN: as usual."""
+    says = "how far the clamp may be turned against the beam at rest (one standard deviation), degrees; 0: not at all"
+    return key("clamp_sd_deg", number(least=0, scale=math.pi / 180), says, example="0.17", default=math.nan)
+
+
+def scale_sd() -> Any:
+    """The key `scale_sd`; NaN: as usual."""
+    says = "how far off lengths in the picture may be (one standard deviation, 0.003 = 0.3 %); 0: exact"
+    return key("scale_sd", number(least=0), says, example="0.003", default=math.nan)
+
+
 @dataclass(frozen=True)
 class CameraEntry:
     """[camera]: a pinhole camera with OpenCV's lens model, as calibrated."""
@@ -54,6 +66,14 @@ class CameraEntry:
         "the lens: k1, k2, p1, p2 and, if known, k3, as OpenCV calibrates it",
         example="[0.0, 0.0, 0.0, 0.0]",
     )
+    scale_sd: float = scale_sd()
+
+
+@dataclass(frozen=True)
+class UncalibratedEntry:
+    """[camera] where it says of the pictures' scale alone, and holds no calibration."""
+
+    scale_sd: float = scale_sd()
 
 
 @dataclass(frozen=True)
@@ -80,10 +100,11 @@ class VideoEntry:
     start_uncertainty: float = key(
         "start_uncertainty_s",
         number(least=0),
-        "how far off start_s may be (its largest error), s",
+        "how far off start_s may be (its largest error), s; 0: exact, nothing is looked for",
         example="2.0",
         default=2.0,
     )  # s; infinity where start_s is not given
+    clamp_sd: float = clamp_turn_sd()  # rad
 
 
 @dataclass(frozen=True)
@@ -138,6 +159,7 @@ class MarkersEntry:
         example="[0.0, 0.0, 1.0]",
         default=(0.0, 0.0, 1.0),
     )
+    clamp_sd: float = clamp_turn_sd()  # rad
 
 
 @dataclass(frozen=True)

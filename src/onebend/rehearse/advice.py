@@ -126,7 +126,8 @@ def _instruments(setup: Setup) -> Iterator[Thought]:
     turn = np.rad2deg(seated.turn_sd)
     words = f"place the tags to {1e3 * seated.placement_sd:.2g} mm and {turn:.2g} deg (printed carriers)"
     yield "placement", words, seated
-    yield "clock", f"clocks known to {1e3 * SYNCHRONISED:g} ms", replace(setup, clock_sd=SYNCHRONISED)
+    if not setup.clock_sd <= SYNCHRONISED:  # NaN: found from the data
+        yield "clock", f"clocks known to {1e3 * SYNCHRONISED:g} ms", replace(setup, clock_sd=SYNCHRONISED)
     sharp = replace(setup.noise, white_xy=0.5 * setup.noise.white_xy, white_angle=0.5 * setup.noise.white_angle)
     yield "camera", "a picture of twice the pixels a millimetre, or tags twice as large", replace(setup, noise=sharp)
 

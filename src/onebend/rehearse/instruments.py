@@ -16,11 +16,10 @@ import numpy as np
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import LOG_BEFORE
-from onebend.learning.parameters import Priors
 from onebend.learning.workbench import Bench, ForceDoubt
 from onebend.learning.workbench import Push as EvenPush
 from onebend.recording.frame import MOUNTING_SD
-from onebend.records import DIRECTION_SD, PLACE_SD
+from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD
 from onebend.rehearse.setup import Setup
 
 FUNCTIONS = 45  # of log k, as the fit has
@@ -59,9 +58,8 @@ def instruments(setup: Setup) -> Instruments:
     """Bench and doubts before any push; what differs between the pushes is that of the longest."""
     push = max(setup.pushes, key=_seconds)
     seconds, tags = _seconds(push), len(setup.tags)
-    priors = Priors()
     shared = ("along", "across", "turn") if setup.rest == "straight" else ("curvature", "along", "across", "turn")
-    sd = {"curvature": [priors.curvature] * 3, "turn": [setup.turn_sd] * tags}
+    sd = {"curvature": [CURVATURE_SD] * 3, "turn": [setup.turn_sd] * tags}
     prior = np.concatenate([sd.get(name, [setup.placement_sd] * tags) for name in shared])
     clock = clock_sd(setup.sensor, push) if math.isnan(setup.clock_sd) else setup.clock_sd
     bench = Bench(
@@ -74,10 +72,10 @@ def instruments(setup: Setup) -> Instruments:
         rest_after=push.after + LOG_BEFORE if push.after > 0.0 else 0.0,
         placement_sd=setup.placement_sd,
         turn_sd=setup.turn_sd,
-        curvature_sd=0.0 if setup.rest == "straight" else priors.curvature,
+        curvature_sd=0.0 if setup.rest == "straight" else CURVATURE_SD,
         mass_sd=0.0,
         mass_spread_sd=0.0,
-        clamp_sd=clamp_sd(setup, priors.clamp),
+        clamp_sd=clamp_sd(setup, CLAMP_SD),
         origin_sd=setup.placement_sd,
         scale_sd=0.0,
         clock_sd=clock,

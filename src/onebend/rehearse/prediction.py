@@ -113,6 +113,8 @@ def known_exactly(used: Instruments) -> dict[str, Instruments]:
         out["shape at rest"] = replace(bench, curvature_sd=e * bench.curvature_sd)
     if bench.gain_sd == 0.0:
         del out["force's gain"]
+    if bench.clock_sd == 0.0:
+        del out["clock"]
     return {name: replace(used, bench=one) for name, one in out.items()} | {
         "force's bias and slow error": Instruments(replace(bench, force=steady), replace(push, load=e * push.load)),
         "push's place": replace(used, push=replace(push, place=e * push.place)),

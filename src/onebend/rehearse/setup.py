@@ -44,7 +44,7 @@ class Setup:
     fps: float = 30.0
     placement_sd: float = 5e-4  # m, a tag's place along and across
     turn_sd: float = TURN_SD  # rad, a tag's turn on the beam
-    clock_sd: float = nan  # s, how well the two clocks are known; NaN: found from the data
+    clock_sd: float = nan  # s, how well the two clocks are known; 0: one clock; NaN: found from the data
 
     def __post_init__(self) -> None:
         check(self)
@@ -71,8 +71,8 @@ def check(setup: Setup) -> None:
     for what, size in (("placement_sd", setup.placement_sd), ("turn_sd", setup.turn_sd)):
         if not (isfinite(size) and size > 0.0):
             raise RecordingError(f"{what} must be above zero, got {size}: no tag is put on without an error")
-    if not setup.fps > 0.0 or setup.clock_sd <= 0.0:
-        raise RecordingError("the frame rate, and the clock's sd where it is given, must be above zero")
+    if not setup.fps > 0.0 or setup.clock_sd < 0.0:
+        raise RecordingError("the frame rate must be above zero, and the clock's sd, where it is given, not below")
 
 
 def _check_tags(tags: tuple[float, ...]) -> None:

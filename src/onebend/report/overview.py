@@ -99,6 +99,8 @@ def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]
     how = "not calibrated: the tags' size gives the scale"
     if camera is not None:
         how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
+    if np.isfinite(recording.scale_sd):
+        how += f"; lengths to {100.0 * recording.scale_sd:.3g} % (sd)"
     video = " ".join((recording.video.file.name, recording.video.topic)).strip()
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
@@ -131,7 +133,8 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     start, doubt = recording.start
     source = " ".join((recording.force.file.name, recording.force.topic)).strip()
     what = "the video starts" if recording.video is not None else "the tracks start"
-    said = f"{what} at {start:.3f} s of the log, give or take {doubt:.2g} s"
+    told = f"give or take {doubt:.2g} s" if doubt > 0.0 else "as written: exact, nothing is looked for"
+    said = f"{what} at {start:.3f} s of the log, {told}"
     return [
         ("force log", f"{source}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
         ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "

@@ -69,6 +69,8 @@ def worst_marker(one: Comparison) -> str:
 
 def clock_words(clock: ClockOffset) -> str:
     """The offset with its sd, against what was said."""
+    if clock.sd == 0.0:
+        return f"{clock.offset:.3f} s as written in recording.toml, which calls it exact"
     if not clock.found:
         return f"{clock.offset:.3f} s as written in recording.toml; the data could not settle it"
     away = 1000.0 * (clock.offset - clock.said)

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
 from onebend.records import (
+    CURVATURE_SD,
     DIRECTION_SD,
     PLACE_SD,
     TURN_SD,
@@ -40,7 +41,16 @@ _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of
 _VECTORS = ("tag_id", "marker_s", "force_sd", "rest_xy", "rest_angle", "rest_covariance")
 _SCALARS = (
     *("name", "length", "mass", "placement_sd", "rest", "gain_sd", "static", "sd_known", "mass_sd", "clamp_sd"),
-    *("place_sd", "direction_sd", "turn_sd", "load_error_sd", "mass_along", "stiffness_along"),
+    *(
+        "place_sd",
+        "direction_sd",
+        "turn_sd",
+        "curvature_sd",
+        "scale_sd",
+        "load_error_sd",
+        "mass_along",
+        "stiffness_along",
+    ),
 )
 _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "gain_sd": 0.0,
@@ -52,6 +62,8 @@ _LATER: dict[str, Any] = {  # what files of earlier versions lack
     "place_sd": PLACE_SD,
     "direction_sd": DIRECTION_SD,
     "turn_sd": TURN_SD,
+    "curvature_sd": CURVATURE_SD,
+    "scale_sd": math.nan,
     "load_error_sd": math.nan,
     "known": None,
     "mass_line": None,

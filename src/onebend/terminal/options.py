@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from onebend.learning.parameters import Priors
+from onebend.records import CLAMP_SD
 
-CLAMP_DEG = math.degrees(Priors().clamp)
+CLAMP_DEG = math.degrees(CLAMP_SD)
 LEAST = 1e-6  # of what must be positive
 
 Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
@@ -66,7 +66,8 @@ ClampSd = Annotated[
         "--clamp-sd-deg",
         min=0.0,
         metavar="DEG",
-        help=f"How far the clamp may be turned, one sd; default: {CLAMP_DEG:.2g}. It trades off against k.",
+        help=f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
+        f"{CLAMP_DEG:.2g}. It trades off against k.",
     ),
 ]
 Threads = Annotated[

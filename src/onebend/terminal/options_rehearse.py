@@ -47,7 +47,10 @@ TurnSd = Annotated[
 ClockSd = Annotated[
     float | None,
     typer.Option(
-        "--clock-sd-s", min=1e-6, metavar="S", help="How well the clocks agree; default: found from the data."
+        "--clock-sd-s",
+        min=0.0,
+        metavar="S",
+        help="How well the clocks agree; 0: one clock; default: found from the data.",
     ),
 ]
 Runs = Annotated[int, typer.Option(min=0, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")]
