@@ -87,16 +87,18 @@ class KeyFrames:
         self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
         self.whiten(i)
 
-    def quadratic(self, i: int, marker: float, white: float) -> tuple[Array, Array]:
-        """Information (n + 2, n + 2) and right side of frame i in x and its force error, at given noise."""
+    def said(self, i: int, marker: float, white: float) -> Array:
+        """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
+        noise, and two of the log itself where nothing pushes.
+        """
         root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
-        rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i]], axis=1)
-        information, b = rows.T @ rows, rows.T @ (root[:, 0] * self.rows_z[i])
-        if self.rest[i]:
-            certain = self.frames[i] / (AT_REST * white) ** 2
-            information[[-2, -1], [-2, -1]] += certain
-            b[-2:] += certain * self.force[i]
-        return information, b
+        rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i], self.rows_z[i][:, None]], axis=1)
+        if not self.rest[i]:
+            return rows
+        certain = np.sqrt(self.frames[i]) / (AT_REST * white)
+        log = np.zeros((2, rows.shape[1]))
+        log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
+        return np.concatenate([rows, log])
 
     def set_information(self, i: int, information: Array) -> None:
         """(m, 3, 3) of the measured poses of frame i; zero where a tag is not seen."""
@@ -112,22 +114,38 @@ class KeyFrames:
 
 @dataclass
 class Past:
-    """Folded frames: `x' H x - 2 b' x + c` in the parameters and the slow force error (2,) at `time`."""
+    """Folded frames, as rows of unit noise on the parameters and the slow force error (2,) at `time`.
 
-    information: Array  # (n + 2, n + 2)
-    b: Array  # (n + 2,)
+    Rows and not their quadratic: what the error's changes take from it is a difference, and rounding in that grows from
+    fold to fold until the information has directions below zero (square-root information filter, Bierman 1977).
+    """
+
+    rows: Array  # (n + 2, n + 3) upper triangular `[R | z]`: |R (x, e) - z|^2
     time: float  # s; minus infinity while nothing is folded
     own: float = 0.0  # the load's own time there
 
-    def add(self, information: Array, b: Array, time: float, own: float, *, slow: float, fast: float) -> None:
-        """One more frame's say in x and its own force error; the slow error of all the past is moved to its time.
+    @property
+    def information(self) -> Array:
+        """(n + 2, n + 2)."""
+        return self.rows[:, :-1].T @ self.rows[:, :-1]
+
+    @property
+    def b(self) -> Array:
+        """(n + 2,) the right side."""
+        return self.rows[:, :-1].T @ self.rows[:, -1]
+
+    def add(self, said: Array, time: float, own: float, *, slow: float, fast: float) -> None:
+        """One more frame's say (R, n + 3) in x and its own force error; the slow error of the past moves to its time.
 
         `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
         """
-        if np.isfinite(self.time):
-            self.information, self.b = loosened(self.information, self.b, slow)
-        said, right = loosened(information, b, fast)
-        self.information, self.b, self.time, self.own = self.information + said, self.b + right, time, own
+        both = np.concatenate([loosened(self.rows, slow), loosened(said, fast)])
+        self.rows, self.time, self.own = _triangle(both)[: len(self.rows)], time, own
+
+
+def nothing_folded(parameters: int) -> Past:
+    """The past before a frame was folded."""
+    return Past(np.zeros((parameters + 2, parameters + 3)), -np.inf)
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
@@ -238,8 +256,18 @@ def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
     keys.drop(k)
 
 
-def loosened(information: Array, b: Array, variance: float) -> tuple[Array, Array]:
-    """The last two unknowns, e, replaced by c with e = c + d, d normal of that variance: d is integrated out."""
-    edge = information[:, -2:]
-    shrink = variance * np.linalg.inv(np.eye(2) + variance * information[-2:, -2:])
-    return information - edge @ shrink @ edge.T, b - edge @ shrink @ b[-2:]
+def loosened(rows: Array, variance: float) -> Array:
+    """Rows (R, n + 3) on (x, e) as what they say where e = c + d, d (2,) normal of that variance [N^2] and integrated
+    out: at most as many rows on (x, c).
+    """
+    if variance <= 0.0:
+        return rows
+    wide = np.zeros((len(rows) + 2, rows.shape[1] + 2))  # d before the others: its rows come out on top
+    wide[:2, :2] = np.eye(2) / np.sqrt(variance)
+    wide[2:, :2], wide[2:, 2:] = rows[:, -3:-1], rows
+    return _triangle(wide)[2:, 2:]
+
+
+def _triangle(rows: Array) -> Array:
+    """R of the QR decomposition: at most as many rows as columns, zero below the diagonal."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))

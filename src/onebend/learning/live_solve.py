@@ -225,15 +225,16 @@ def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: t
         return
     (h, side, b), (information, right), told = first, of_k, past.information
     p, n = len(right), len(told) - 2
+    said = past.b
     h[known:, known:] += told[p:n, p:n]
     h[known:, :2] += told[p:n, n:]
     h[:2, :2] += told[n:, n:]
     side[known:] += told[p:n, :p]
     side[:2] += told[n:, :p]
-    b[known:] += past.b[p:n]
-    b[:2] += past.b[n:]
+    b[known:] += said[p:n]
+    b[:2] += said[n:]
     information += told[:p, :p]
-    right += past.b[:p]
+    right += said[:p]
 
 
 def _inverse(c: Array) -> tuple[Array, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from onebend.learning.force_error import LOAD
 from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.frame_input import Frame
-from onebend.learning.key_frames import Past, accept_average, closest_pairs, empty, propose_average
+from onebend.learning.key_frames import accept_average, closest_pairs, empty, nothing_folded, propose_average
 from onebend.learning.live_frames import Linearizer
 from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
 from onebend.learning.live_scales import ScaleSearch
@@ -55,7 +55,7 @@ class Smoother:
         self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
         self.scales = scales
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
-        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), -np.inf)
+        self.past = nothing_folded(n)
         self._setting, self._start, self._habits = setting, start, habits
         self._search = ScaleSearch(scales, ("coloured", "memory", "walk", "load", "white"), habits.memory_doubt)
         spline, level = setting.at.spline, float(start.mean[0])
@@ -286,12 +286,12 @@ class Smoother:
     def _fold_oldest(self) -> None:
         """The oldest key frame becomes part of the past."""
         keys, process = self.keys, self._process(self.scales)
-        information, b = keys.quadratic(0, max(self.scales.marker, self._coarse), process.white)
+        said = keys.said(0, max(self.scales.marker, self._coarse), process.white)
         fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
         lately = self._stages.own(np.array([keys.centre[0], self.past.time]))
         own = float(keys.own[0] - self.past.own + lately[0] - lately[1])
         slow = slow_variance(process, float(keys.end[0]) - self.past.time, own)
-        self.past.add(information, b, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
+        self.past.add(said, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
         keys.drop(0)
 
     def _process(self, scales: LiveScales) -> ForceProcess:
