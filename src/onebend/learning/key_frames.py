@@ -2,8 +2,8 @@
 
 A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
 measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
-present estimate leaves of both, put on its prediction under the mean force, is as if measured there. A frame that can
-be averaged with none is folded into the past: a quadratic in x and one slow force error, which stays as linearised.
+present estimate leaves of both, put on its prediction under the mean force, is as if measured there. Where none can be
+averaged the oldest is folded away (`live_past.py`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class KeyFrames:
     q: Array  # (K, Q) rad, the shape to start from
     grid: Array  # (K,) place of the push whose grid that is on; 0: there is none yet
     by_force: Array  # (K, Q, 2) of it with the logged force
-    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last
+    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last, and to follow them
+    lost: BoolArray  # (K,) has no equilibrium at those parameters: stays as it was linearised before
     rows_j: Array  # (K, 3 m, n) whitened
     rows_a: Array  # (K, 3 m, 2)
     rows_z: Array  # (K, 3 m)
@@ -83,7 +84,7 @@ class KeyFrames:
         self.measured[i, :, 2] -= 2.0 * np.pi * turns
         a = a * ~self.rest[i][:, None, None, None]
         left = self.measured[i] - pose
-        self.j[i], self.a[i], self.left[i], self.stale[i] = j, a, left, False
+        self.j[i], self.a[i], self.left[i], self.stale[i], self.lost[i] = j, a, left, False, False
         self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
         self.whiten(i)
 
@@ -94,7 +95,7 @@ class KeyFrames:
         root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
         rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i], self.rows_z[i][:, None]], axis=1)
         if not self.rest[i]:
-            return rows
+            return np.asarray(rows)
         certain = np.sqrt(self.frames[i]) / (AT_REST * white)
         log = np.zeros((2, rows.shape[1]))
         log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
@@ -110,42 +111,6 @@ class KeyFrames:
         self.rows_j[i] = (root @ self.j[i]).reshape(count, -1, self.j.shape[-1])
         self.rows_a[i] = (root @ self.a[i]).reshape(count, -1, 2)
         self.rows_z[i] = (root @ self.zeta[i][..., None]).reshape(count, -1)
-
-
-@dataclass
-class Past:
-    """Folded frames, as rows of unit noise on the parameters and the slow force error (2,) at `time`.
-
-    Rows and not their quadratic: what the error's changes take from it is a difference, and rounding in that grows from
-    fold to fold until the information has directions below zero (square-root information filter, Bierman 1977).
-    """
-
-    rows: Array  # (n + 2, n + 3) upper triangular `[R | z]`: |R (x, e) - z|^2
-    time: float  # s; minus infinity while nothing is folded
-    own: float = 0.0  # the load's own time there
-
-    @property
-    def information(self) -> Array:
-        """(n + 2, n + 2)."""
-        return self.rows[:, :-1].T @ self.rows[:, :-1]
-
-    @property
-    def b(self) -> Array:
-        """(n + 2,) the right side."""
-        return self.rows[:, :-1].T @ self.rows[:, -1]
-
-    def add(self, said: Array, time: float, own: float, *, slow: float, fast: float) -> None:
-        """One more frame's say (R, n + 3) in x and its own force error; the slow error of the past moves to its time.
-
-        `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
-        """
-        both = np.concatenate([loosened(self.rows, slow), loosened(said, fast)])
-        self.rows, self.time, self.own = _triangle(both)[: len(self.rows)], time, own
-
-
-def nothing_folded(parameters: int) -> Past:
-    """The past before a frame was folded."""
-    return Past(np.zeros((parameters + 2, parameters + 3)), -np.inf)
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
@@ -179,6 +144,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         grid=room(),
         by_force=room(nodes, 2),
         stale=np.zeros(count, dtype=bool),
+        lost=np.zeros(count, dtype=bool),
         rows_j=room(3 * tags, parameters),
         rows_a=room(3 * tags, 2),
         rows_z=room(3 * tags),
@@ -205,6 +171,7 @@ def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most:
     centre = 0.5 * (keys.begin + keys.end)
     time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
     alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
+    alike &= ~(keys.lost[part] | keys.lost[rear])
     alike &= np.abs(own[1:count] - own[: count - 1]) <= _SAME_STAGE
     alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
     alike &= np.abs(keys.gravity[rear] - keys.gravity[part]).max(axis=1) <= _SAME_GRAVITY
@@ -227,7 +194,7 @@ def propose_average(keys: KeyFrames, i: int, at: int) -> None:
     for values in (keys.own, keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
         values[at] = (1.0 - share) * values[i] + share * values[k]
     keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
-    keys.rest[at] = keys.rest[i]
+    keys.rest[at], keys.lost[at] = keys.rest[i], False
     keys.grid[at] = keys.grid[i]
     if keys.grid[k] != keys.grid[i]:
         keys.q[at] = keys.q[i]
@@ -254,20 +221,3 @@ def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
     for values in keys.arrays():
         values[i] = values[at]
     keys.drop(k)
-
-
-def loosened(rows: Array, variance: float) -> Array:
-    """Rows (R, n + 3) on (x, e) as what they say where e = c + d, d (2,) normal of that variance [N^2] and integrated
-    out: at most as many rows on (x, c).
-    """
-    if variance <= 0.0:
-        return rows
-    wide = np.zeros((len(rows) + 2, rows.shape[1] + 2))  # d before the others: its rows come out on top
-    wide[:2, :2] = np.eye(2) / np.sqrt(variance)
-    wide[2:, :2], wide[2:, 2:] = rows[:, -3:-1], rows
-    return _triangle(wide)[2:, 2:]
-
-
-def _triangle(rows: Array) -> Array:
-    """R of the QR decomposition: at most as many rows as columns, zero below the diagonal."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))

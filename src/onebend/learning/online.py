@@ -20,12 +20,12 @@ from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
 from onebend.learning.live_scales import MEMORY_DOUBT
-from onebend.learning.live_setting import Setting, live_layout
+from onebend.learning.live_setting import Habits, Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
 from onebend.learning.parameters import Layout, Priors
 from onebend.learning.posterior import Nuisance
 from onebend.learning.roughness import RHO, TAU
-from onebend.learning.smoother import Habits, Smoother
+from onebend.learning.smoother import Smoother
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
 
@@ -69,6 +69,7 @@ class Update:
     distance: Array  # (m,) the same in sd of what was expected (root of chi-square with 3 degrees); NaN likewise
     accepted: BoolArray  # (m,) tags that were used
     solved: bool  # False: the estimate has no equilibrium under this force, nothing was learned from the frame
+    doubts: tuple[str, ...]  # why k(s) is not to be relied on after this frame; empty as a rule
 
 
 class OnlineLearner:
@@ -153,17 +154,16 @@ class OnlineLearner:
         rate = np.zeros(2) if self._last is None else (frame.force - self._last[1]) / (time - self._last[0])
         self._last = (time, frame.force)
         nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
-        if loaded and not np.any(frame.seen):
-            return Update(*nothing, solved=True)
         state = self._state
+        if loaded and not np.any(frame.seen):
+            return Update(*nothing, solved=True, doubts=state.doubts)
         if not state.enter(frame, rate):
-            state.x = state.x.copy()
-            state.x[: self.settings.functions] += _STIFFER
-            return Update(*nothing, solved=False)
+            state.stiffen(_STIFFER)
+            return Update(*nothing, solved=False, doubts=state.doubts)
         found = state.gate(frame)
         state.advance()
         self._frames += 1
-        return Update(*found, solved=True)
+        return Update(*found, solved=True, doubts=state.doubts)
 
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
@@ -188,12 +188,19 @@ class OnlineLearner:
 
     @property
     def stiffness(self) -> UncertainStiffness:
-        """k(s) with its band, as it is now."""
+        """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
         self._state.catch_up()
         spline, (mean, covariance, steps) = self._setting.at.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
-        return UncertainStiffness(fine.knots, onto @ mean[:p], 0.5 * (spread + spread.T), self._gain_sd)
+        coefficients, spread = onto @ mean[:p], 0.5 * (spread + spread.T)
+        return UncertainStiffness(fine.knots, coefficients, spread, self._gain_sd, doubts=self._state.doubts)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why `stiffness` is not to be relied on as it is now; empty as a rule."""
+        self._state.catch_up()
+        return self._state.doubts
 
     @property
     def force_error(self) -> Array:
