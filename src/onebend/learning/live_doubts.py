@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.learning.key_frames import KeyFrames
-from onebend.learning.live_noise import without_force
+from onebend.learning.live_noise import force_in, without_force
 from onebend.learning.misses import MISS
 from onebend.records import Array, BoolArray
 
@@ -44,13 +44,15 @@ def live_doubts(keys: KeyFrames, marker: float, coarse: float) -> tuple[str, ...
 
 
 def _missed(keys: KeyFrames) -> str:
-    """The tag that is missed by most of its own motion, where that is more than the fit lets pass; else nothing."""
+    """The tag that is missed by most of its own motion whatever the force is, where that is more than the fit lets
+    pass; else nothing."""
     used = keys.used
     seen = keys.information[:used, :, 0, 0] > 0.0
     pushed = seen & ~keys.rest[:used, None]
     counts = np.maximum(np.sum(pushed * keys.frames[:used, None], axis=0), 1.0)  # (m,) frames
-    left = np.sum(keys.left[:used, :, :2] ** 2, axis=-1)
-    rms = np.sqrt(np.sum(pushed * keys.frames[:used, None] * left, axis=0) / counts)
+    force = force_in((keys.root[:used] @ keys.left[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
+    left = keys.left[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
+    rms = np.sqrt(np.sum(pushed * keys.frames[:used, None] * np.sum(left**2, axis=-1), axis=0) / counts)
     of_xy = np.sum(pushed * np.trace(keys.information[:used, :, :2, :2], axis1=2, axis2=3), axis=0)
     noise = 2.0 / np.sqrt(np.maximum(of_xy / counts, 1e-300))  # m, of one frame, x and y alike
     motion = _motion(keys.measured[:used, :, :2], seen)
@@ -67,4 +69,6 @@ def _missed(keys: KeyFrames) -> str:
 def _motion(xy: Array, seen: BoolArray) -> Array:
     """(m,) m: from end to end of where each tag was seen; infinite where it never was."""
     high, low = (np.where(seen[..., None], xy, beyond) for beyond in (-np.inf, np.inf))
-    return np.asarray(np.linalg.norm(np.max(high, axis=0, initial=-np.inf) - np.min(low, axis=0, initial=np.inf), axis=-1))
+    return np.asarray(
+        np.linalg.norm(np.max(high, axis=0, initial=-np.inf) - np.min(low, axis=0, initial=np.inf), axis=-1)
+    )

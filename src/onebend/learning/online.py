@@ -112,6 +112,7 @@ class OnlineLearner:
         self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
         known, x = _start(at, start)
         self._state = Smoother(self._setting, known, x, _scales(settings), _habits(settings))
+        self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None
         self._frames = 0
 
@@ -156,14 +157,14 @@ class OnlineLearner:
         nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
         state = self._state
         if loaded and not np.any(frame.seen):
-            return Update(*nothing, solved=True, doubts=state.doubts)
+            return Update(*nothing, solved=True, doubts=self._doubts + state.doubts)
         if not state.enter(frame, rate):
             state.stiffen(_STIFFER)
-            return Update(*nothing, solved=False, doubts=state.doubts)
+            return Update(*nothing, solved=False, doubts=self._doubts + state.doubts)
         found = state.gate(frame)
         state.advance()
         self._frames += 1
-        return Update(*found, solved=True, doubts=state.doubts)
+        return Update(*found, solved=True, doubts=self._doubts + state.doubts)
 
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
@@ -194,13 +195,15 @@ class OnlineLearner:
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
         coefficients, spread = onto @ mean[:p], 0.5 * (spread + spread.T)
-        return UncertainStiffness(fine.knots, coefficients, spread, self._gain_sd, doubts=self._state.doubts)
+        return UncertainStiffness(
+            fine.knots, coefficients, spread, self._gain_sd, doubts=self._doubts + self._state.doubts
+        )
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why `stiffness` is not to be relied on as it is now; empty as a rule."""
         self._state.catch_up()
-        return self._state.doubts
+        return self._doubts + self._state.doubts
 
     @property
     def force_error(self) -> Array:
