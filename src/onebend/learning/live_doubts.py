@@ -49,6 +49,8 @@ def _missed(keys: KeyFrames) -> str:
     used = keys.used
     seen = keys.information[:used, :, 0, 0] > 0.0
     pushed = seen & ~keys.rest[:used, None]
+    if not np.any(pushed):
+        return ""
     counts = np.maximum(np.sum(pushed * keys.frames[:used, None], axis=0), 1.0)  # (m,) frames
     force = force_in((keys.root[:used] @ keys.left[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
     left = keys.left[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
@@ -69,6 +71,4 @@ def _missed(keys: KeyFrames) -> str:
 def _motion(xy: Array, seen: BoolArray) -> Array:
     """(m,) m: from end to end of where each tag was seen; infinite where it never was."""
     high, low = (np.where(seen[..., None], xy, beyond) for beyond in (-np.inf, np.inf))
-    return np.asarray(
-        np.linalg.norm(np.max(high, axis=0, initial=-np.inf) - np.min(low, axis=0, initial=np.inf), axis=-1)
-    )
+    return np.asarray(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0), axis=-1))
