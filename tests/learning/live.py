@@ -11,7 +11,8 @@ from onebend.beam.loads import push, twist
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import LogSpline
-from onebend.learning.online import OnlineLearner, OnlineSettings, Update
+from onebend.learning.online import OnlineLearner, Update
+from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU
 from onebend.learning.spline import Spline
 from onebend.recording.frame import MOUNTING_SD

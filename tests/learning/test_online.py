@@ -11,7 +11,8 @@ import pytest
 from scipy.stats import chi2
 
 from onebend.beam.stiffness import LogSpline
-from onebend.learning.online import OnlineLearner, OnlineSettings
+from onebend.learning.online import OnlineLearner
+from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.replay import replay
 from onebend.learning.spline import Spline

@@ -13,7 +13,8 @@ from onebend.errors import LearningError
 from onebend.learning import smoother
 from onebend.learning.live_doubts import FAILED, TOO_SOFT
 from onebend.learning.live_solve import Solution, solve
-from onebend.learning.online import OnlineLearner, OnlineSettings
+from onebend.learning.online import OnlineLearner
+from onebend.learning.online_settings import OnlineSettings
 from onebend.records import Array
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.live import NOISE, S, shown
@@ -125,6 +126,7 @@ def test_a_bad_frame_is_refused_and_changes_nothing(where: int, value: object, w
         (0.15, MARKERS, -0.03, OnlineSettings(), "positive"),
         (0.15, MARKERS, 0.03, OnlineSettings(force_noise=0.0), "force_noise"),
         (0.15, MARKERS, 0.03, OnlineSettings(key_frames=2), "key_frames"),
+        (0.15, MARKERS, 0.03, OnlineSettings(force_load=-0.01), "force_load"),
     ],
 )
 def test_a_learner_without_meaning_is_refused(

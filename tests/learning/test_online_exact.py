@@ -16,7 +16,7 @@ from onebend.learning.live_model import Inputs, linearise
 from onebend.learning.live_past import loosened, nothing_folded
 from onebend.learning.live_setting import Setting, live_layout, place_at
 from onebend.learning.live_solve import LiveScales, Start, gather, solve
-from onebend.learning.online import OnlineSettings
+from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.parameters import Layout, Priors, clamp_sd
 from onebend.learning.replay import replay
 from onebend.learning.spline import Spline

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.online import OnlineLearner, OnlineSettings
+from onebend.learning.online import OnlineLearner
+from onebend.learning.online_settings import OnlineSettings
 from tests.learning.bench import MARKERS, SOFT
 from tests.learning.live import S, learned, many_pushes, shown
 

@@ -223,12 +223,13 @@ class Smoother:
     def settle(self, rounds: int) -> None:
         """Linearise everything anew and solve, several times; then look about the scales once more."""
         self.catch_up()
+        if self._failed:  # what would be linearised at is of other key frames
+            return
         for _ in range(rounds):
-            if self._failed:
-                return
             self.move()
             self._linearise(list(range(self.keys.used)))
-            self.renew()
+            if not self.renew():
+                return
         if self._habits.adapt:
             for _ in range(2 * self._search.round):
                 self.look_about()
