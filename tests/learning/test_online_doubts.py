@@ -11,6 +11,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning import smoother
+from onebend.learning.key_frames import KeyFrames
 from onebend.learning.live_doubts import FAILED, TOO_SOFT
 from onebend.learning.live_solve import Solution, solve
 from onebend.learning.online import OnlineLearner
@@ -64,6 +65,25 @@ def test_a_beam_that_stands_where_the_estimate_would_not_is_stiffened_until_it_d
     assert rest[-1].solved
     assert TOO_SOFT not in rest[-1].doubts
     assert learner.frames > 10
+
+
+def test_a_key_frame_that_the_estimate_cannot_carry_is_said_and_taken_up_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = observed(SOFT, forces(24), noise=NOISE, seed=2)
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=FEW)
+    assert shown(learner, made, range(24))[-1].doubts == ()
+    linear = learner._state._linear
+    really = linear.renew
+
+    def without_third(keys: KeyFrames, chosen: list[int], point: Array) -> set[int]:
+        return really(keys, [k for k in chosen if k != 2], point)
+
+    monkeypatch.setattr(linear, "renew", without_third)
+    learner.settle(1)
+    assert learner.doubts == ("1 of 24 key frames have no equilibrium at the estimate",)
+    assert not np.any(learner.stiffness.band(S).identified)
+    monkeypatch.undo()
+    learner.settle(1)
+    assert learner.doubts == ()
 
 
 def test_tags_that_the_estimate_misses_are_said() -> None:

@@ -209,10 +209,7 @@ class Smoother:
     def _solve(self, scales: LiveScales) -> Solution:
         """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
         coarse = replace(scales, marker=max(scales.marker, self._coarse))
-        process = self._process(scales)
-        if self._coarse > FAR_OFF * scales.marker:  # then the force may be wrong by more than is thought, too
-            process = replace(process, load=_WRONG * process.load)
-        return solve(self._sums, self._start, self._of_k, coarse, process)
+        return solve(self._sums, self._start, self._of_k, coarse, self._process(scales))
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -223,7 +220,7 @@ class Smoother:
     def settle(self, rounds: int) -> None:
         """Linearise everything anew and solve, several times; then look about the scales once more."""
         self.catch_up()
-        if self._failed:  # what would be linearised at is of other key frames
+        if self._failed and not self.renew():  # where it would be linearised is of other key frames
             return
         for _ in range(rounds):
             self.move()
@@ -291,6 +288,9 @@ class Smoother:
         return *solution.with_k(*self._search.averaged(k, of_k)), steps
 
     def _process(self, scales: LiveScales) -> ForceProcess:
+        """The force's error under these scales."""
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
         load = scales.load * (LOAD * self._largest if self._habits.load is None else self._habits.load)
+        if self._coarse > FAR_OFF * scales.marker:  # then the force may be wrong by more than is thought, too
+            load *= _WRONG
         return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white, load)
