@@ -43,6 +43,7 @@ class Scales:
     walk: float  # of the random walk that was expected
     load: float  # of the sd that was expected of the force error that comes with the load
     films: tuple[FilmNoise, ...]
+    chains: Array | None = None  # where the draws of log k's sizes stand, see `roughness.mixed`
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ class Mixed:
     parts: Array  # (n,) mean variances of the parts: the normal prior that comes nearest
     tau: float  # medians
     rho: float
+    chains: Array  # (B, 2 p + 1) where the chains stand: what the next draws of nearly the same begin from
 
 
 @dataclass(frozen=True)
@@ -121,12 +122,24 @@ class _Target:
         return np.asarray(drawn[:, self.local] + variance[:, self.local] * local[..., 0])
 
 
-def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, burn: int, kept: int) -> Mixed:
-    """What is known of log k around `level`, over `chains` chains for each of `told`."""
+def mixed(
+    spline: Spline,
+    told: Sequence[Told],
+    level: float,
+    *,
+    chains: int,
+    burn: int,
+    kept: int,
+    start: Array | None = None,
+) -> Mixed:
+    """What is known of log k around `level`, over `chains` chains for each of `told`.
+
+    A sharp joint is found late by chains that begin anywhere; they begin where others ended (`Mixed.chains`) if given.
+    """
     target, rng = _Target(spline, told, level, chains), np.random.default_rng(0)
     count, p = chains * len(told), spline.count
-    logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
-    now = target.at(logs, np.ones((count, 2 * p - 1)))
+    begin = _anywhere(count, p, rng) if start is None else start[np.arange(count) % len(start)]
+    now = target.at(begin[:, :2], begin[:, 2:])
     mean, second, sizes, marginals = np.zeros(p), np.zeros((p, p)), [], []
     parts, variance = np.zeros(now.variance.shape[1]), np.zeros(now.variance.shape[1])
     on_places = spline.basis(SHAPE_PLACES) @ target.weights  # (S, n)
@@ -154,7 +167,14 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, *, chains: int, bu
     covariance = 0.5 * (covariance + covariance.T)
     means, sds = np.concatenate(marginals, axis=1)
     shape = _shape(means, sds, np.tile(target.share, kept) / kept)
-    return Mixed(mean + level, covariance, parts[p : 2 * p - 1] / kept, shape, variance / kept, tau, rho)
+    stand = np.concatenate([now.logs, now.own], axis=1)
+    return Mixed(mean + level, covariance, parts[p : 2 * p - 1] / kept, shape, variance / kept, tau, rho, stand)
+
+
+def _anywhere(count: int, p: int, rng: np.random.Generator) -> Array:
+    """(B, 2 p + 1) chains before any data."""
+    logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
+    return np.concatenate([logs, np.ones((count, 2 * p - 1))], axis=1)
 
 
 def _shape(means: Array, sds: Array, weight: Array) -> Array:

@@ -107,7 +107,8 @@ def choose_scales(known: Known, start: Scales) -> Scales:
     options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
     found = minimize(known.cost(start), known.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     chosen = known.scaled(start, found.x)
-    return replace(chosen, parts=mixed(known.at.spline, [known.told(chosen)], known.level, **_ON_THE_WAY).parts)
+    of_k = mixed(known.at.spline, [known.told(chosen)], known.level, start=start.chains, **_ON_THE_WAY)
+    return replace(chosen, parts=of_k.parts, chains=of_k.chains)
 
 
 def averaged(known: Known, scales: Scales) -> tuple[Mixed, Array]:
@@ -119,7 +120,7 @@ def averaged(known: Known, scales: Scales) -> tuple[Mixed, Array]:
         there, _, factor = known.solve(one)
         out += weight * (cho_solve(factor, np.eye(len(best))) + np.outer(there - best, there - best))
     told = [known.told(one, weight) for weight, one in zip(weights, nodes, strict=True)]
-    of_k, p = mixed(known.at.spline, told, known.level, **_AT_THE_END), known.at.spline.count
+    of_k, p = mixed(known.at.spline, told, known.level, start=scales.chains, **_AT_THE_END), known.at.spline.count
     follow = np.linalg.solve(out[:p, :p], out[:p]).T  # how the rest follows log k
     out = out + follow @ (of_k.covariance - out[:p, :p]) @ follow.T
     return of_k, 0.5 * (out + out.T)

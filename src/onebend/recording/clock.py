@@ -22,8 +22,8 @@ import numpy as np
 
 from onebend.recording.clock_moments import make_moments
 from onebend.recording.clock_rows import Rows, binned, thinned
-from onebend.recording.clock_search import Prior, coarse_search, likely_offsets, likely_span, refined
-from onebend.recording.clock_sharp import STEP_DOUBT, moments_of, sharpened
+from onebend.recording.clock_search import coarse_search, likely_offsets, likely_span, refined
+from onebend.recording.clock_sharp import STEP_DOUBT, Prior, moments_of, sharpened
 from onebend.recording.clock_words import TOO_LITTLE, as_written, remarks_on
 from onebend.recording.relation import Track, make_track
 from onebend.recording.signals import bandwidth

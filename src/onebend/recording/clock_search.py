@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.recording.clock_rows import Rows, thinned
-from onebend.recording.clock_sharp import moments_of
+from onebend.recording.clock_sharp import Prior, moments_of
 from onebend.recording.noise import first_guess, fit_noise, log_evidence
 from onebend.recording.relation import Track
 from onebend.records import Array, ForceNoise
@@ -18,7 +17,6 @@ FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows a film; log chance below the best that
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are looked at again, and how far around them, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: what an offset of the first, second look may leave unexplained
 LEAST = 0.2  # s, looked at closely on either side of the first estimate
-Prior = Callable[[Array], Array]  # log of the prior over offsets, less a constant
 
 
 @dataclass(frozen=True)
