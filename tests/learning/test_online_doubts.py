@@ -83,7 +83,7 @@ def test_a_key_frame_that_the_estimate_cannot_carry_is_said_and_taken_up_again(m
     assert not np.any(learner.stiffness.band(S).identified)
     monkeypatch.undo()
     learner.settle(1)
-    assert learner.doubts == ()
+    assert not learner.doubts
 
 
 def test_tags_that_the_estimate_misses_are_said() -> None:
