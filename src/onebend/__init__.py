@@ -25,7 +25,8 @@ from onebend.lab.designs import DESIGNS, Design
 from onebend.learning.damping import Damping, DampingSettings, SwingFit, learn_damping
 from onebend.learning.identifiability import information, information_along
 from onebend.learning.learn import learn
-from onebend.learning.online import OnlineLearner, OnlineSettings, Update
+from onebend.learning.online import OnlineLearner, Update
+from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.planning import PlanSettings, plan
 from onebend.learning.posterior import FitSettings, Posterior, fit

@@ -2,8 +2,8 @@
 
 A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
 measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
-present estimate leaves of both, put on its prediction under the mean force, is as if measured there. A frame that can
-be averaged with none is folded into the past: a quadratic in x and one slow force error, which stays as linearised.
+present estimate leaves of both, put on its prediction under the mean force, is as if measured there. Where none can be
+averaged the oldest is folded away (`live_past.py`).
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class KeyFrames:
     q: Array  # (K, Q) rad, the shape to start from
     grid: Array  # (K,) place of the push whose grid that is on; 0: there is none yet
     by_force: Array  # (K, Q, 2) of it with the logged force
-    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last
+    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last, and to follow them
+    lost: BoolArray  # (K,) has no equilibrium at those parameters: stays as it was linearised before
     rows_j: Array  # (K, 3 m, n) whitened
     rows_a: Array  # (K, 3 m, 2)
     rows_z: Array  # (K, 3 m)
@@ -83,20 +84,22 @@ class KeyFrames:
         self.measured[i, :, 2] -= 2.0 * np.pi * turns
         a = a * ~self.rest[i][:, None, None, None]
         left = self.measured[i] - pose
-        self.j[i], self.a[i], self.left[i], self.stale[i] = j, a, left, False
+        self.j[i], self.a[i], self.left[i], self.stale[i], self.lost[i] = j, a, left, False, False
         self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
         self.whiten(i)
 
-    def quadratic(self, i: int, marker: float, white: float) -> tuple[Array, Array]:
-        """Information (n + 2, n + 2) and right side of frame i in x and its force error, at given noise."""
+    def said(self, i: int, marker: float, white: float) -> Array:
+        """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
+        noise, and two of the log itself where nothing pushes.
+        """
         root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
-        rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i]], axis=1)
-        information, b = rows.T @ rows, rows.T @ (root[:, 0] * self.rows_z[i])
-        if self.rest[i]:
-            certain = self.frames[i] / (AT_REST * white) ** 2
-            information[[-2, -1], [-2, -1]] += certain
-            b[-2:] += certain * self.force[i]
-        return information, b
+        rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i], self.rows_z[i][:, None]], axis=1)
+        if not self.rest[i]:
+            return np.asarray(rows)
+        certain = np.sqrt(self.frames[i]) / (AT_REST * white)
+        log = np.zeros((2, rows.shape[1]))
+        log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
+        return np.concatenate([rows, log])
 
     def set_information(self, i: int, information: Array) -> None:
         """(m, 3, 3) of the measured poses of frame i; zero where a tag is not seen."""
@@ -108,26 +111,6 @@ class KeyFrames:
         self.rows_j[i] = (root @ self.j[i]).reshape(count, -1, self.j.shape[-1])
         self.rows_a[i] = (root @ self.a[i]).reshape(count, -1, 2)
         self.rows_z[i] = (root @ self.zeta[i][..., None]).reshape(count, -1)
-
-
-@dataclass
-class Past:
-    """Folded frames: `x' H x - 2 b' x + c` in the parameters and the slow force error (2,) at `time`."""
-
-    information: Array  # (n + 2, n + 2)
-    b: Array  # (n + 2,)
-    time: float  # s; minus infinity while nothing is folded
-    own: float = 0.0  # the load's own time there
-
-    def add(self, information: Array, b: Array, time: float, own: float, *, slow: float, fast: float) -> None:
-        """One more frame's say in x and its own force error; the slow error of all the past is moved to its time.
-
-        `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
-        """
-        if np.isfinite(self.time):
-            self.information, self.b = loosened(self.information, self.b, slow)
-        said, right = loosened(information, b, fast)
-        self.information, self.b, self.time, self.own = self.information + said, self.b + right, time, own
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
@@ -161,6 +144,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         grid=room(),
         by_force=room(nodes, 2),
         stale=np.zeros(count, dtype=bool),
+        lost=np.zeros(count, dtype=bool),
         rows_j=room(3 * tags, parameters),
         rows_a=room(3 * tags, 2),
         rows_z=room(3 * tags),
@@ -187,6 +171,7 @@ def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most:
     centre = 0.5 * (keys.begin + keys.end)
     time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
     alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
+    alike &= ~(keys.lost[part] | keys.lost[rear])
     alike &= np.abs(own[1:count] - own[: count - 1]) <= _SAME_STAGE
     alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
     alike &= np.abs(keys.gravity[rear] - keys.gravity[part]).max(axis=1) <= _SAME_GRAVITY
@@ -209,7 +194,7 @@ def propose_average(keys: KeyFrames, i: int, at: int) -> None:
     for values in (keys.own, keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
         values[at] = (1.0 - share) * values[i] + share * values[k]
     keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
-    keys.rest[at] = keys.rest[i]
+    keys.rest[at], keys.lost[at] = keys.rest[i], False
     keys.grid[at] = keys.grid[i]
     if keys.grid[k] != keys.grid[i]:
         keys.q[at] = keys.q[i]
@@ -236,10 +221,3 @@ def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
     for values in keys.arrays():
         values[i] = values[at]
     keys.drop(k)
-
-
-def loosened(information: Array, b: Array, variance: float) -> tuple[Array, Array]:
-    """The last two unknowns, e, replaced by c with e = c + d, d normal of that variance: d is integrated out."""
-    edge = information[:, -2:]
-    shrink = variance * np.linalg.inv(np.eye(2) + variance * information[-2:, -2:])
-    return information - edge @ shrink @ edge.T, b - edge @ shrink @ b[-2:]

@@ -43,6 +43,8 @@ class Linearizer:
         there = linearise(self._setting, place, point, given, self._start(keys, place, chosen))
         good = there.converged
         solved = np.asarray(chosen)[good]
+        if len(solved) == 0:
+            return set()
         keys.q[solved, :nodes], keys.grid[solved] = there.q[good], place.push_s
         keys.by_force[solved, :nodes] = there.by_force[good]
         keys.set_linear(solved, point, there.pose[good], there.j[good], there.a[good])

@@ -27,13 +27,19 @@ def left_of(keys: KeyFrames, solution: Solution) -> Array:
     )
 
 
-def without_force(left: Array, a: Array) -> Array:
-    """Residuals (K, R) less what a force of each frame could explain; `a` (K, R, 2): how it moves the tags."""
+def force_in(left: Array, a: Array) -> Array:
+    """(K, 2) N: the force of each frame that explains most of its residuals (K, R); `a` (K, R, 2) m/N or 1/N: how it
+    moves the tags."""
     x, y = a[..., 0], a[..., 1]
     xx, yy, xy = np.sum(x * x, axis=1) + _NO_FORCE, np.sum(y * y, axis=1) + _NO_FORCE, np.sum(x * y, axis=1)
     by_x, by_y, size = np.sum(x * left, axis=1), np.sum(y * left, axis=1), xx * yy - xy**2
-    first, second = (yy * by_x - xy * by_y) / size, (xx * by_y - xy * by_x) / size
-    return np.asarray(left - first[:, None] * x - second[:, None] * y)
+    return np.stack([(yy * by_x - xy * by_y) / size, (xx * by_y - xy * by_x) / size], axis=-1)
+
+
+def without_force(left: Array, a: Array) -> Array:
+    """Residuals (K, R) less what a force of each frame could explain; `a` (K, R, 2) as in `force_in`."""
+    force = force_in(left, a)
+    return np.asarray(left - force[:, :1] * a[..., 0] - force[:, 1:] * a[..., 1])
 
 
 def robust_weights(keys: KeyFrames, left: Array, marker: float, bulk: float) -> Array:

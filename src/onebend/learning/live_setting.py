@@ -1,4 +1,5 @@
-"""What does not change while the live learner films one beam: its parameters, and grids for pushes anywhere on it."""
+"""What does not change while the live learner films one beam: its parameters, how it works, and grids for pushes
+anywhere on the beam."""
 
 from __future__ import annotations
 
@@ -29,6 +30,25 @@ class Setting:
     def weighs(self) -> bool:
         """Whether the mass is among the parameters."""
         return self.mass > 0.0 and self.at.index["mass", -1].start >= 0
+
+
+@dataclass(frozen=True)
+class Habits:
+    """How the live learner works."""
+
+    key_frames: int
+    renewed: int  # key frames linearised anew with every frame
+    zero: float  # N, sd of the log's zero
+    least_zero: float  # N
+    load: float | None  # N, expected to come with the load; None: a share of the largest force
+    roughness: float  # of log k: where its sizes begin
+    steps: float
+    memory_doubt: float  # of the log of the force error's memory
+    adapt: bool
+    bulk: float  # sd
+    gate: float  # sd
+    patience: int  # frames
+    step: float  # of log k
 
 
 @dataclass(frozen=True)

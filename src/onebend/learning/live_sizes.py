@@ -8,6 +8,7 @@ covariance are averages over them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
@@ -28,6 +29,12 @@ class OfK:
 
     information: Array  # (p, p)
     b: Array  # (p,)
+
+    @cached_property
+    def root(self) -> Array | None:
+        """(p, p) upper R with R' R the information; None where rounding has left it a direction below zero."""
+        lower, info = dpotrf(self.information + _TOLD * np.eye(len(self.b)), lower=1)
+        return None if info else np.asarray(lower.T)
 
 
 class Sizes:
@@ -85,13 +92,11 @@ class Sizes:
 
     def _rows(self, told: OfK) -> tuple[Array, Array]:
         """(p, p) and (p,): what the data say, as rows of unit noise on log k less its level."""
-        p = len(told.b)
-        root, info = dpotrf(told.information + _TOLD * np.eye(p), lower=1)
-        if info:
+        if told.root is None:  # the solver lets none such out
             raise np.linalg.LinAlgError("what the data say of log k is not positive definite")
-        right = told.b - told.information @ np.full(p, self._level)
-        seen, _ = dtrtrs(root, right, lower=1)
-        return root.T, seen
+        right = told.b - told.information @ np.full(len(told.b), self._level)
+        seen, _ = dtrtrs(told.root, right, trans=1)
+        return told.root, seen
 
     def _variances(self, logs: Array, own: Array) -> Array:
         """(B, n) of the parts."""

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
 from onebend.learning.force_process import ForceProcess, Spans, covariance, with_one_more
-from onebend.learning.key_frames import AT_REST, KeyFrames, Past
+from onebend.learning.key_frames import AT_REST, KeyFrames
+from onebend.learning.live_past import Past
 from onebend.learning.live_sizes import OfK
 from onebend.learning.parameters import Layout
 from onebend.records import Array
@@ -206,7 +207,7 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
     told = OfK(information - across.T @ across, right - across.T @ ahead)
     lower, info = dpotrf(told.information + of_k.information, lower=1)
-    if info:
+    if info or told.root is None:
         raise np.linalg.LinAlgError("the information on log k is not positive definite")
     of_all = told.b + of_k.b
     k, _ = dpotrs(lower, of_all, lower=1)
@@ -225,15 +226,16 @@ def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: t
         return
     (h, side, b), (information, right), told = first, of_k, past.information
     p, n = len(right), len(told) - 2
+    said = past.b
     h[known:, known:] += told[p:n, p:n]
     h[known:, :2] += told[p:n, n:]
     h[:2, :2] += told[n:, n:]
     side[known:] += told[p:n, :p]
     side[:2] += told[n:, :p]
-    b[known:] += past.b[p:n]
-    b[:2] += past.b[n:]
+    b[known:] += said[p:n]
+    b[:2] += said[n:]
     information += told[:p, :p]
-    right += past.b[:p]
+    right += said[:p]
 
 
 def _inverse(c: Array) -> tuple[Array, float]:

@@ -2,13 +2,13 @@
 
 A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
 linearised anew at the present estimate, and the posterior over all of them is solved for at once (`live_solve.py`): a
-poor start does not stay in the answer as it would in an extended Kalman filter. The sizes of noise, force error and
-roughness climb the evidence, one trial an update. Memory and time per update do not grow.
+poor start does not stay in the answer as it would in an extended Kalman filter. The sizes of noise and force error
+climb the evidence, one trial in two updates; those in log k's prior are drawn. Memory and time per update do not grow.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,46 +19,16 @@ from onebend.beam.stiffness import Powers, Profile, Uniform
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.frame_input import checked_frame
-from onebend.learning.live_scales import MEMORY_DOUBT
 from onebend.learning.live_setting import Setting, live_layout
 from onebend.learning.live_solve import LiveScales, Start
-from onebend.learning.parameters import Layout, Priors
+from onebend.learning.online_settings import OnlineSettings
+from onebend.learning.parameters import Layout
 from onebend.learning.posterior import Nuisance
-from onebend.learning.roughness import RHO, TAU
-from onebend.learning.smoother import Habits, Smoother
+from onebend.learning.smoother import Smoother
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
 
 _STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
-_WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
-
-
-@dataclass(frozen=True)
-class OnlineSettings:
-    """How the live learner runs. Noise sizes are where it begins; it finds its own."""
-
-    functions: int = 24  # of the spline of log k
-    key_frames: int = 30
-    renewed: int = 5  # key frames linearised anew with every other update; one with those between
-    priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
-    placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
-    rest_unknown: bool = True  # the beam may be curved when free
-    calibrated: bool = True  # False: all lengths have a common unknown scale
-    marker_noise: float = 1.5  # over what the tags' covariances say
-    force_noise: float = 0.01  # N, sd of the log's coloured error
-    force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
-    force_walk: float | None = None  # N per root second, of its drift; None: 0.3 of the coloured one a second
-    force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
-    force_memory: float = 0.3  # s, correlation time of the log's coloured error
-    memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
-    force_load: float | None = None  # N, sd of its error that comes with the load; None: 3 % of the largest force
-    roughness: float = TAU  # of log k
-    steps: float = RHO  # of log k
-    adapt: bool = True  # False: the sizes stay as they begin
-    bulk: float = 3.0  # sd: a tag that fits worse gets less weight; infinite: plain least squares
-    gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
-    patience: int = 8  # unless it stays away for so many frames
-    step: float = 0.7  # of log k: the most that one update moves it
 
 
 @dataclass(frozen=True)
@@ -69,6 +39,7 @@ class Update:
     distance: Array  # (m,) the same in sd of what was expected (root of chi-square with 3 degrees); NaN likewise
     accepted: BoolArray  # (m,) tags that were used
     solved: bool  # False: the estimate has no equilibrium under this force, nothing was learned from the frame
+    doubts: tuple[str, ...]  # why k(s) is not to be relied on after this frame; empty as a rule
 
 
 class OnlineLearner:
@@ -97,7 +68,8 @@ class OnlineLearner:
             LearningError: a length or stiffness that is not positive, tags outside (0, 1], settings without meaning.
         """
         s = np.asarray(marker_s, dtype=float)
-        _check(length, s, mass, settings)
+        _check(length, s, mass)
+        settings.check()
         at = live_layout(
             Spline(settings.functions),
             len(s),
@@ -110,7 +82,8 @@ class OnlineLearner:
         self.settings = settings
         self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
         known, x = _start(at, start)
-        self._state = Smoother(self._setting, known, x, _scales(settings), _habits(settings))
+        self._state = Smoother(self._setting, known, x, settings.scales, settings.habits)
+        self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None
         self._frames = 0
 
@@ -153,17 +126,16 @@ class OnlineLearner:
         rate = np.zeros(2) if self._last is None else (frame.force - self._last[1]) / (time - self._last[0])
         self._last = (time, frame.force)
         nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
-        if loaded and not np.any(frame.seen):
-            return Update(*nothing, solved=True)
         state = self._state
+        if loaded and not np.any(frame.seen):
+            return Update(*nothing, solved=True, doubts=self._doubts + state.doubts)
         if not state.enter(frame, rate):
-            state.x = state.x.copy()
-            state.x[: self.settings.functions] += _STIFFER
-            return Update(*nothing, solved=False)
+            state.stiffen(_STIFFER)
+            return Update(*nothing, solved=False, doubts=self._doubts + state.doubts)
         found = state.gate(frame)
         state.advance()
         self._frames += 1
-        return Update(*found, solved=True)
+        return Update(*found, solved=True, doubts=self._doubts + state.doubts)
 
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
@@ -188,12 +160,21 @@ class OnlineLearner:
 
     @property
     def stiffness(self) -> UncertainStiffness:
-        """k(s) with its band, as it is now."""
+        """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
         self._state.catch_up()
         spline, (mean, covariance, steps) = self._setting.at.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
-        return UncertainStiffness(fine.knots, onto @ mean[:p], 0.5 * (spread + spread.T), self._gain_sd)
+        coefficients, spread = onto @ mean[:p], 0.5 * (spread + spread.T)
+        return UncertainStiffness(
+            fine.knots, coefficients, spread, self._gain_sd, doubts=self._doubts + self._state.doubts
+        )
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why `stiffness` is not to be relied on as it is now; empty as a rule."""
+        self._state.catch_up()
+        return self._doubts + self._state.doubts
 
     @property
     def force_error(self) -> Array:
@@ -226,38 +207,6 @@ class OnlineLearner:
         return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)
 
 
-def _habits(settings: OnlineSettings) -> Habits:
-    s = settings
-    return Habits(
-        key_frames=s.key_frames,
-        renewed=s.renewed,
-        zero=s.force_zero,
-        least_zero=s.force_noise,
-        load=s.force_load,
-        roughness=s.roughness,
-        steps=s.steps,
-        memory_doubt=s.memory_doubt,
-        adapt=s.adapt,
-        bulk=s.bulk,
-        gate=s.gate,
-        patience=s.patience,
-        step=s.step,
-    )
-
-
-def _scales(settings: OnlineSettings) -> LiveScales:
-    """Where they begin."""
-    s = settings
-    return LiveScales(
-        marker=s.marker_noise,
-        white=s.force_noise if s.force_white is None else s.force_white,
-        coloured=s.force_noise,
-        memory=s.force_memory,
-        walk=_WALK * s.force_noise if s.force_walk is None else s.force_walk,
-        load=1.0,
-    )
-
-
 def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Start, Array]:
     """What is known before the data, and the parameters to begin with."""
     x, mean, p = np.zeros(at.size), np.zeros(at.size), at.spline.count
@@ -279,18 +228,10 @@ def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Sta
     return Start(at, mean, None), x
 
 
-def _check(length: float, marker_s: Array, mass: float, settings: OnlineSettings) -> None:
+def _check(length: float, marker_s: Array, mass: float) -> None:
     if not (np.isfinite(length) and length > 0.0):
         raise LearningError(f"a beam's length must be positive, got {length} m")
     if marker_s.ndim != 1 or len(marker_s) == 0 or not np.all((marker_s > 0.0) & (marker_s <= 1.0)):
         raise LearningError(f"tags are at s in (0, 1], got {marker_s.tolist()}")
     if not mass >= 0.0:
         raise LearningError(f"a beam's mass cannot be negative, got {mass} kg")
-    sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
-    for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
-        value = getattr(settings, name)
-        if value is not None and not value > 0.0:
-            raise LearningError(f"{name} must be positive, got {value}")
-    for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
-        if getattr(settings, name) < least:
-            raise LearningError(f"{name} must be at least {least}, got {getattr(settings, name)}")

@@ -10,7 +10,8 @@ from onebend.beam.stiffness import Profile
 from onebend.beam.uncertain import UncertainStiffness
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
-from onebend.learning.online import OnlineLearner, OnlineSettings
+from onebend.learning.online import OnlineLearner
+from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.parameters import Priors, layout, scale_sd
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray, Observations

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from onebend.learning.force_error import LOAD
-from onebend.learning.force_process import ForceProcess, fast_variance, slow_variance
+from onebend.learning.force_process import ForceProcess
 from onebend.learning.frame_input import Frame
-from onebend.learning.key_frames import Past, accept_average, closest_pairs, empty, propose_average
+from onebend.learning.key_frames import accept_average, closest_pairs, empty, propose_average
+from onebend.learning.live_doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit
 from onebend.learning.live_frames import Linearizer
-from onebend.learning.live_noise import left_of, robust_weights, tags_noise, without_force
+from onebend.learning.live_noise import left_of, robust_weights, tags_noise
+from onebend.learning.live_past import fold_oldest, nothing_folded
 from onebend.learning.live_scales import ScaleSearch
-from onebend.learning.live_setting import ORDER, Setting
+from onebend.learning.live_setting import ORDER, Habits, Setting
 from onebend.learning.live_sizes import Sizes
 from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, gather, solve
 from onebend.learning.live_stages import LoadStages
@@ -22,28 +24,7 @@ from onebend.records import Array, BoolArray
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
 _NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
 _WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
-_ROUGH = 1.7  # of the tags' noise: from there on what is left of the tags is more than that
-_FAR_OFF = 5.0  # of the same: so much is hardly the tags' alone
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
-
-
-@dataclass(frozen=True)
-class Habits:
-    """How the smoother works."""
-
-    key_frames: int
-    renewed: int  # key frames linearised anew with every frame
-    zero: float  # N, sd of the log's zero
-    least_zero: float  # N
-    load: float | None  # N, expected to come with the load; None: a share of the largest force
-    roughness: float  # of log k: where its sizes begin
-    steps: float
-    memory_doubt: float  # of the log of the force error's memory
-    adapt: bool
-    bulk: float  # sd
-    gate: float  # sd
-    patience: int  # frames
-    step: float  # of log k
 
 
 class Smoother:
@@ -55,7 +36,7 @@ class Smoother:
         self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
         self.scales = scales
         self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
-        self.past = Past(np.zeros((n + 2, n + 2)), np.zeros(n + 2), -np.inf)
+        self.past = nothing_folded(n)
         self._setting, self._start, self._habits = setting, start, habits
         self._search = ScaleSearch(scales, ("coloured", "memory", "walk", "load", "white"), habits.memory_doubt)
         spline, level = setting.at.spline, float(start.mean[0])
@@ -68,6 +49,8 @@ class Smoother:
         self._guess, self._spent = scales.marker, 0.0
         self._looks = 0
         self._coarse = 0.0
+        self._failed = False  # the last attempt to solve
+        self._too_soft = False  # the last frame had no equilibrium
         self.pending = True  # a frame has come since the posterior was solved for
         self._linear = Linearizer(setting)
         self._away = np.zeros(tags, dtype=np.int64)
@@ -91,20 +74,32 @@ class Smoother:
         for at, pair in enumerate(pairs, keys.used):
             propose_average(keys, pair, at)
             fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._habits.key_frames + 1:
+            fresh.append(0)  # it will be folded, and stays as it is linearised then
         room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
         waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
-        solved = self._linear.renew(keys, [*fresh, *self._linear.near(keys, waiting, i)], self.point)
-        if i not in solved:
+        solved = self._linearise([*fresh, *self._linear.near(keys, waiting, i)])
+        self._too_soft = i not in solved
+        if self._too_soft:
             keys.used -= 1
             return False
         if frame.loaded:
             self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
-        if solved.issuperset(fresh):
-            for pair, at in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+        missed = set(fresh) - solved
+        for pair, at in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+            if missed.isdisjoint((pair, pair + 1, at)):
                 accept_average(keys, pair, at, self.point)
         while keys.used > self._habits.key_frames + 1:
-            self._fold_oldest()
+            marker = max(self.scales.marker, self._coarse)
+            fold_oldest(keys, self.past, self._process(self.scales), marker, self._stages.own)
         return True
+
+    def _linearise(self, chosen: list[int]) -> set[int]:
+        """Those of the chosen key frames that have an equilibrium at the point; the others are not waited for."""
+        solved = self._linear.renew(self.keys, chosen, self.point)
+        gone = [k for k in chosen if k not in solved]
+        self.keys.lost[gone], self.keys.stale[gone] = True, False
+        return solved
 
     def _write(self, frame: Frame, rate: Array) -> int:
         """The frame in the place behind the key frames in use, which is returned."""
@@ -121,7 +116,7 @@ class Smoother:
         self._forget_changes(i)
         now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
         self._expected = self.solution.error_at(frame.time, now)
-        keys.error[i], keys.stale[i] = self._expected[0], False
+        keys.error[i], keys.stale[i], keys.lost[i] = self._expected[0], False, False
         keys.q[i], keys.grid[i] = 0.0, 0.0
         if i > 0:
             pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
@@ -167,13 +162,14 @@ class Smoother:
     def advance(self) -> None:
         """After a frame: every other time the posterior is solved for and log k's sizes make a step, in between other
         scales are tried on it."""
-        if self.pending:
-            self.renew()
-            if self._sizes is not None and self._coarse == 0.0:
+        if self.pending or self._failed:
+            self.pending = False
+            if self.renew() and self._sizes is not None and self._coarse == 0.0:
                 self._sizes.step(self.solution.told)
-        elif self._habits.adapt:
+            return
+        if self._habits.adapt:
             self.look_about()
-        self.pending = not self.pending
+        self.pending = True
 
     def look_about(self) -> None:
         """Other scales on what the last solution was made from, or a count of what the data have settled."""
@@ -183,17 +179,20 @@ class Smoother:
         else:
             self._try_scale()
 
-    def renew(self) -> None:
-        """Solve with what is linearised now, move the estimate, weigh the tags anew."""
+    def renew(self) -> bool:
+        """Solve with what is linearised now, move the estimate, weigh the tags anew. False where that fails: what was
+        known before stands, which `doubts` says, until a later frame's attempt."""
         keys, habits = self.keys, self._habits
         self._sums = gather(keys, self.past, self._stages.own)
         if self._sizes is not None:
             self._of_k = self._start.of_k(self._sizes.parts)
-        self._coarse = self._misfit()
+        self._coarse = misfit(keys, self.scales.marker)
         try:
             self.solution = solution = self._solve(self.scales)
-        except np.linalg.LinAlgError:  # rounding: what was known before stands until the next frame
-            return
+        except np.linalg.LinAlgError:
+            self._failed = True
+            return False
+        self._failed = False
         step = solution.x - self.x
         largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
         self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
@@ -205,24 +204,12 @@ class Smoother:
         moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
         if moved > _MOVED:
             self.move()
+        return True
 
     def _solve(self, scales: LiveScales) -> Solution:
         """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
         coarse = replace(scales, marker=max(scales.marker, self._coarse))
-        process = self._process(scales)
-        if (
-            self._coarse > _FAR_OFF * scales.marker
-        ):  # it may also be the force that is wrong by more than it is thought to be
-            process = replace(process, load=_WRONG * process.load)
-        return solve(self._sums, self._start, self._of_k, coarse, process)
-
-    def _misfit(self) -> float:
-        """Root mean square of what the point where frames are linearised leaves of them; 0 where it is noise."""
-        keys, loaded = self.keys, ~self.keys.rest[: self.keys.used]
-        left = (keys.root[: keys.used] @ keys.left[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
-        r = without_force(left, keys.rows_a[: keys.used][loaded])
-        size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
-        return size if size > _ROUGH * self.scales.marker else 0.0
+        return solve(self._sums, self._start, self._of_k, coarse, self._process(scales))
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -232,16 +219,19 @@ class Smoother:
 
     def settle(self, rounds: int) -> None:
         """Linearise everything anew and solve, several times; then look about the scales once more."""
+        self.catch_up()
+        if self._failed and not self.renew():  # where it would be linearised is of other key frames
+            return
         for _ in range(rounds):
             self.move()
-            self._linear.renew(self.keys, list(range(self.keys.used)), self.point)
-            self.renew()
+            self._linearise(list(range(self.keys.used)))
+            if not self.renew():
+                return
         if self._habits.adapt:
             for _ in range(2 * self._search.round):
                 self.look_about()
                 if self._sizes is not None:
                     self._sizes.step(self.solution.told)
-        self.pending = False
 
     def move(self) -> None:
         """Linearise at the present estimate from now on."""
@@ -249,6 +239,20 @@ class Smoother:
         self.point = self.x
         keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
         keys.stale[: keys.used] = True
+
+    def stiffen(self, amount: float) -> None:
+        """Raise log k by so much, and linearise there from now on: the beam stood where the estimate cannot."""
+        self.x = self.x.copy()
+        self.x[: self._setting.at.spline.count] += amount
+        self.point = self.x
+        self.keys.stale[: self.keys.used] = True
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the posterior is not to be relied on at the moment; empty as a rule."""
+        found = {FAILED: self._failed, TOO_SOFT: self._too_soft}
+        said = tuple(words for words, holds in found.items() if holds)
+        return said + live_doubts(self.keys, self.scales.marker, self._coarse)
 
     def _moved(self) -> float:
         """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
@@ -283,18 +287,10 @@ class Smoother:
             k, of_k, steps = self._sizes.mixed(solution.told)
         return *solution.with_k(*self._search.averaged(k, of_k)), steps
 
-    def _fold_oldest(self) -> None:
-        """The oldest key frame becomes part of the past."""
-        keys, process = self.keys, self._process(self.scales)
-        information, b = keys.quadratic(0, max(self.scales.marker, self._coarse), process.white)
-        fast = fast_variance(process, float(keys.end[0] - keys.begin[0]), float(keys.frames[0]))
-        lately = self._stages.own(np.array([keys.centre[0], self.past.time]))
-        own = float(keys.own[0] - self.past.own + lately[0] - lately[1])
-        slow = slow_variance(process, float(keys.end[0]) - self.past.time, own)
-        self.past.add(information, b, float(keys.end[0]), float(keys.own[0]), slow=slow, fast=fast)
-        keys.drop(0)
-
     def _process(self, scales: LiveScales) -> ForceProcess:
+        """The force's error under these scales."""
         level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
         load = scales.load * (LOAD * self._largest if self._habits.load is None else self._habits.load)
+        if self._coarse > FAR_OFF * scales.marker:  # then the force may be wrong by more than is thought, too
+            load *= _WRONG
         return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white, load)

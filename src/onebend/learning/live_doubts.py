@@ -1,0 +1,74 @@
+"""Why what the live learner says of k(s) is not to be relied on at the moment; none as a rule."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.learning.key_frames import KeyFrames
+from onebend.learning.live_noise import force_in, without_force
+from onebend.learning.misses import MISS
+from onebend.records import Array, BoolArray
+
+FAR_OFF = 5.0  # times the tags' noise: so much is hardly the tags' alone
+FAILED = "the last solution failed: k(s) is what was known before"
+TOO_SOFT = "the estimate has no equilibrium under a force that the beam withstood"
+_ROUGH = 1.7  # times the tags' noise: from there on what is left of the tags is more than that
+_SEEN = 3.0  # times the noise that a tag's own covariance says: less is no miss, however little it moves
+
+
+def misfit(keys: KeyFrames, marker: float) -> float:
+    """Root mean square of what the point where frames are linearised leaves of them, over what the tags' covariances
+    say and with any force; 0 where it is no more than noise of size `marker`.
+    """
+    loaded = ~keys.rest[: keys.used]
+    left = (keys.root[: keys.used] @ keys.left[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
+    r = without_force(left, keys.rows_a[: keys.used][loaded])
+    size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
+    return size if size > _ROUGH * marker else 0.0
+
+
+def live_doubts(keys: KeyFrames, marker: float, coarse: float) -> tuple[str, ...]:
+    """What the key frames contradict; empty as a rule.
+
+    `marker`: noise of the tags over what their covariances say; `coarse`: the misfit where it is more.
+    """
+    out = []
+    if coarse > FAR_OFF * marker:
+        out.append(f"the tags are off by {coarse / marker:.1f} times their noise: the estimate is still on its way")
+    missed = _missed(keys)
+    out += [missed] if missed else []
+    lost = int(np.count_nonzero(keys.lost[: keys.used]))
+    if lost:
+        out.append(f"{lost} of {keys.used} key frames have no equilibrium at the estimate")
+    return tuple(out)
+
+
+def _missed(keys: KeyFrames) -> str:
+    """The tag that is missed by most of its own motion whatever the force is, where that is more than the fit lets
+    pass; else nothing."""
+    used = keys.used
+    seen = keys.information[:used, :, 0, 0] > 0.0
+    pushed = seen & ~keys.rest[:used, None]
+    if not np.any(pushed):
+        return ""
+    counts = np.maximum(np.sum(pushed * keys.frames[:used, None], axis=0), 1.0)  # (m,) frames
+    force = force_in((keys.root[:used] @ keys.left[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
+    left = keys.left[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
+    rms = np.sqrt(np.sum(pushed * keys.frames[:used, None] * np.sum(left**2, axis=-1), axis=0) / counts)
+    of_xy = np.sum(pushed * np.trace(keys.information[:used, :, :2, :2], axis1=2, axis2=3), axis=0)
+    noise = 2.0 / np.sqrt(np.maximum(of_xy / counts, 1e-300))  # m, of one frame, x and y alike
+    motion = _motion(keys.measured[:used, :, :2], seen)
+    share = np.where(np.any(pushed, axis=0) & (rms > _SEEN * noise), rms / np.maximum(motion, 1e-300), 0.0)
+    worst = int(np.argmax(share))
+    if share[worst] <= MISS:
+        return ""
+    return (
+        f"the estimate misses tag {worst + 1} by {1000.0 * rms[worst]:.3g} mm RMS where it moves by "
+        f"{1000.0 * motion[worst]:.3g} mm"
+    )
+
+
+def _motion(xy: Array, seen: BoolArray) -> Array:
+    """(m,) m: from end to end of where each tag was seen; infinite where it never was."""
+    high, low = (np.where(seen[..., None], xy, beyond) for beyond in (-np.inf, np.inf))
+    return np.asarray(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0), axis=-1))
