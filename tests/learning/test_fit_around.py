@@ -115,7 +115,7 @@ def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -
     assert one.doubts == ()
     away = np.array([[0.0, 0.0], [4e-3, 0.0], [0.0, 0.0]])
     moved = replace(made(), xy=np.add(made().xy, away), rest_xy=np.add(made().rest_xy, away))
-    texts = [remark.text for remark in fit_remarks(fit([moved], 0.02, settings=FitSettings(functions=8)))]
+    texts = [remark.text for remark in fit_remarks(fit([moved], 0.02, settings=FitSettings(functions=24)))]
     assert any("not to be trusted" in text and "tag 2 sits" in text for text in texts)
 
 

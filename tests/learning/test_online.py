@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 from onebend.beam.stiffness import LogSpline
+from onebend.errors import LearningError
 from onebend.learning.online import OnlineLearner
 from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.posterior import FitSettings, fit
@@ -107,6 +108,19 @@ def test_learning_goes_on_from_what_a_fit_has_found() -> None:
     again = wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=7), 7, 0.004)
     more = replay(again, found, settings=OnlineSettings(functions=10)).stiffness
     assert np.all(more.log_at(S)[1] < 1.001 * found.log_at(S)[1])
+
+
+def test_a_fit_of_more_functions_is_gone_on_from_as_it_stands() -> None:
+    o = observed(SOFT, forces(30), noise=NOISE, seed=3)
+    found = fit([o], 0.02).stiffness
+    learner = OnlineLearner(o.length, MARKERS, found)
+    (mean, sd), (began, spread) = (one.log_at(S) for one in (found, learner.stiffness))
+    known = found.band(S).identified
+    assert len(found.mean) > 2 * learner.settings.functions
+    np.testing.assert_allclose(began[known], mean[known], atol=0.3 * float(np.min(sd)))
+    np.testing.assert_allclose(spread[known], sd[known], rtol=0.3)
+    with pytest.raises(LearningError, match="fewer than the 24"):
+        OnlineLearner(o.length, MARKERS, fit([o], 0.02, settings=FitSettings(functions=8)).stiffness)
 
 
 def test_results_speak_of_the_beam_and_of_what_else_was_learned() -> None:

@@ -28,6 +28,7 @@ from onebend.learning.smoother import Smoother
 from onebend.learning.spline import Spline
 from onebend.records import Array, BoolArray
 
+_EXACT = 1e-12  # of the largest variance of a start: none is smaller, in rounding
 _STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
 
 
@@ -211,14 +212,16 @@ def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Sta
     """What is known before the data, and the parameters to begin with."""
     x, mean, p = np.zeros(at.size), np.zeros(at.size), at.spline.count
     if isinstance(start, UncertainStiffness):
-        if not np.array_equal(start.knots, at.spline.finer.knots):
+        if len(start.mean) < p:
             raise LearningError(
-                f"the stiffness to go on from has {len(start.mean)} functions, the settings' {p} call for "
-                f"{at.spline.finer.count}; fit it with as many functions"
+                f"the stiffness to go on from has {len(start.mean)} functions, fewer than the {p} of the settings: "
+                "fit it with more, or go on with fewer"
             )
-        back = np.linalg.pinv(at.spline.on_finer)
-        x[:p] = mean[:p] = back @ start.mean
-        return Start(at, mean, np.asarray(np.linalg.inv(back @ start.covariance @ back.T))), x
+        s = np.linspace(0.0, 1.0, 8 * len(start.mean))
+        onto = np.linalg.lstsq(at.spline.basis(s), start.basis(s), rcond=None)[0]
+        x[:p] = mean[:p] = onto @ start.mean
+        size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
+        return Start(at, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
     s = np.linspace(0.0, 1.0, 8 * p)
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
     if not np.all(k > 0.0):
