@@ -50,5 +50,7 @@ def as_toml(value: Any, key: Key) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(as_toml(item, key) for item in value) + "]"
     if isinstance(value, float):
-        return f"{math.degrees(value) if key.name.endswith('_deg') else value:.10g}"
+        written = math.degrees(value) if key.name.endswith("_deg") else value
+        short = f"{written:.10g}"
+        return short if math.isclose(float(short), written, rel_tol=1e-15) else repr(written)
     return str(value)
