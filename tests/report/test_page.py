@@ -83,7 +83,7 @@ def test_page_says_the_figures() -> None:
     for words in (
         "onebend 1.2.3",
         "n = 4 curvature modes",
-        f"{significant(k.min())} … {significant(k.max())} N m",
+        f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
         worst_marker(found.trainings[0]),
         "1 % too stiff",
         "made-up: clamp angle",

@@ -51,7 +51,7 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
     length = findings.beam.length
     return {
         "what": "bending stiffness k(s)",
-        "value": f"{significant(k.min())} … {significant(k.max())} N m",
+        "value": f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
         "note": f"EI {significant(1e6 * length * k.min())} … {significant(1e6 * length * k.max())} N mm²",
     }
 
