@@ -22,6 +22,7 @@ NODES = 5  # Gauss, on a span
 LEAST = 0.02  # of the largest turn: a span that turns by less says nothing
 FINEST = 1e-3  # of a span's turn: least noise it is trusted to
 SLACK = 0.2  # s, that a change of the load may show earlier or later in the log
+WHOLE = 2  # spans
 STILL = 10  # first frames, whose angles are the ones at rest
 
 
@@ -56,7 +57,8 @@ class Seen:
 
 
 def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: float) -> Moments | None:
-    """Moments of the markers that are hardly ever missing; None where no span up to the push turns.
+    """Moments of the markers that are hardly ever missing; None where less than WHOLE whole spans up to the push turn:
+    then most of what the film tells is in the places of the tags beyond, which turns do not hold.
 
     `push_s`: the place of the push; `longest_gap` [s] may be interpolated; a beam that stands still at an end of the
     film does so for `hold` [s] more.
@@ -77,7 +79,7 @@ def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: f
     turns = bend[:, spans + 1] - bend[:, spans]
     largest = np.abs(turns).max(axis=0, initial=0.0)
     good = (largest > LEAST * largest.max(initial=0.0)) & (largest > 0.0)
-    if not good.any():
+    if np.sum(good & (s[spans + 1] <= push_s + SHORTEST_SPAN)) < WHOLE:
         return None
     spans, turns, largest = spans[good], turns[:, good], largest[good]
     mean, slope, tangent = span_levers(xy, angle, s, spans, push_s)
