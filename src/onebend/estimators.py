@@ -108,7 +108,7 @@ class StiffnessDistribution(BaseEstimator):  # type: ignore[misc]
         The most probable beam.
     """
 
-    def __init__(self, functions: int = 45, most_frames: int = 500, gain_sd: float = 0.0) -> None:
+    def __init__(self, functions: int = FitSettings.functions, most_frames: int = 500, gain_sd: float = 0.0) -> None:
         self.functions = functions
         self.most_frames = most_frames
         self.gain_sd = gain_sd

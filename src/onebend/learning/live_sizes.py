@@ -13,14 +13,13 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 
-from onebend.learning.roughness import JUMP, MIX, RHO, SPREAD, TAU
+from onebend.learning.roughness import MIX, RHO, SPREAD, TAU, WAYS, drawn_sizes, part_variances
 from onebend.learning.spline import Spline
 from onebend.records import Array
 
 _CHAINS = 2
 _KEPT = 40  # steps whose draws are kept
 _TOLD = 1e-4  # information that every direction of log k is given: nothing, and a matrix has a factor
-_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Sizes:
         self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
         self._own = np.ones((_CHAINS, len(spline.share)))
         self._expected = np.log([TAU, RHO])
-        self._drawn = np.tile(self._variances(self._logs, self._own), (_KEPT, 1))  # (B KEPT, n)
+        self._drawn = np.tile(part_variances(spline, self._logs, self._own)[0], (_KEPT, 1))  # (B KEPT, n)
         self._at = 0
 
     @property
@@ -61,17 +60,16 @@ class Sizes:
         rows, seen = self._rows(told)
         on_parts = rows @ self._spline.parts
         stride = np.where(rng.random((b, 1)) < MIX, 1.5, 0.5) * SPREAD
-        logs = self._logs + _WAYS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
+        logs = self._logs + WAYS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
         logs, own = np.concatenate([self._logs, logs]), np.concatenate([self._own, self._own])
-        variance = self._variances(logs, own)
-        factors, value = self._density(logs, own, variance, on_parts, seen)
+        variance, capped = part_variances(self._spline, logs, own)
+        factors, value = self._density(logs, capped, variance, on_parts, seen)
         taken = np.log(rng.random(b)) < value[b:] - value[:b]
         chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
         self._logs = logs[chosen]
         step = self._steps(variance[chosen], [factors[i] for i in chosen.tolist()], on_parts, seen)
-        scale = np.exp(self._logs[:, 1:]) * self._spline.share
-        self._own = (0.5 + 0.5 * (step / scale) ** 2) / rng.standard_exponential(step.shape)
-        self._drawn[self._at : self._at + b] = self._variances(self._logs, self._own)
+        self._own = drawn_sizes(self._spline, self._logs, step, rng)
+        self._drawn[self._at : self._at + b] = part_variances(self._spline, self._logs, self._own)[0]
         self._at = (self._at + b) % len(self._drawn)
 
     def mixed(self, told: OfK) -> tuple[Array, Array, Array]:
@@ -98,21 +96,13 @@ class Sizes:
         seen, _ = dtrtrs(told.root, right, trans=1)
         return told.root, seen
 
-    def _variances(self, logs: Array, own: Array) -> Array:
-        """(B, n) of the parts."""
-        out = self._spline.variances(*np.exp(logs.T))
-        free = (np.exp(logs[:, 1:]) * self._spline.share) ** 2 * own
-        out[:, self._spline.count :] = free / (1.0 + free / JUMP**2)
-        return out
-
     def _density(
-        self, logs: Array, own: Array, variance: Array, on_parts: Array, seen: Array
+        self, logs: Array, capped: Array, variance: Array, on_parts: Array, seen: Array
     ) -> tuple[list[Array], Array]:
         """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""
         spread = (on_parts * variance[:, None]) @ on_parts.T
         spread.reshape(len(spread), -1)[:, :: len(seen) + 1] += 1.0
-        free = (np.exp(logs[:, 1:]) * self._spline.share) ** 2 * own
-        value = -0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
+        value = -0.5 * np.sum(np.log1p(capped), axis=1)
         value -= 0.5 * np.sum(((logs - self._expected) / SPREAD) ** 2, axis=1)
         factors = []
         for i, one in enumerate(spread):

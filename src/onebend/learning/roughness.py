@@ -24,6 +24,7 @@ TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per un
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
 _TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
+WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
 MIX = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
 
@@ -45,8 +46,6 @@ class Mixed:
     covariance: Array  # (p, p)
     steps: Array  # (p - 1,) means of the steps
     shape: Array  # (levels, S) how wide its bands are over those of a normal, see `UncertainStiffness`
-    tau: float  # medians
-    rho: float
 
 
 @dataclass(frozen=True)
@@ -64,6 +63,21 @@ class _Chains:
     def stand(self) -> Array:
         """(B, 2 p + 1) the sizes, from which other chains can go on."""
         return np.concatenate([self.logs, self.own], axis=1)
+
+
+def part_variances(spline: Spline, logs: Array, own: Array) -> tuple[Array, Array]:
+    """(B, n) of the parts of log k at sizes (B, 2) and (B, 2 p - 1), and how far each step and bump is over JUMP."""
+    out = spline.variances(*np.exp(logs.T))
+    free = (np.exp(logs[:, 1:]) * spline.share) ** 2 * own
+    capped = free / JUMP**2
+    out[:, spline.count :] = free / (1.0 + capped)
+    return out, capped
+
+
+def drawn_sizes(spline: Spline, logs: Array, local: Array, rng: np.random.Generator) -> Array:
+    """(B, 2 p - 1) own variances of steps and bumps, given these (B, 2 p - 1) and tau and rho."""
+    scale = np.exp(logs[:, 1:]) * spline.share
+    return np.asarray((0.5 + 0.5 * (local / scale) ** 2) / rng.standard_exponential(local.shape))
 
 
 class _Target:
@@ -86,14 +100,12 @@ class _Target:
 
     def at(self, logs: Array, own: Array) -> _Chains:
         """The chains with these sizes."""
-        variance = self.spline.variances(*np.exp(logs.T))
-        free = self._scale(logs) ** 2 * own
-        variance[:, self.local] = free / (1.0 + free / JUMP**2)
+        variance, capped = part_variances(self.spline, logs, own)
         spread = (self.on_parts * variance[:, None]) @ np.swapaxes(self.on_parts, 1, 2)
         root = np.asarray(np.linalg.cholesky(spread + np.eye(spread.shape[-1])), dtype=float)
         white = np.linalg.solve(root, self.seen[..., None])[..., 0]
         value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)
-        value -= 0.5 * np.sum(np.log1p(free / JUMP**2), axis=1)
+        value -= 0.5 * np.sum(np.log1p(capped), axis=1)
         value -= 0.5 * np.sum(((logs - np.log([TAU, RHO])) / SPREAD) ** 2, axis=1)
         return _Chains(logs, own, variance, root, white, value)
 
@@ -101,19 +113,14 @@ class _Target:
         """One step of every chain."""
         count = len(now.logs)
         stride = np.where(rng.random((count, 1)) < MIX, 1.5, 0.5) * SPREAD
-        ways = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])[rng.integers(0, 3, count)]
+        ways = WAYS[rng.integers(0, 3, count)]
         tried = self.at(now.logs + ways * stride * rng.standard_normal((count, 2)), now.own)
         taken = np.log(rng.random(count)) < tried.value - now.value
         logs = np.where(taken[:, None], tried.logs, now.logs)
         variance = np.where(taken[:, None], tried.variance, now.variance)
         root = np.where(taken[:, None, None], tried.root, now.root)
         drawn = self._drawn(variance, root, rng)
-        own = (0.5 + 0.5 * (drawn / self._scale(logs)) ** 2) / rng.standard_exponential(drawn.shape)
-        return self.at(logs, own)
-
-    def _scale(self, logs: Array) -> Array:
-        """(B, 2 p - 1) of every step and bump."""
-        return np.asarray(np.exp(logs[:, 1:]) * self.spline.share)
+        return self.at(logs, drawn_sizes(self.spline, logs, drawn, rng))
 
     def _drawn(self, variance: Array, root: Array, rng: np.random.Generator) -> Array:
         """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
@@ -148,7 +155,7 @@ def drawn_parts(
 def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, start: Array | None = None) -> Mixed:
     """What is known of log k around `level`; `start` as for `drawn_parts`."""
     target, p = _Target(spline, told, level, draws.chains), spline.count
-    mean, second, sizes, marginals = np.zeros(p), np.zeros((p, p)), [], []
+    mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
     on_places = spline.basis(SHAPE_PLACES) @ target.weights  # (S, n)
     for now in _drawn_chains(target, draws, start):
@@ -160,15 +167,13 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, star
         second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
         mean += target.share @ means
         parts += target.share @ of_parts
-        sizes.append(now.logs)
         left = now.variance @ (on_places**2).T - np.sum((across @ on_places.T) ** 2, axis=1)
         marginals.append(np.stack([of_parts @ on_places.T, np.sqrt(np.maximum(left, 0.0))]))
     mean, second, parts = mean / draws.kept, second / draws.kept, parts / draws.kept
-    tau, rho = np.exp(np.median(np.concatenate(sizes), axis=0)).tolist()
     covariance = second - np.outer(mean, mean)
     means, sds = np.concatenate(marginals, axis=1)
     shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
-    return Mixed(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape, tau, rho)
+    return Mixed(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape)
 
 
 def _drawn_chains(target: _Target, draws: Draws, start: Array | None) -> Iterator[_Chains]:

@@ -31,7 +31,7 @@ _WITHIN = 20  # places of a step between two coefficients that are averaged over
 class Spline:
     """`count` B-splines on equal intervals of [0, 1]."""
 
-    count: int = 45
+    count: int
 
     @cached_property
     def knots(self) -> Array:

@@ -16,13 +16,14 @@ import numpy as np
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import LOG_BEFORE
+from onebend.learning.posterior import FitSettings
 from onebend.learning.workbench import Bench, ForceDoubt
 from onebend.learning.workbench import Push as EvenPush
 from onebend.recording.frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD
 from onebend.rehearse.setup import Setup
 
-FUNCTIONS = 45  # of log k, as the fit has
+FUNCTIONS = FitSettings.functions  # of log k
 MOST_FRAMES = 200  # of a push that prediction and fit use
 _CUTOFF = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
 _WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
