@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv, dpotrs
+from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from onebend.beam.continuation import follow
 from onebend.beam.problem import Problem
@@ -41,38 +41,87 @@ class Linear:
     a: Array  # (B, m, 3, 2) with the logged force, per N
 
 
+@dataclass(frozen=True)
+class _Load:
+    """The beam and what acts on it in B frames, on the grid of a place."""
+
+    length: float  # m
+    stiff: Array  # (Q,) k times the nodes' weights
+    q0: Array  # (Q,)
+    alpha0: float
+    force: Array  # (B, 2) N
+    pushed: Array  # (B, Q) share of the push beyond each node
+    gravity: Array  # (B, 2) m/s^2
+    masses: Array  # (Q, 4) kg of each part of the mass beyond the nodes; (Q, 0) where none is among the parameters
+    dead: Array  # (2, B, Q) N beyond the nodes
+
+    pull: Array  # (2, B, Q) N m: that times the length and the nodes' weights
+
+
 def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Array | None) -> Linear:
-    """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any."""
-    at = setting.at
+    """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any.
+
+    Tags are fewer than parameters: the tangent is solved for the former (adjoint), and for the force.
+    """
+    at, p, m = setting.at, setting.at.spline.count, len(setting.marker_s)
     axes = _axes(at, x)
     force = (given.force + given.rate * at.get(x, "clock")) @ axes.T
-    problem, pushed = _problem(setting, place, x, force, given)
-    weights = place.mass_beyond if setting.weighs else place.mass_beyond[:, :0]
-    q, converged, bent = _shapes(place, problem, start, (force, pushed, given.gravity, weights))
-    alpha = problem.alpha0 + q @ place.to_nodes.T
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    clamp, p = np.zeros(bent.shape[-1]), at.spline.count
-    clamp[p + 3] = 1.0
-    turned_nodes, turn = place.to_nodes @ bent + clamp, place.rows @ bent + clamp
-    rows = setting.length * place.rows
-    xy = np.stack([cos @ rows.T, sin @ rows.T], axis=-1)
-    dxy = np.stack([rows @ (-sin[..., None] * turned_nodes), rows @ (cos[..., None] * turned_nodes)], axis=2)
-    angle, curved = problem.alpha0 + q @ place.rows.T, q @ place.bend.T
-    along, across = at.get(x, "along"), at.get(x, "across")
-    way, angle = angle + 0.5 * curved * along, angle + curved * along  # a circle to where the tag sits
-    u, v = _directions(way), _directions(angle)
-    scale = 1.0 + float(at.get(x, "scale")[0])
-    beam_xy = xy + along[:, None] * u[0] + across[:, None] * v[1]
-    more = along[:, None] * (place.bend @ bent)
-    dxy += (along[:, None] * u[1])[..., None] * (turn + 0.5 * more)[:, :, None, :]
-    turn = turn + more
-    dxy -= (across[:, None] * v[0])[..., None] * turn[:, :, None, :]
-    mechanics = np.concatenate([scale * dxy, turn[:, :, None, :]], axis=2)
-    pose = np.concatenate([scale * beam_xy + at.get(x, "origin"), (angle + at.get(x, "turn"))[..., None]], axis=-1)
+    load = _load(setting, place, x, force, given)
+    q, converged, factors = _shapes(place, load, start)
+    right, cos, sin = _turning(place, load, q)
+    pose, by_shape, of_tags = _tags(setting, place, x, (q, cos, sin))
+    both = np.empty((len(q), 3 * m + 2, q.shape[1]))
+    both[:, : 3 * m] = by_shape.reshape(len(q), 3 * m, -1)
+    both[:, 3 * m :] = right[..., p + 4 : p + 6].swapaxes(1, 2)
+    for one, factor in zip(both, factors, strict=True):
+        one[:] = dpotrs(factor, one.T, lower=1, overwrite_b=1)[0].T
+    mechanics = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
+    mechanics[..., p + 3] += of_tags.clamp
     j, a = _by_parameters(at, mechanics, given.rate, force, axes)
-    stride = u[0] + (0.5 * curved * along)[..., None] * u[1] - (curved * across)[..., None] * v[0]
-    _put_tags(j, at, scale * stride, curved, scale * v[1], beam_xy)
-    return Linear(converged, q, bent[..., p + 4 : p + 6] @ axes, pose, j, a)
+    _put_tags(j, at, of_tags)
+    return Linear(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, a)
+
+
+@dataclass(frozen=True)
+class _OfTags:
+    """How tags move with what holds them, the shape staying as it is."""
+
+    clamp: Array  # (B, m, 3) with the clamp's angle
+    along: Array  # (2, B, m) per metre along the beam
+    across: Array  # (2, B, m) to its left
+    bend: Array  # (B, m) 1/m: turn per metre along
+    xy: Array  # (2, B, m) m: with the camera's scale
+
+
+def _tags(setting: Setting, place: Place, x: Array, shape: tuple[Array, Array, Array]) -> tuple[Array, Array, _OfTags]:
+    """Poses (B, m, 3) of the tags on shapes (curvature, cosine and sine of the angle: (B, Q) each), and their
+    derivatives (B, m, 3, Q) with the curvature."""
+    at, m, (q, cos, sin) = setting.at, len(setting.marker_s), shape
+    ways = np.concatenate([cos[:, None] * place.steps, sin[:, None] * place.steps], axis=1)  # (B, 2 m, Q)
+    xy = ways.sum(axis=2).reshape(-1, 2, m).swapaxes(0, 1)
+    moves, out = ways @ place.to_nodes, q @ place.reach.T
+    angle, curved = float(at.get(x, "clamp")[0]) + out[:, :m], out[:, m:]
+    along, across = at.get(x, "along"), at.get(x, "across")
+    half = 0.5 * along * curved
+    way, angle = angle + half, angle + 2.0 * half  # a circle to where the tag sits
+    u, v = np.array([np.cos(way), np.sin(way)]), np.array([-np.sin(angle), np.cos(angle)])  # (2, B, m)
+    scale = 1.0 + float(at.get(x, "scale")[0])
+    xy = xy + along * u + across * v
+    turn = place.reach[:m] + along[:, None] * place.reach[m:]
+    half_turn, ahead, aside = 0.5 * (place.reach[:m] + turn), along * u, across * v
+    by_shape = np.empty((len(q), m, 3, q.shape[1]))
+    by_shape[:, :, 0] = -moves[:, m:] - ahead[1][..., None] * half_turn - aside[1][..., None] * turn
+    by_shape[:, :, 1] = moves[:, :m] + ahead[0][..., None] * half_turn + aside[0][..., None] * turn
+    by_shape[:, :, 2] = turn
+    if scale != 1.0:
+        by_shape[:, :, :2] *= scale
+    clamp, pose = np.ones((len(q), m, 3)), np.empty((len(q), m, 3))
+    clamp[..., 0], clamp[..., 1] = -scale * xy[1], scale * xy[0]
+    origin = at.get(x, "origin")
+    pose[..., 0], pose[..., 1] = scale * xy[0] + origin[0], scale * xy[1] + origin[1]
+    pose[..., 2] = angle + at.get(x, "turn")
+    stride = u + half * np.array([-u[1], u[0]]) - (across * curved) * np.array([v[1], -v[0]])
+    return pose, by_shape, _OfTags(clamp, scale * stride, scale * v, curved, xy)
 
 
 def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes: Array) -> tuple[Array, Array]:
@@ -92,96 +141,114 @@ def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes
     return j, a
 
 
-def _shapes(
-    place: Place, problem: Problem, start: Array | None, load: tuple[Array, Array, Array, Array]
-) -> tuple[Array, BoolArray, Array]:
-    """Equilibria (B, Q), which of them were found, and how they respond to the parameters (`_turning`): (B, Q, P).
+def _shapes(place: Place, load: _Load, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
+    """Equilibria (B, Q), which of them were found, and the Cholesky factors of their tangents.
 
     Newton from `start`, its last tangent being good enough for derivatives; where it strays from a stable shape nearby,
     or without a start, the shapes are sought from rest.
     """
     if start is not None:
-        q, moved = start.copy(), 0.0
+        q, moved, b = start.copy(), 0.0, place.to_nodes.T
+        factors, update = [np.zeros(0)] * len(q), np.empty_like(q)
         for _ in range(_MOST):
-            unbalanced, matrices = _balance(problem, place, q)
-            solved = [dposv(one, right, lower=1) for one, right in zip(matrices, unbalanced, strict=True)]
-            if any(info for _, _, info in solved):
+            unbalanced, matrices = _balance(load, place, q)
+            info = 0
+            for i, one in enumerate(matrices):
+                factors[i], update[i], wrong = dposv(one, unbalanced[i], lower=1)
+                info |= wrong
+            if info:
                 break
-            update = np.stack([one for _, one, _ in solved])
             q -= update
-            turn = float(np.abs(update @ problem.to_nodes.T).max())
+            turn = float(np.abs(update @ b).max())
             moved += turn
             if turn < _TOLERANCE:
-                right = _turning(place, problem, q, load)
-                each = [dpotrs(factor, one, lower=1)[0] for (factor, _, _), one in zip(solved, right, strict=True)]
-                return q, np.ones(len(q), dtype=bool), np.stack(each)
+                return q, np.ones(len(q), dtype=bool), factors
             if not moved < _TRUST:
                 break
+    problem = _problem(place, load)
     found = follow(problem)
-    q, good = found.q, found.converged & found.stable
-    bent = _turning(place, problem, q, load)
-    for i, one in enumerate(tangent(problem, q)):
-        _, bent[i], info = dposv(one, bent[i], lower=1)
-        good[i] &= info == 0
-    return q, good, bent
+    good, factors = found.converged & found.stable, []
+    for i, one in enumerate(tangent(problem, found.q)):
+        factor, wrong = dpotrf(one, lower=1)
+        factors.append(factor if wrong == 0 else np.eye(len(one)))
+        good[i] &= wrong == 0
+    return found.q, good, factors
 
 
-def _balance(problem: Problem, place: Place, q: Array) -> tuple[Array, Array]:
+def _balance(load: _Load, place: Place, q: Array) -> tuple[Array, Array]:
     """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
-    alpha = problem.alpha0 + q @ place.to_nodes.T
+    alpha = load.alpha0 + q @ place.to_nodes.T
     cos, sin = np.cos(alpha), np.sin(alpha)
-    x, y = problem.dead_pull
-    stiff = place.weights * problem.k
-    matrices = ((x * cos + y * sin) @ place.squares).reshape(*q.shape, -1)
-    matrices.reshape(len(q), -1)[:, :: q.shape[1] + 1] += stiff
-    return stiff * (q - problem.q0) - (y * cos - x * sin) @ place.to_nodes, matrices
+    x, y = load.pull
+    matrices = (x * cos + y * sin) @ place.squares
+    matrices[:, :: q.shape[1] + 1] += load.stiff
+    return load.stiff * (q - load.q0) - (y * cos - x * sin) @ place.to_nodes, matrices.reshape(*q.shape, -1)
 
 
-def _problem(setting: Setting, place: Place, x: Array, force: Array, given: Inputs) -> tuple[Problem, Array]:
-    """The problem of B frames, and (B, Q) the share of the push beyond each node."""
-    at, size, nodes = setting.at, len(force), len(place.weights)
+def _load(setting: Setting, place: Place, x: Array, force: Array, given: Inputs) -> _Load:
+    at = setting.at
     pushed = place.beyond + (float(at.get(x, "place")[0]) + given.farther)[:, None] * place.farther
-    mass = place.mass_beyond[:, 0] + place.mass_beyond @ at.get(x, "mass")
-    dead = pushed[..., None] * force[:, None, :] + mass[:, None] * given.gravity[:, None, :]
-    problem = Problem(
+    dead = pushed * force.T[..., None]
+    if setting.mass > 0.0:
+        mass = place.mass_beyond[:, 0] + place.mass_beyond @ at.get(x, "mass")
+        dead += mass * given.gravity.T[..., None]
+    return _Load(
+        setting.length,
+        place.weights * np.exp(place.on_nodes @ at.get(x, "stiffness")),
+        place.rest_on_nodes @ at.get(x, "curvature"),
+        float(at.get(x, "clamp")[0]),
+        force,
+        pushed,
+        given.gravity,
+        place.mass_beyond if setting.weighs else place.mass_beyond[:, :0],
+        dead,
+        setting.length * place.weights * dead,
+    )
+
+
+def _problem(place: Place, load: _Load) -> Problem:
+    """The problem of B frames, for the search from rest."""
+    size, nodes = load.pushed.shape
+    return Problem(
         grid=place.grid,
         weights=place.weights,
         to_nodes=place.to_nodes,
-        length=np.asarray(setting.length),
-        k=np.exp(place.on_nodes @ at.get(x, "stiffness")),
-        q0=place.rest_on_nodes @ at.get(x, "curvature"),
-        alpha0=np.asarray(at.get(x, "clamp")[0]),
-        dead_force=dead,
+        length=np.asarray(load.length),
+        k=load.stiff / place.weights,
+        q0=load.q0,
+        alpha0=np.asarray(load.alpha0),
+        dead_force=np.stack(tuple(load.dead), axis=-1),
         moment=np.zeros((size, nodes)),
         follower=np.zeros((size, 0, 2)),
         follower_beyond=np.zeros((size, 0, nodes)),
         follower_rows=np.zeros((size, 0, nodes)),
     )
-    return problem, pushed
 
 
-def _turning(place: Place, problem: Problem, q: Array, load: tuple[Array, Array, Array, Array]) -> Array:
-    """(B, Q, P) what the parameters put out of balance; the tangent's inverse times it is the curvature's response.
+def _turning(place: Place, load: _Load, q: Array) -> tuple[Array, Array, Array]:
+    """(B, Q, P) what the parameters put out of balance: the tangent's inverse times it is the curvature's response; and
+    cosine and sine of the beam's angle (B, Q).
 
-    Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force, its place, the mass's parts
-    (`load`: forces, share of the push beyond the nodes, gravity, kg of each part beyond the nodes).
+    Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force, its place, the mass's parts.
     """
-    force, pushed, gravity, weights = load
-    p, b = place.on_nodes.shape[1], place.to_nodes
-    alpha = problem.alpha0 + q @ b.T
+    p, b, masses = place.on_nodes.shape[1], place.to_nodes, load.masses
+    alpha = load.alpha0 + q @ b.T
     cos, sin = np.cos(alpha), np.sin(alpha)
-    right = np.empty((*q.shape, p + 7 + weights.shape[1]))
-    stiff, pull = place.weights * problem.k, problem.length * place.weights
-    right[..., :p] = -(stiff * (q - problem.q0))[..., None] * place.on_nodes
-    right[..., p : p + 3] = stiff[:, None] * place.rest_on_nodes
-    lever = np.empty((*q.shape, 4 + weights.shape[1]))  # what turns the nodes, to be summed up
-    lever[..., 0] = -pull * (problem.dead_force[..., 0] * cos + problem.dead_force[..., 1] * sin)
-    lever[..., 1], lever[..., 2] = -pull * pushed * sin, pull * pushed * cos
-    lever[..., 3] = pull * place.farther * (force[:, 1:] * cos - force[:, :1] * sin)
-    if weights.shape[1]:
-        lever[..., 4:] = (pull * (gravity[:, 1:] * cos - gravity[:, :1] * sin))[..., None] * weights
-    right[..., p + 3 :] = b.T @ lever
-    return right
+    force, arm = load.force, load.length * place.weights * load.pushed
+    right = np.empty((*q.shape, p + 7 + masses.shape[1]))
+    np.multiply((load.stiff * (load.q0 - q))[..., None], place.on_nodes, out=right[..., :p])
+    right[..., p : p + 3] = load.stiff[:, None] * place.rest_on_nodes
+    lever = np.empty((*q.shape, 4 + masses.shape[1]))  # what turns the nodes, to be summed up
+    x, y = load.pull
+    lever[..., 0] = -x * cos - y * sin
+    lever[..., 1], lever[..., 2] = -arm * sin, arm * cos
+    across = force[:, 1:] * cos - force[:, :1] * sin
+    lever[..., 3] = (load.length * place.weights * place.farther) * across
+    if masses.shape[1]:
+        falling = load.gravity[:, 1:] * cos - load.gravity[:, :1] * sin
+        lever[..., 4:] = (load.length * place.weights * falling)[..., None] * masses
+    np.matmul(b.T, lever, out=right[..., p + 3 :])
+    return right, cos, sin
 
 
 def _axes(at: Layout, x: Array) -> Array:
@@ -197,30 +264,21 @@ def _put(j: Array, at: Layout, name: str, values: Array) -> None:
         j[..., columns] = values
 
 
-def _put_tags(j: Array, at: Layout, stride: Array, bend: Array, aside: Array, beam_xy: Array) -> None:
-    """Derivatives with each tag's place and turn, the origin and the camera's scale.
-
-    `stride` and `aside` (B, m, 2): how a tag moves per metre along and across; `bend` (B, m): how it turns per metre.
-    """
-    tags = np.arange(bend.shape[1])
+def _put_tags(j: Array, at: Layout, of_tags: _OfTags) -> None:
+    """Derivatives with each tag's place and turn, the origin and the camera's scale."""
+    tags = np.arange(j.shape[1])
     along, across, turn = at.columns("along"), at.columns("across"), at.columns("turn")
     origin, size = at.columns("origin"), at.columns("scale")
     for i in range(2):
         if along is not None:
-            j[:, tags, i, along.start + tags] = stride[..., i]
+            j[:, tags, i, along.start + tags] = of_tags.along[i]
         if across is not None:
-            j[:, tags, i, across.start + tags] = aside[..., i]
+            j[:, tags, i, across.start + tags] = of_tags.across[i]
         if origin is not None:
             j[:, :, i, origin.start + i] = 1.0
+        if size is not None:
+            j[:, :, i, size.start] = of_tags.xy[i]
     if along is not None:
-        j[:, tags, 2, along.start + tags] = bend
+        j[:, tags, 2, along.start + tags] = of_tags.bend
     if turn is not None:
         j[:, tags, 2, turn.start + tags] = 1.0
-    if size is not None:
-        j[:, :, :2, size.start] = beam_xy
-
-
-def _directions(angle: Array) -> tuple[Array, Array]:
-    """Units (..., 2) along an angle and to its left."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)

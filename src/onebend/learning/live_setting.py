@@ -65,8 +65,8 @@ class Place:
     mass_beyond: Array  # (Q, 4) kg, of an even mass and of its uneven parts
     on_nodes: Array  # (Q, p)
     rest_on_nodes: Array  # (Q, 3)
-    rows: Array  # (m, Q): integrals up to the markers
-    bend: Array  # (m, Q) 1/m: turn of the beam under the markers per metre along it
+    steps: Array  # (m, Q) m: integrals up to the markers, times the length
+    reach: Array  # (2 m, Q): integrals up to the markers; 1/m, turn of the beam there per metre along it
 
 
 def live_layout(
@@ -120,7 +120,7 @@ def place_at(setting: Setting, push_s: float) -> Place:
     """The grid and what stands on it for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
     nodes, to_nodes, weights = grid.nodes, grid.integral_to_nodes, grid.weights
-    parts = MASS_MODES.curvature(nodes)
+    parts, rows = MASS_MODES.curvature(nodes), grid.integral_to(setting.marker_s)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
     return Place(
@@ -134,6 +134,6 @@ def place_at(setting: Setting, push_s: float) -> Place:
         mass_beyond=setting.mass * (weights @ parts - to_nodes @ parts),
         on_nodes=setting.at.spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        rows=grid.integral_to(setting.marker_s),
-        bend=grid.value_at(setting.marker_s) / setting.length,
+        steps=setting.length * rows,
+        reach=np.concatenate([rows, grid.value_at(setting.marker_s) / setting.length]),
     )
