@@ -8,7 +8,7 @@ averaged the oldest is folded away (`live_past.py`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,35 +25,124 @@ _REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
 
 @dataclass
 class KeyFrames:
-    """K places, `used` of them taken, in order of time."""
+    """K places, `used` of them taken, in order of time. Few arrays: frames are moved and averaged all the time."""
 
     used: int
-    begin: Array  # (K,) s
-    end: Array
-    own: Array  # the load's own time there, but for its last changes
-    frames: Array  # how many were averaged
-    rest: BoolArray  # nothing pushes
-    push_s: Array
-    force: Array  # (K, 2) N, as logged
-    rate: Array  # (K, 2) N/s
-    gravity: Array  # (K, 2)
+    numbers: Array  # (K, 14): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, `gravity`, `error`
+    flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
     root: Array  # (K, m, 3, 3) R with R' R = information
     weight: Array  # (K, m) robust
-    error: Array  # (K, 2) N, the force's, at which it was linearised
     left: Array  # (K, m, 3) measured less predicted, where it was linearised
-    zeta: Array  # (K, m, 3)
-    j: Array  # (K, m, 3, n)
-    a: Array  # (K, m, 3, 2)
-    q: Array  # (K, Q) rad, the shape to start from
-    grid: Array  # (K,) place of the push whose grid that is on; 0: there is none yet
-    by_force: Array  # (K, Q, 2) of it with the logged force
-    stale: BoolArray  # (K,) linearised at other parameters than the frames that came last, and to follow them
-    lost: BoolArray  # (K,) has no equilibrium at those parameters: stays as it was linearised before
-    rows_j: Array  # (K, 3 m, n) whitened
-    rows_a: Array  # (K, 3 m, 2)
-    rows_z: Array  # (K, 3 m)
+    linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
+    rows: Array  # (K, 3 m, n + 3): the same, whitened
+    shape: Array  # (K, Q, 3): `q`, `by_force`
+
+    @property
+    def begin(self) -> Array:
+        """(K,) s."""
+        return self.numbers[:, 0]
+
+    @property
+    def end(self) -> Array:
+        """(K,) s."""
+        return self.numbers[:, 1]
+
+    @property
+    def own(self) -> Array:
+        """(K,) the load's own time there, but for its last changes."""
+        return self.numbers[:, 2]
+
+    @property
+    def frames(self) -> Array:
+        """(K,) how many were averaged."""
+        return self.numbers[:, 3]
+
+    @property
+    def push_s(self) -> Array:
+        """(K,)."""
+        return self.numbers[:, 4]
+
+    @property
+    def grid(self) -> Array:
+        """(K,) place of the push whose grid `q` is on; 0: there is none yet."""
+        return self.numbers[:, 5]
+
+    @property
+    def force(self) -> Array:
+        """(K, 2) N, as logged."""
+        return self.numbers[:, 6:8]
+
+    @property
+    def rate(self) -> Array:
+        """(K, 2) N/s."""
+        return self.numbers[:, 8:10]
+
+    @property
+    def gravity(self) -> Array:
+        """(K, 2) m/s^2."""
+        return self.numbers[:, 10:12]
+
+    @property
+    def error(self) -> Array:
+        """(K, 2) N, the force's, at which it was linearised."""
+        return self.numbers[:, 12:]
+
+    @property
+    def rest(self) -> BoolArray:
+        """(K,) nothing pushes."""
+        return self.flags[:, 0]
+
+    @property
+    def stale(self) -> BoolArray:
+        """(K,) linearised at other parameters than the frames that came last, and to follow them."""
+        return self.flags[:, 1]
+
+    @property
+    def lost(self) -> BoolArray:
+        """(K,) has no equilibrium at those parameters: stays as it was linearised before."""
+        return self.flags[:, 2]
+
+    @property
+    def j(self) -> Array:
+        """(K, m, 3, n) derivatives with the parameters."""
+        return self.linear[..., :-3]
+
+    @property
+    def a(self) -> Array:
+        """(K, m, 3, 2) derivatives with the force."""
+        return self.linear[..., -3:-1]
+
+    @property
+    def zeta(self) -> Array:
+        """(K, m, 3)."""
+        return self.linear[..., -1]
+
+    @property
+    def rows_j(self) -> Array:
+        """(K, 3 m, n) whitened."""
+        return self.rows[..., :-3]
+
+    @property
+    def rows_a(self) -> Array:
+        """(K, 3 m, 2) whitened."""
+        return self.rows[..., -3:-1]
+
+    @property
+    def rows_z(self) -> Array:
+        """(K, 3 m) whitened."""
+        return self.rows[..., -1]
+
+    @property
+    def q(self) -> Array:
+        """(K, Q) rad, the shape to start from."""
+        return self.shape[..., 0]
+
+    @property
+    def by_force(self) -> Array:
+        """(K, Q, 2) of it with the logged force."""
+        return self.shape[..., 1:]
 
     @property
     def centre(self) -> Array:
@@ -67,7 +156,8 @@ class KeyFrames:
 
     def arrays(self) -> list[Array]:
         """All that is kept of every frame."""
-        return [getattr(self, field.name) for field in fields(self) if field.name != "used"]
+        shapes = [self.left, self.linear, self.rows, self.shape]
+        return [self.numbers, self.flags, self.measured, self.information, self.root, self.weight, *shapes]
 
     def drop(self, i: int) -> None:
         """Take frame i out."""
@@ -80,20 +170,22 @@ class KeyFrames:
 
         `pose` (B, m, 3) and its derivatives: `j` (B, m, 3, n) with x, `a` (B, m, 3, 2) with the force.
         """
-        turns = np.round((self.measured[i, :, 2] - pose[..., 2]) / (2.0 * np.pi))
-        self.measured[i, :, 2] -= 2.0 * np.pi * turns
-        a = a * ~self.rest[i][:, None, None, None]
-        left = self.measured[i] - pose
-        self.j[i], self.a[i], self.left[i], self.stale[i], self.lost[i] = j, a, left, False, False
-        self.zeta[i] = left + j @ x - (a @ self.error[i][:, None, :, None])[..., 0]
-        self.whiten(i)
+        measured, error, linear = self.measured[i], self.error[i], np.empty((len(i), *self.linear.shape[1:]))
+        measured[..., 2] -= 2.0 * np.pi * np.round((measured[..., 2] - pose[..., 2]) / (2.0 * np.pi))
+        left = measured - pose
+        linear[..., :-3] = j
+        linear[..., -3:-1] = a * ~self.rest[i][:, None, None, None]
+        linear[..., -1] = left + j @ x - (linear[..., -3:-1] @ error[:, None, :, None])[..., 0]
+        self.measured[i], self.left[i], self.linear[i], self.flags[i, 1:] = measured, left, linear, False
+        self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
 
     def said(self, i: int, marker: float, white: float) -> Array:
         """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
         noise, and two of the log itself where nothing pushes.
         """
         root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
-        rows = root * np.concatenate([self.rows_j[i], -self.rows_a[i], self.rows_z[i][:, None]], axis=1)
+        rows = root * self.rows[i]
+        rows[:, -3:-1] *= -1.0
         if not self.rest[i]:
             return np.asarray(rows)
         certain = np.sqrt(self.frames[i]) / (AT_REST * white)
@@ -107,10 +199,7 @@ class KeyFrames:
 
     def whiten(self, i: IntArray) -> None:
         """Renew the whitened rows of B frames."""
-        count, root = len(i), self.root[i]
-        self.rows_j[i] = (root @ self.j[i]).reshape(count, -1, self.j.shape[-1])
-        self.rows_a[i] = (root @ self.a[i]).reshape(count, -1, 2)
-        self.rows_z[i] = (root @ self.zeta[i][..., None]).reshape(count, -1)
+        self.rows[i] = (self.root[i] @ self.linear[i]).reshape(len(i), -1, self.linear.shape[-1])
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
@@ -122,32 +211,16 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 
     return KeyFrames(
         used=0,
-        begin=room(),
-        end=room(),
-        own=room(),
-        frames=room(),
-        rest=np.zeros(count, dtype=bool),
-        push_s=room(),
-        force=room(2),
-        rate=room(2),
-        gravity=room(2),
+        numbers=room(14),
+        flags=np.zeros((count, 3), dtype=bool),
         measured=room(tags, 3),
         information=room(tags, 3, 3),
         root=room(tags, 3, 3),
         weight=room(tags),
-        error=room(2),
         left=room(tags, 3),
-        zeta=room(tags, 3),
-        j=room(tags, 3, parameters),
-        a=room(tags, 3, 2),
-        q=room(nodes),
-        grid=room(),
-        by_force=room(nodes, 2),
-        stale=np.zeros(count, dtype=bool),
-        lost=np.zeros(count, dtype=bool),
-        rows_j=room(3 * tags, parameters),
-        rows_a=room(3 * tags, 2),
-        rows_z=room(3 * tags),
+        linear=room(tags, 3, parameters + 3),
+        rows=room(3 * tags, parameters + 3),
+        shape=room(nodes, 3),
     )
 
 
@@ -190,14 +263,15 @@ def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most:
 def propose_average(keys: KeyFrames, i: int, at: int) -> None:
     """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
     k = i + 1
+    first, second = keys.numbers[i], keys.numbers[k]
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
-    for values in (keys.own, keys.force, keys.rate, keys.gravity, keys.push_s, keys.error, keys.q):
-        values[at] = (1.0 - share) * values[i] + share * values[k]
-    keys.begin[at], keys.end[at], keys.frames[at] = keys.begin[i], keys.end[k], keys.frames[i] + keys.frames[k]
+    keys.numbers[at] = (1.0 - share) * first + share * second
+    keys.shape[at] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
+    keys.begin[at], keys.end[at], keys.frames[at] = first[0], second[1], first[3] + second[3]
     keys.rest[at], keys.lost[at] = keys.rest[i], False
     keys.grid[at] = keys.grid[i]
     if keys.grid[k] != keys.grid[i]:
-        keys.q[at] = keys.q[i]
+        keys.shape[at] = keys.shape[i]
     keys.measured[at], keys.root[at] = 0.0, 0.0
 
 

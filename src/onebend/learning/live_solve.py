@@ -144,34 +144,22 @@ class Solution:
 
 def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.zeros_like) -> Sums:
     """Sums over the key frames, robust weights included; `lately`: what the load's last changes add to its own time."""
-    used, n = keys.used, keys.j.shape[-1]
-    j, a, z = keys.rows_j[:used], keys.rows_a[:used], keys.rows_z[:used]
-    if np.any((keys.weight[:used] != 1.0) & (keys.weight[:used] != 0.0)):
-        root = np.repeat(np.sqrt(keys.weight[:used]), 3, axis=1)
-        j, a, z = root[..., None] * j, root[..., None] * a, root * z
-    flat = j.reshape(-1, n)
-    across = np.swapaxes(a, 1, 2)
+    used = keys.used
+    rows, weight = keys.rows[:used], keys.weight[:used]
+    if np.any((weight != 1.0) & (weight != 0.0)):
+        rows = np.repeat(np.sqrt(weight), 3, axis=1)[..., None] * rows
+    flat = rows.reshape(-1, rows.shape[-1])
+    every, each = flat.T @ flat, rows[..., -3:-1].swapaxes(1, 2) @ rows  # (n + 3, n + 3), (K, 2, n + 3)
+    xe, ee, be = -each[..., :-3], each[..., -3:-1], -each[..., -1]
     rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))
-    xe, ee, be = -(across @ j), across @ a, -(across @ z[..., None])[..., 0]  # (K, 2, n)
     log = keys.force[:used] * rest[:, None]
     if np.isfinite(past.time):
         spans = spans.after(past.time, past.own + float(lately(np.array([past.time]))[0]))
         xe, ee, be, log = (np.concatenate([np.zeros((1, *v.shape[1:])), v]) for v in (xe, ee, be, log))
         rest = np.concatenate([[0.0], rest])
-    rows = 3.0 * float(np.count_nonzero(keys.weight[:used]))
-    return Sums(
-        spans,
-        flat.T @ flat,
-        xe.reshape(-1, n).T,
-        ee,
-        flat.T @ z.ravel(),
-        be,
-        float(np.vdot(z, z)),
-        rows,
-        rest,
-        log,
-        past,
-    )
+    count = 3.0 * float(np.count_nonzero(weight))
+    xe = xe.reshape(-1, xe.shape[-1]).T
+    return Sums(spans, every[:-3, :-3], xe, ee, every[:-3, -1], be, float(every[-1, -1]), count, rest, log, past)
 
 
 def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: ForceProcess) -> Solution:
