@@ -18,17 +18,12 @@ class Frame:
     time: float  # s
     measured: Array  # (m, 3) m, m, rad; 0 where not seen
     covariance: Array  # (m, 3, 3); the unit matrix where not seen
+    root: Array  # (m, 3, 3) R with R' R its inverse; zero where not seen
     seen: BoolArray  # (m,)
     force: Array  # (2,) N, as logged
     push_s: float
     loaded: bool
     gravity: Array  # (2,) m/s^2
-
-    @property
-    def information(self) -> Array:
-        """(m, 3, 3) inverse of the covariance; zero where not seen."""
-        return np.asarray(np.linalg.inv(self.covariance) * self.seen[:, None, None])
-
 
 def checked_frame(
     tags: int,
@@ -61,14 +56,15 @@ def checked_frame(
     seen = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
     spread = np.where(seen[:, None, None], spread, np.eye(3))
     try:
-        np.linalg.cholesky(spread)
+        lower = np.linalg.cholesky(spread)
     except np.linalg.LinAlgError as error:
         raise LearningError(
             f"frame at {time:g} s: the covariance of a tag is not positive definite; give one sd squared of x, y [m^2] "
             "and angle [rad^2] on its diagonal"
         ) from error
     where = push_s if loaded else 1.0
-    return Frame(time, np.where(seen[:, None], measured, 0.0), spread, seen, pushed, where, loaded, pulled)
+    root = np.linalg.inv(lower) * seen[:, None, None]
+    return Frame(time, np.where(seen[:, None], measured, 0.0), spread, root, seen, pushed, where, loaded, pulled)
 
 
 def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) -> Array:

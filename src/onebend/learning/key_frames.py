@@ -20,6 +20,7 @@ _SAME_GRAVITY = 0.5  # m/s^2
 _SAME_FORCE = 0.15  # of the largest force
 _SAME_STAGE = 0.5  # of the load's own time
 AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
+_EYE = np.eye(3)
 _REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
 
 
@@ -193,13 +194,9 @@ class KeyFrames:
         log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
         return np.concatenate([rows, log])
 
-    def set_information(self, i: int, information: Array) -> None:
-        """(m, 3, 3) of the measured poses of frame i; zero where a tag is not seen."""
-        self.information[i], self.root[i] = information, _roots(information)
-
-    def whiten(self, i: IntArray) -> None:
-        """Renew the whitened rows of B frames."""
-        self.rows[i] = (self.root[i] @ self.linear[i]).reshape(len(i), -1, self.linear.shape[-1])
+    def whiten(self, i: int) -> None:
+        """Renew the whitened rows of frame i."""
+        self.rows[i] = (self.root[i] @ self.linear[i]).reshape(self.rows.shape[1:])
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
@@ -227,7 +224,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 def _roots(information: Array) -> Array:
     """R (m, 3, 3) with R' R = information; zero where that is zero."""
     seen = information[:, 0, 0] > 0.0
-    safe = np.where(seen[:, None, None], information, np.eye(3))
+    safe = np.where(seen[:, None, None], information, _EYE)
     return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
 
 
@@ -284,14 +281,14 @@ def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
     says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)]
     total = says[0] + says[1]
     seen = total[:, 0, 0] > 0.0
-    inverse = np.linalg.inv(np.where(seen[:, None, None], total, np.eye(3))) * seen[:, None, None]
-    left = (inverse @ (says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]))[..., 0]
-    pose = keys.measured[at] - keys.left[at]
-    keys.set_information(at, total)
-    keys.weight[at] = seen
-    keys.measured[at], keys.left[at] = pose + left, left
-    keys.zeta[at] = left + keys.j[at] @ x - keys.a[at] @ keys.error[at]
-    keys.whiten(np.array([at]))
+    both = says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]
+    left = np.linalg.solve(np.where(seen[:, None, None], total, _EYE), both)[..., 0] * seen[:, None]
+    keys.information[at], keys.root[at], keys.weight[at] = total, _roots(total), seen
+    keys.measured[at] += left - keys.left[at]
+    keys.left[at] = left
+    linear = keys.linear[at]
+    linear[..., -1] = left + linear[..., :-3] @ x - linear[..., -3:-1] @ keys.error[at]
+    keys.whiten(at)
     for values in keys.arrays():
         values[i] = values[at]
     keys.drop(k)

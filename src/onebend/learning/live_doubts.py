@@ -51,11 +51,12 @@ def _missed(keys: KeyFrames) -> str:
     pushed = seen & ~keys.rest[:used, None]
     if not np.any(pushed):
         return ""
-    counts = np.maximum(np.sum(pushed * keys.frames[:used, None], axis=0), 1.0)  # (m,) frames
+    frames = pushed * keys.frames[:used, None]
+    counts = np.maximum(frames.sum(axis=0), 1.0)  # (m,) frames
     force = force_in((keys.root[:used] @ keys.left[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
     left = keys.left[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
-    rms = np.sqrt(np.sum(pushed * keys.frames[:used, None] * np.sum(left**2, axis=-1), axis=0) / counts)
-    of_xy = np.sum(pushed * np.trace(keys.information[:used, :, :2, :2], axis1=2, axis2=3), axis=0)
+    rms = np.sqrt((frames[..., None] * left**2).sum(axis=(0, 2)) / counts)
+    of_xy = (pushed * (keys.information[:used, :, 0, 0] + keys.information[:used, :, 1, 1])).sum(axis=0)
     noise = 2.0 / np.sqrt(np.maximum(of_xy / counts, 1e-300))  # m, of one frame, x and y alike
     motion = _motion(keys.measured[:used, :, :2], seen)
     share = np.where(np.any(pushed, axis=0) & (rms > _SEEN * noise), rms / np.maximum(motion, 1e-300), 0.0)
@@ -70,5 +71,6 @@ def _missed(keys: KeyFrames) -> str:
 
 def _motion(xy: Array, seen: BoolArray) -> Array:
     """(m,) m: from end to end of where each tag was seen; infinite where it never was."""
-    high, low = (np.where(seen[..., None], xy, beyond) for beyond in (-np.inf, np.inf))
-    return np.asarray(np.linalg.norm(np.max(high, axis=0) - np.min(low, axis=0), axis=-1))
+    part = seen[..., None]
+    across = np.max(xy, axis=0, initial=-np.inf, where=part) - np.min(xy, axis=0, initial=np.inf, where=part)
+    return np.asarray(np.sqrt(across[:, 0] ** 2 + across[:, 1] ** 2))

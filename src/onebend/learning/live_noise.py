@@ -30,16 +30,17 @@ def left_of(keys: KeyFrames, solution: Solution) -> Array:
 def force_in(left: Array, a: Array) -> Array:
     """(K, 2) N: the force of each frame that explains most of its residuals (K, R); `a` (K, R, 2) m/N or 1/N: how it
     moves the tags."""
-    x, y = a[..., 0], a[..., 1]
-    xx, yy, xy = np.sum(x * x, axis=1) + _NO_FORCE, np.sum(y * y, axis=1) + _NO_FORCE, np.sum(x * y, axis=1)
-    by_x, by_y, size = np.sum(x * left, axis=1), np.sum(y * left, axis=1), xx * yy - xy**2
-    return np.stack([(yy * by_x - xy * by_y) / size, (xx * by_y - xy * by_x) / size], axis=-1)
+    turned = a.swapaxes(1, 2)
+    gram, by = turned @ a, (turned @ left[..., None])[..., 0]
+    xx, yy, xy = gram[:, 0, 0] + _NO_FORCE, gram[:, 1, 1] + _NO_FORCE, gram[:, 0, 1]
+    out = np.empty_like(by)
+    out[:, 0], out[:, 1] = yy * by[:, 0] - xy * by[:, 1], xx * by[:, 1] - xy * by[:, 0]
+    return out / (xx * yy - xy**2)[:, None]
 
 
 def without_force(left: Array, a: Array) -> Array:
     """Residuals (K, R) less what a force of each frame could explain; `a` (K, R, 2) as in `force_in`."""
-    force = force_in(left, a)
-    return np.asarray(left - force[:, :1] * a[..., 0] - force[:, 1:] * a[..., 1])
+    return np.asarray(left - (a @ force_in(left, a)[..., None])[..., 0])
 
 
 def robust_weights(keys: KeyFrames, left: Array, marker: float, bulk: float) -> Array:
@@ -62,7 +63,8 @@ def tags_noise(keys: KeyFrames, left: Array, spent: float, expected: float) -> f
     numbers = float(np.count_nonzero(r)) - 2.0 * len(r)
     if numbers <= 0.0:
         return expected
-    most = _BULK * float(np.median(np.abs(r[r != 0.0]))) / 0.6745
+    sizes = np.sort(np.abs(r[r != 0.0]))
+    most = _BULK * float(sizes[len(sizes) // 2]) / 0.6745
     left_over = max(numbers - spent, 0.3 * numbers)
-    found = (float(np.sum(np.clip(r, -most, most) ** 2)) + _GUESS_COUNTS * expected**2) / (left_over + _GUESS_COUNTS)
+    found = (float(np.sum(np.minimum(sizes, most) ** 2)) + _GUESS_COUNTS * expected**2) / (left_over + _GUESS_COUNTS)
     return max(float(np.sqrt(found)), _LEAST)

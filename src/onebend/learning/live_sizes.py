@@ -32,7 +32,9 @@ class OfK:
     @cached_property
     def root(self) -> Array | None:
         """(p, p) upper R with R' R the information; None where rounding has left it a direction below zero."""
-        lower, info = dpotrf(self.information + _TOLD * np.eye(len(self.b)), lower=1)
+        told = self.information.copy()
+        told.ravel()[:: len(told) + 1] += _TOLD
+        lower, info = dpotrf(told, lower=1)
         return None if info else np.asarray(lower.T)
 
 

@@ -170,9 +170,9 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     p, slots = start.at.spline.count, len(sums.spans.begin)
     m, weight, known = len(sums.bx) - p, 1.0 / scales.marker**2, 2 * slots
     inverse, log_process, certain = np.zeros((0, 0)), 0.0, np.zeros(0)
-    h, b = np.zeros((known + m, known + m), order="F"), np.empty(known + m)  # of h the lower triangle
-    side = np.empty((known + m, p), order="F")
-    h[known:, known:], side[known:], b[known:] = (
+    h = np.zeros((known + m, known + m), order="F")  # the lower triangle
+    side = np.empty((known + m, p + 1), order="F")  # behind it the right side
+    h[known:, known:], side[known:, :p], side[known:, p] = (
         weight * sums.xx[p:, p:],
         weight * sums.xx[p:, :p],
         weight * sums.bx[p:],
@@ -182,15 +182,15 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     if slots:
         inverse, log_process = _inverse(covariance(process, sums.spans))
         certain = sums.rest * sums.spans.frames / (AT_REST * process.white) ** 2
-        h[known:, :known], side[:known] = weight * sums.xe[p:], weight * sums.xe[:p].T
+        h[known:, :known], side[:known, :p] = weight * sums.xe[p:], weight * sums.xe[:p].T
         _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
-        b[:known] = (weight * sums.be + certain[:, None] * sums.log).ravel()
-        _put_past(sums.past, known, (h, side, b), (information, right))
+        side[:known, p] = (weight * sums.be + certain[:, None] * sums.log).ravel()
+        _put_past(sums.past, known, (h, side[:, :p], side[:, p]), (information, right))
     h.ravel(order="K")[:: known + m + 1] *= 1.0 + _ROUNDING
     factor, info = dpotrf(h, lower=1, overwrite_a=1)
     if info:
         raise np.linalg.LinAlgError("the information is not positive definite")
-    both, _ = dtrtrs(factor, np.concatenate([side, b[:, None]], axis=1), lower=1)
+    both, _ = dtrtrs(factor, side, lower=1, overwrite_b=1)
     across, ahead = both[:, :p], both[:, p]
     information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
     told = OfK(information - across.T @ across, right - across.T @ ahead)

@@ -129,14 +129,14 @@ class OnlineLearner:
         nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
         state = self._state
         if loaded and not np.any(frame.seen):
-            return Update(*nothing, solved=True, doubts=self._doubts + state.doubts)
+            return Update(*nothing, solved=True, doubts=self._doubts + state.last_doubts)
         if not state.enter(frame, rate):
             state.stiffen(_STIFFER)
-            return Update(*nothing, solved=False, doubts=self._doubts + state.doubts)
+            return Update(*nothing, solved=False, doubts=self._doubts + state.last_doubts)
         found = state.gate(frame)
         state.advance()
         self._frames += 1
-        return Update(*found, solved=True, doubts=self._doubts + state.doubts)
+        return Update(*found, solved=True, doubts=self._doubts + state.last_doubts)
 
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""

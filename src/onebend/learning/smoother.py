@@ -50,6 +50,7 @@ class Smoother:
         self._looks = 0
         self._coarse = 0.0
         self._failed = False  # the last attempt to solve
+        self._said: tuple[str, ...] = ()  # what the key frames contradicted when that was last looked at
         self._too_soft = False  # the last frame had no equilibrium
         self.pending = True  # a frame has come since the posterior was solved for
         self._linear = Linearizer(setting)
@@ -109,7 +110,7 @@ class Smoother:
         keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
         keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
         keys.measured[i], keys.weight[i] = frame.measured, frame.seen
-        keys.set_information(i, frame.information)
+        keys.root[i], keys.information[i] = frame.root, frame.root.swapaxes(1, 2) @ frame.root
         if frame.loaded:
             self._linear.pushed_at(frame.push_s)
         keys.used += 1
@@ -119,7 +120,7 @@ class Smoother:
         keys.error[i], keys.stale[i], keys.lost[i] = self._expected[0], False, False
         keys.q[i], keys.grid[i] = 0.0, 0.0
         if i > 0:
-            pushed = [(keys.force[k] - keys.error[k]) * (not keys.rest[k]) for k in (i - 1, i)]
+            pushed = (keys.force[i - 1 : i + 1] - keys.error[i - 1 : i + 1]) * ~keys.rest[i - 1 : i + 1, None]
             keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
         return i
 
@@ -153,15 +154,16 @@ class Smoother:
         used = np.asarray(frame.seen & (~far | (self._away >= self._habits.patience)))
         keys.weight[i] = used
         if not np.array_equal(used, frame.seen):
-            keys.set_information(i, keys.information[i] * used[:, None, None])
-            keys.whiten(np.array([i]))
+            keys.information[i] *= used[:, None, None]
+            keys.root[i] *= used[:, None, None]
+            keys.whiten(i)
         unseen = ~frame.seen
         innovation[unseen], distance[unseen] = np.nan, np.nan
         return innovation, distance, used
 
     def advance(self) -> None:
         """After a frame: every other time the posterior is solved for and log k's sizes make a step, in between other
-        scales are tried on it."""
+        scales are tried on it, and what it contradicts is looked at."""
         if self.pending or self._failed:
             self.pending = False
             if self.renew() and self._sizes is not None and self._coarse == 0.0:
@@ -169,6 +171,7 @@ class Smoother:
             return
         if self._habits.adapt:
             self.look_about()
+        self._said = live_doubts(self.keys, self.scales.marker, self._coarse)
         self.pending = True
 
     def look_about(self) -> None:
@@ -250,9 +253,15 @@ class Smoother:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why the posterior is not to be relied on at the moment; empty as a rule."""
+        self._said = live_doubts(self.keys, self.scales.marker, self._coarse)
+        return self.last_doubts
+
+    @property
+    def last_doubts(self) -> tuple[str, ...]:
+        """The same, what the key frames contradict as of the last time but one at most: it is looked at with every
+        other frame."""
         found = {FAILED: self._failed, TOO_SOFT: self._too_soft}
-        said = tuple(words for words, holds in found.items() if holds)
-        return said + live_doubts(self.keys, self.scales.marker, self._coarse)
+        return tuple(words for words, holds in found.items() if holds) + self._said
 
     def _moved(self) -> float:
         """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
