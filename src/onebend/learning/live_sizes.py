@@ -19,6 +19,7 @@ from onebend.records import Array
 
 _CHAINS = 2
 _KEPT = 40  # steps whose draws are kept
+_COPIES, _LEFT_OUT, _READ = 2, 5, 20  # of every chain, where the band is read, and their steps
 _TOLD = 1e-4  # information that every direction of log k is given: nothing, and a matrix has a factor
 
 
@@ -36,6 +37,14 @@ class OfK:
         told.ravel()[:: len(told) + 1] += _TOLD
         lower, info = dpotrf(told, lower=1)
         return None if info else np.asarray(lower.T)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """What the data say of log k's parts: `seen = on_parts @ parts + unit noise`."""
+
+    on_parts: Array  # (p, n)
+    seen: Array  # (p,)
 
 
 class Sizes:
@@ -58,67 +67,79 @@ class Sizes:
 
     def step(self, told: OfK) -> None:
         """One step of every chain."""
-        rng, b = self._rng, _CHAINS
-        rows, seen = self._rows(told)
-        on_parts = rows @ self._spline.parts
-        stride = np.where(rng.random((b, 1)) < MIX, 1.5, 0.5) * SPREAD
-        logs = self._logs + WAYS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
-        logs, own = np.concatenate([self._logs, logs]), np.concatenate([self._own, self._own])
-        variance, capped = part_variances(self._spline, logs, own)
-        factors, value = self._density(logs, capped, variance, on_parts, seen)
-        taken = np.log(rng.random(b)) < value[b:] - value[:b]
-        chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
-        self._logs = logs[chosen]
-        step = self._steps(variance[chosen], [factors[i] for i in chosen.tolist()], on_parts, seen)
-        self._own = drawn_sizes(self._spline, self._logs, step, rng)
+        b = _CHAINS
+        self._logs, self._own = self._moved(self._data(told), self._logs, self._own, self._rng)
         self._drawn[self._at : self._at + b] = part_variances(self._spline, self._logs, self._own)[0]
         self._at = (self._at + b) % len(self._drawn)
 
     def mixed(self, told: OfK) -> tuple[Array, Array, Array]:
-        """Mean (p,) and covariance (p, p) of log k averaged over the last draws, and the mean steps (p - 1,)."""
-        rows, seen = self._rows(told)
+        """Mean (p,) and covariance (p, p) of log k averaged over fresh draws, and the mean steps (p - 1,).
+
+        The kept draws lag behind: they are of less data. So copies of the chains go on from where these stand, which
+        stay there: reading changes nothing.
+        """
+        data, rng, drawn = self._data(told), np.random.default_rng(1), []
+        logs, own = np.repeat(self._logs, _COPIES, axis=0), np.repeat(self._own, _COPIES, axis=0)
+        for i in range(_LEFT_OUT + _READ):
+            logs, own = self._moved(data, logs, own, rng)
+            if i >= _LEFT_OUT:
+                drawn.append(part_variances(self._spline, logs, own)[0])
+        return self._averaged(data, np.concatenate(drawn))
+
+    def _averaged(self, data: _Data, drawn: Array) -> tuple[Array, Array, Array]:
+        """`mixed` over parts of these variances (D, n)."""
         weights, count = self._spline.parts, self._spline.count
-        on_parts = rows @ weights
-        across = on_parts * self._drawn[:, None]  # (D, p, n)
-        root = np.linalg.cholesky(across @ on_parts.T + np.eye(len(rows)))
+        across = data.on_parts * drawn[:, None]  # (D, p, n)
+        root = np.linalg.cholesky(across @ data.on_parts.T + np.eye(len(data.seen)))
         half = np.linalg.solve(root, across)
-        away = np.linalg.solve(root, np.broadcast_to(seen[:, None], (*root.shape[:2], 1)))
+        away = np.linalg.solve(root, np.broadcast_to(data.seen[:, None], (*root.shape[:2], 1)))
         parts = (np.swapaxes(half, 1, 2) @ away)[..., 0]  # (D, n)
         means, half = parts @ weights.T, (half @ weights.T).reshape(-1, count)
-        mean, draws = np.mean(means, axis=0), len(self._drawn)
-        out = (weights * self.parts) @ weights.T - half.T @ half / draws
+        mean, draws = np.mean(means, axis=0), len(drawn)
+        out = (weights * np.mean(drawn, axis=0)) @ weights.T - half.T @ half / draws
         out += (means - mean).T @ (means - mean) / draws
         return mean + self._level, 0.5 * (out + out.T), np.mean(parts, axis=0)[count : 2 * count - 1]
 
-    def _rows(self, told: OfK) -> tuple[Array, Array]:
-        """(p, p) and (p,): what the data say, as rows of unit noise on log k less its level."""
+    def _moved(self, data: _Data, logs: Array, own: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """One step of chains at sizes (B, 2) and (B, 2 p - 1)."""
+        b = len(logs)
+        stride = np.where(rng.random((b, 1)) < MIX, 1.5, 0.5) * SPREAD
+        tried = logs + WAYS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
+        both = np.concatenate([logs, tried])
+        variance, capped = part_variances(self._spline, both, np.concatenate([own, own]))
+        factors, value = self._density(both, capped, variance, data)
+        taken = np.log(rng.random(b)) < value[b:] - value[:b]
+        chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
+        local = self._local(variance[chosen], [factors[i] for i in chosen.tolist()], data, rng)
+        return both[chosen], drawn_sizes(self._spline, both[chosen], local, rng)
+
+    def _data(self, told: OfK) -> _Data:
+        """What the data say, as rows of unit noise on log k less its level."""
         if told.root is None:  # the solver lets none such out
             raise np.linalg.LinAlgError("what the data say of log k is not positive definite")
         right = told.b - told.information @ np.full(len(told.b), self._level)
         seen, _ = dtrtrs(told.root, right, trans=1)
-        return told.root, seen
+        return _Data(told.root @ self._spline.parts, seen)
 
-    def _density(
-        self, logs: Array, capped: Array, variance: Array, on_parts: Array, seen: Array
-    ) -> tuple[list[Array], Array]:
+    def _density(self, logs: Array, capped: Array, variance: Array, data: _Data) -> tuple[list[Array], Array]:
         """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""
-        spread = (on_parts * variance[:, None]) @ on_parts.T
-        spread.reshape(len(spread), -1)[:, :: len(seen) + 1] += 1.0
+        spread = (data.on_parts * variance[:, None]) @ data.on_parts.T
+        spread.reshape(len(spread), -1)[:, :: len(data.seen) + 1] += 1.0
         value = -0.5 * np.sum(np.log1p(capped), axis=1)
         value -= 0.5 * np.sum(((logs - self._expected) / SPREAD) ** 2, axis=1)
         factors = []
         for i, one in enumerate(spread):
             root, _ = dpotrf(one, lower=1)
-            white, _ = dtrtrs(root, seen, lower=1)
+            white, _ = dtrtrs(root, data.seen, lower=1)
             value[i] -= np.sum(np.log(np.diag(root))) + 0.5 * (white @ white)
             factors.append(root)
         return factors, value
 
-    def _steps(self, variance: Array, factors: list[Array], on_parts: Array, seen: Array) -> Array:
+    def _local(self, variance: Array, factors: list[Array], data: _Data, rng: np.random.Generator) -> Array:
         """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
         misses."""
-        drawn = np.sqrt(variance) * self._rng.standard_normal(variance.shape)
-        missed = seen - drawn @ on_parts.T - self._rng.standard_normal((len(factors), len(seen)))
+        drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
+        missed = data.seen - drawn @ data.on_parts.T - rng.standard_normal((len(factors), len(data.seen)))
         pull = np.stack([dpotrs(root, one, lower=1)[0] for root, one in zip(factors, missed, strict=True)])
         steps = slice(self._spline.count, None)
-        return np.asarray(drawn[:, steps] + variance[:, steps] * (pull @ on_parts[:, steps]))
+        return np.asarray(drawn[:, steps] + variance[:, steps] * (pull @ data.on_parts[:, steps]))
