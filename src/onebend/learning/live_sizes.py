@@ -7,11 +7,11 @@ covariance are averages over them.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
+from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
 
 from onebend.learning.roughness import MIX, RHO, SPREAD, TAU, WAYS, drawn_sizes, part_variances
 from onebend.learning.spline import Spline
@@ -20,7 +20,7 @@ from onebend.records import Array
 _CHAINS = 2
 _KEPT = 40  # steps whose draws are kept
 _COPIES, _LEFT_OUT, _READ = 2, 5, 20  # of every chain, where the band is read, and their steps
-_TOLD = 1e-4  # information that every direction of log k is given: nothing, and a matrix has a factor
+_TOLD = 1e-3  # information of log k: directions of which no more is told are left out
 
 
 @dataclass(frozen=True)
@@ -30,21 +30,13 @@ class OfK:
     information: Array  # (p, p)
     b: Array  # (p,)
 
-    @cached_property
-    def root(self) -> Array | None:
-        """(p, p) upper R with R' R the information; None where rounding has left it a direction below zero."""
-        told = self.information.copy()
-        told.ravel()[:: len(told) + 1] += _TOLD
-        lower, info = dpotrf(told, lower=1)
-        return None if info else np.asarray(lower.T)
-
 
 @dataclass(frozen=True)
 class _Data:
     """What the data say of log k's parts: `seen = on_parts @ parts + unit noise`."""
 
-    on_parts: Array  # (p, n)
-    seen: Array  # (p,)
+    on_parts: Array  # (r, n)
+    seen: Array  # (r,)
 
 
 class Sizes:
@@ -78,7 +70,7 @@ class Sizes:
         The kept draws lag behind: they are of less data. So copies of the chains go on from where these stand, which
         stay there: reading changes nothing.
         """
-        data, rng, drawn = self._data(told), np.random.default_rng(1), []
+        data, rng, drawn = self._data(told), deepcopy(self._rng), []
         logs, own = np.repeat(self._logs, _COPIES, axis=0), np.repeat(self._own, _COPIES, axis=0)
         for i in range(_LEFT_OUT + _READ):
             logs, own = self._moved(data, logs, own, rng)
@@ -89,7 +81,7 @@ class Sizes:
     def _averaged(self, data: _Data, drawn: Array) -> tuple[Array, Array, Array]:
         """`mixed` over parts of these variances (D, n)."""
         weights, count = self._spline.parts, self._spline.count
-        across = data.on_parts * drawn[:, None]  # (D, p, n)
+        across = data.on_parts * drawn[:, None]  # (D, r, n)
         root = np.linalg.cholesky(across @ data.on_parts.T + np.eye(len(data.seen)))
         half = np.linalg.solve(root, across)
         away = np.linalg.solve(root, np.broadcast_to(data.seen[:, None], (*root.shape[:2], 1)))
@@ -114,12 +106,13 @@ class Sizes:
         return both[chosen], drawn_sizes(self._spline, both[chosen], local, rng)
 
     def _data(self, told: OfK) -> _Data:
-        """What the data say, as rows of unit noise on log k less its level."""
-        if told.root is None:  # the solver lets none such out
-            raise np.linalg.LinAlgError("what the data say of log k is not positive definite")
-        right = told.b - told.information @ np.full(len(told.b), self._level)
-        seen, _ = dtrtrs(told.root, right, trans=1)
-        return _Data(told.root @ self._spline.parts, seen)
+        """What the data say, as rows of unit noise on log k less its level: as many as they tell of directions."""
+        lower, order, rank, _ = dpstrf(told.information, tol=_TOLD, lower=1)
+        if rank == 0:
+            return _Data(np.zeros((1, self._spline.parts.shape[1])), np.zeros(1))
+        order, right = order - 1, told.b - self._level * np.sum(told.information, axis=1)
+        seen, _ = dtrtrs(lower[:rank, :rank], right[order[:rank]], lower=1)
+        return _Data(np.tril(lower[:, :rank]).T @ self._spline.parts[order], seen)
 
     def _density(self, logs: Array, capped: Array, variance: Array, data: _Data) -> tuple[list[Array], Array]:
         """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""

@@ -54,8 +54,10 @@ class Start:
 
     def of_k(self, parts: Array) -> OfK:
         """The prior of log k's coefficients, its parts having these variances (n,)."""
-        precision = self.at.spline.precision_of(parts) if self.fixed is None else self.fixed
-        return OfK(precision, precision @ self.mean[: self.at.spline.count])
+        precision, spline = self.fixed, self.at.spline
+        if precision is None:
+            precision, _ = _inverse((spline.parts * parts) @ spline.parts.T)
+        return OfK(precision, precision @ self.mean[: spline.count])
 
 
 @dataclass(frozen=True)
@@ -195,14 +197,14 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
     told = OfK(information - across.T @ across, right - across.T @ ahead)
     lower, info = dpotrf(told.information + of_k.information, lower=1)
-    if info or told.root is None:
+    if info:
         raise np.linalg.LinAlgError("the information on log k is not positive definite")
     of_all = told.b + of_k.b
     k, _ = dpotrs(lower, of_all, lower=1)
     rest, _ = dtrtrs(factor, ahead - across @ k, lower=1, trans=1)
     total = weight * sums.c + float(certain @ np.sum(sums.log**2, axis=1)) - float(ahead @ ahead) - float(of_all @ k)
     logs = 2.0 * float(np.sum(np.log(np.diag(factor)))) + 2.0 * float(np.sum(np.log(np.diag(lower)))) + log_process
-    logs += 2.0 * sums.rows * np.log(scales.marker) - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
+    logs += log_process + 2.0 * sums.rows * np.log(scales.marker) - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
     x = np.concatenate([k, rest[known:]])
     e = rest[:known].reshape(-1, 2)
     return Solution(x, e, sums.spans, process, inverse, factor, across, lower, ahead, told, total + logs)
@@ -227,12 +229,12 @@ def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: t
 
 
 def _inverse(c: Array) -> tuple[Array, float]:
-    """Of the force error's covariance, and its log determinant for both axes."""
+    """Of a covariance, and its log determinant."""
     factor, info = dpotrf(c, lower=1)
     if info:
-        raise np.linalg.LinAlgError("the force error's covariance is not positive definite")
+        raise np.linalg.LinAlgError("a prior's covariance is not positive definite")
     inverse, _ = dpotri(factor, lower=1)
-    return _symmetric(inverse), 4.0 * float(np.sum(np.log(np.diag(factor))))
+    return _symmetric(inverse), 2.0 * float(np.sum(np.log(np.diag(factor))))
 
 
 def _symmetric(lower: Array) -> Array:

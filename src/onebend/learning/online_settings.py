@@ -18,7 +18,7 @@ _WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noi
 class OnlineSettings:
     """How the live learner runs. Noise sizes are where it begins; it finds its own."""
 
-    functions: int = 24  # of the spline of log k
+    functions: int = 45  # of the spline of log k
     key_frames: int = 30
     renewed: int = 5  # key frames linearised anew with every other update; one with those between
     priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
