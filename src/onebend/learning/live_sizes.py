@@ -49,20 +49,25 @@ class Sizes:
         self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
         self._own = np.ones((_CHAINS, len(spline.share)))
         self._expected = np.log([TAU, RHO])
-        self._drawn = np.tile(part_variances(spline, self._logs, self._own)[0], (_KEPT, 1))  # (B KEPT, n)
+        first = part_variances(spline, self._logs, self._own)[0]
+        self._logs_drawn = np.tile(np.log(first), (_KEPT, 1))  # (B KEPT, n) of the parts' variances
         self._at = 0
 
     @property
     def parts(self) -> Array:
-        """(n,) mean variances of the parts: the normal prior that comes nearest."""
-        return np.asarray(np.mean(self._drawn, axis=0))
+        """(n,) usual variances of the parts, by their mean logs: the prior under which the estimate moves.
+
+        A few draws of large steps make the plain mean so large that, of the few frames of a push that begins, log k
+        would follow every error.
+        """
+        return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
 
     def step(self, told: OfK) -> None:
         """One step of every chain."""
         b = _CHAINS
         self._logs, self._own = self._moved(self._data(told), self._logs, self._own, self._rng)
-        self._drawn[self._at : self._at + b] = part_variances(self._spline, self._logs, self._own)[0]
-        self._at = (self._at + b) % len(self._drawn)
+        self._logs_drawn[self._at : self._at + b] = np.log(part_variances(self._spline, self._logs, self._own)[0])
+        self._at = (self._at + b) % len(self._logs_drawn)
 
     def mixed(self, told: OfK) -> tuple[Array, Array, Array]:
         """Mean (p,) and covariance (p, p) of log k averaged over fresh draws, and the mean steps (p - 1,).
