@@ -27,15 +27,15 @@ def misfit(keys: KeyFrames, marker: float) -> float:
     return size if size > _ROUGH * marker else 0.0
 
 
-def live_doubts(keys: KeyFrames, marker: float, coarse: float) -> tuple[str, ...]:
+def live_doubts(keys: KeyFrames, marker: float, coarse: float, missed: str) -> tuple[str, ...]:
     """What the key frames contradict; empty as a rule.
 
-    `marker`: noise of the tags over what their covariances say; `coarse`: the misfit where it is more.
+    `marker`: noise of the tags over what their covariances say; `coarse`: the misfit where it is more; `missed`: what
+    `missed_tag` said last.
     """
     out = []
     if coarse > FAR_OFF * marker:
         out.append(f"the tags are off by {coarse / marker:.1f} times their noise: the estimate is still on its way")
-    missed = _missed(keys)
     out += [missed] if missed else []
     lost = int(np.count_nonzero(keys.lost[: keys.used]))
     if lost:
@@ -43,7 +43,7 @@ def live_doubts(keys: KeyFrames, marker: float, coarse: float) -> tuple[str, ...
     return tuple(out)
 
 
-def _missed(keys: KeyFrames) -> str:
+def missed_tag(keys: KeyFrames) -> str:
     """The tag that is missed by most of its own motion whatever the force is, where that is more than the fit lets
     pass; else nothing."""
     used = keys.used

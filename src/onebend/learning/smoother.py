@@ -10,7 +10,7 @@ from onebend.learning.force_error import LOAD
 from onebend.learning.force_process import ForceProcess
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import accept_average, closest_pairs, empty, propose_average
-from onebend.learning.live_doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit
+from onebend.learning.live_doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit, missed_tag
 from onebend.learning.live_frames import Linearizer
 from onebend.learning.live_noise import left_of, robust_weights, tags_noise
 from onebend.learning.live_past import fold_oldest, nothing_folded
@@ -22,7 +22,7 @@ from onebend.learning.live_stages import LoadStages
 from onebend.records import Array, BoolArray
 
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
-_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
+_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled and seeks missed tags
 _WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
@@ -50,7 +50,7 @@ class Smoother:
         self._looks = 0
         self._coarse = 0.0
         self._failed = False  # the last attempt to solve
-        self._said: tuple[str, ...] = ()  # what the key frames contradicted when that was last looked at
+        self._missed = ""  # the tag that was missed when that was last looked at
         self._too_soft = False  # the last frame had no equilibrium
         self.pending = True  # a frame has come since the posterior was solved for
         self._linear = Linearizer(setting)
@@ -163,7 +163,7 @@ class Smoother:
 
     def advance(self) -> None:
         """After a frame: every other time the posterior is solved for and log k's sizes make a step, in between other
-        scales are tried on it, and what it contradicts is looked at."""
+        scales are tried on it."""
         if self.pending or self._failed:
             self.pending = False
             if self.renew() and self._sizes is not None and self._coarse == 0.0:
@@ -171,7 +171,10 @@ class Smoother:
             return
         if self._habits.adapt:
             self.look_about()
-        self._said = live_doubts(self.keys, self.scales.marker, self._coarse)
+        else:
+            self._looks += 1
+        if self._looks % _NOISE_EVERY == 0:
+            self._missed = missed_tag(self.keys)
         self.pending = True
 
     def look_about(self) -> None:
@@ -253,15 +256,15 @@ class Smoother:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why the posterior is not to be relied on at the moment; empty as a rule."""
-        self._said = live_doubts(self.keys, self.scales.marker, self._coarse)
+        self._missed = missed_tag(self.keys)
         return self.last_doubts
 
     @property
     def last_doubts(self) -> tuple[str, ...]:
-        """The same, what the key frames contradict as of the last time but one at most: it is looked at with every
-        other frame."""
+        """The same; whether a tag is missed is looked at with every sixteenth frame only."""
         found = {FAILED: self._failed, TOO_SOFT: self._too_soft}
-        return tuple(words for words, holds in found.items() if holds) + self._said
+        said = tuple(words for words, holds in found.items() if holds)
+        return said + live_doubts(self.keys, self.scales.marker, self._coarse, self._missed)
 
     def _moved(self) -> float:
         """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
