@@ -18,7 +18,7 @@ from onebend.learning.spline import Spline
 from onebend.records import Array
 
 _CHAINS = 2
-_KEPT = 40  # steps whose draws are kept
+_KEPT = 20  # steps whose draws are kept
 _COPIES, _LEFT_OUT, _READ = 2, 5, 20  # of every chain, where the band is read, and their steps
 _TOLD = 1e-3  # information of log k: directions of which no more is told are left out
 
@@ -117,7 +117,9 @@ class Sizes:
             return _Data(np.zeros((1, self._spline.parts.shape[1])), np.zeros(1))
         order, right = order - 1, told.b - self._level * np.sum(told.information, axis=1)
         seen, _ = dtrtrs(lower[:rank, :rank], right[order[:rank]], lower=1)
-        return _Data(np.tril(lower[:, :rank]).T @ self._spline.parts[order], seen)
+        rows = np.zeros((rank, len(order)))
+        rows[:, order] = np.tril(lower[:, :rank]).T
+        return _Data(rows @ self._spline.parts, seen)
 
     def _density(self, logs: Array, capped: Array, variance: Array, data: _Data) -> tuple[list[Array], Array]:
         """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""

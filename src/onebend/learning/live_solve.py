@@ -151,7 +151,8 @@ def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.ze
     if np.any((weight != 1.0) & (weight != 0.0)):
         rows = np.repeat(np.sqrt(weight), 3, axis=1)[..., None] * rows
     flat = rows.reshape(-1, rows.shape[-1])
-    every, each = flat.T @ flat, rows[..., -3:-1].swapaxes(1, 2) @ rows  # (n + 3, n + 3), (K, 2, n + 3)
+    every = flat.T @ flat  # (n + 3, n + 3)
+    each = np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2)) @ rows  # (K, 2, n + 3)
     xe, ee, be = -each[..., :-3], each[..., -3:-1], -each[..., -1]
     rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))
     log = keys.force[:used] * rest[:, None]

@@ -22,7 +22,9 @@ from onebend.learning.live_stages import LoadStages
 from onebend.records import Array, BoolArray
 
 _MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
-_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled and seeks missed tags
+_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
+_MANY = 6  # key frames linearised at once: then nothing else is done
+_MISSED_EVERY = 8  # turns between two solutions, in one of which missed tags are sought
 _WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
 _LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
 
@@ -47,7 +49,8 @@ class Smoother:
         self._stages = LoadStages(setting.length, tags)
         self._before = 0.0  # the load's own time by changes that are not looked at any more
         self._guess, self._spent = scales.marker, 0.0
-        self._looks = 0
+        self._looks, self._turns = 0, 0
+        self._linearised = 0  # key frames, with the last frame
         self._coarse = 0.0
         self._failed = False  # the last attempt to solve
         self._missed = ""  # the tag that was missed when that was last looked at
@@ -97,6 +100,7 @@ class Smoother:
 
     def _linearise(self, chosen: list[int]) -> set[int]:
         """Those of the chosen key frames that have an equilibrium at the point; the others are not waited for."""
+        self._linearised = len(chosen)
         solved = self._linear.renew(self.keys, chosen, self.point)
         gone = [k for k in chosen if k not in solved]
         self.keys.lost[gone], self.keys.stale[gone] = True, False
@@ -162,20 +166,24 @@ class Smoother:
         return innovation, distance, used
 
     def advance(self) -> None:
-        """After a frame: every other time the posterior is solved for and log k's sizes make a step, in between other
-        scales are tried on it."""
+        """After a frame: every other time the posterior is solved for; in between log k's sizes make a step and other
+        scales are tried on it in turn, unless many frames were linearised: no frame shall cost much more than others.
+        """
         if self.pending or self._failed:
             self.pending = False
-            if self.renew() and self._sizes is not None and self._coarse == 0.0:
-                self._sizes.step(self.solution.told)
+            self.renew()
             return
-        if self._habits.adapt:
-            self.look_about()
-        else:
-            self._looks += 1
-        if self._looks % _NOISE_EVERY == 0:
-            self._missed = missed_tag(self.keys)
         self.pending = True
+        if self._linearised > _MANY:
+            return
+        self._turns += 1
+        if self._turns % _MISSED_EVERY == 0:
+            self._missed = missed_tag(self.keys)
+        elif self._turns % 2 and self._sizes is not None:
+            if self._coarse == 0.0:
+                self._sizes.step(self.solution.told)
+        elif self._habits.adapt:
+            self.look_about()
 
     def look_about(self) -> None:
         """Other scales on what the last solution was made from, or a count of what the data have settled."""
@@ -261,7 +269,7 @@ class Smoother:
 
     @property
     def last_doubts(self) -> tuple[str, ...]:
-        """The same; whether a tag is missed is looked at with every sixteenth frame only."""
+        """The same; whether a tag is missed is looked at every now and then only."""
         found = {FAILED: self._failed, TOO_SOFT: self._too_soft}
         said = tuple(words for words, holds in found.items() if holds)
         return said + live_doubts(self.keys, self.scales.marker, self._coarse, self._missed)
