@@ -5,12 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from onebend.learning import smoother
 from onebend.learning.force_error import ANEW, RELEASED
+from onebend.learning.force_process import ForceProcess
+from onebend.learning.live_frames import Linearizer
 from onebend.learning.live_sizes import OfK, Sizes
+from onebend.learning.live_solve import LiveScales, Solution, Start, Sums, solve
 from onebend.learning.live_stages import LoadStages
+from onebend.learning.online import OnlineLearner
+from onebend.learning.online_settings import OnlineSettings
 from onebend.learning.roughness import Draws, Told, mixed
 from onebend.learning.spline import Spline
 from onebend.recording.load_stages import load_changes
+from onebend.records import Array
+from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.live import NOISE, S, shown
 
 
 def test_the_loads_own_time_is_the_whole_recordings() -> None:
@@ -46,11 +55,11 @@ def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
     rows = 15.0 * rng.normal(size=(12, 10))
     told = OfK(rows.T @ rows, rows.T @ (rows @ truth + rng.normal(size=12)))
     sizes = Sizes(spline, 0.0, 3.0, 0.1)
-    for _ in range(400):
+    for _ in range(200):
         sizes.step(told)
     means, sds = [], []
     for _ in range(20):
-        for _ in range(20):
+        for _ in range(5):
             sizes.step(told)
         mean, covariance, _ = sizes.mixed(told)
         means.append(mean)
@@ -59,3 +68,55 @@ def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
     sd = np.sqrt(np.diag(batch.covariance))
     np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
     np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)
+
+
+@pytest.mark.parametrize("rows", [0, 3, 20])
+def test_the_directions_that_are_told_of_are_all_that_is_told(rows: int) -> None:
+    """As many rows as the information has directions give it back, and its right side."""
+    spline, rng = Spline(10), np.random.default_rng(rows)
+    seen, level = 5.0 * rng.normal(size=(rows, 10)), -3.0
+    told = OfK(seen.T @ seen, seen.T @ rng.normal(size=rows))
+    data = Sizes(spline, level, 3.0, 0.1)._data(told)
+    assert len(data.seen) == min(max(rows, 1), 10)
+    parts = spline.parts
+    np.testing.assert_allclose(data.on_parts.T @ data.on_parts, parts.T @ told.information @ parts, atol=1e-9)
+    right = parts.T @ (told.b - told.information @ np.full(10, level))
+    np.testing.assert_allclose(data.on_parts.T @ data.seen, right, atol=1e-8)
+
+
+def test_reading_changes_nothing() -> None:
+    made, few = observed(SOFT, forces(40), noise=NOISE, seed=1), OnlineSettings(functions=8)
+    read, quiet = (OnlineLearner(made.length, MARKERS, 0.03, settings=few) for _ in range(2))
+    for t in range(40):
+        shown(read, made, range(t, t + 1))
+        if t % 2:  # solved for already: reading has nothing to catch up with
+            continue
+        np.testing.assert_array_equal(read.stiffness.log_at(S), read.stiffness.log_at(S))
+    shown(quiet, made, range(40))
+    np.testing.assert_array_equal(read.stiffness.log_at(S), quiet.stiffness.log_at(S))
+
+
+def test_no_frame_costs_much_more_than_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most one solution a frame; none where many key frames are linearised, and those are never more than ten."""
+    counts = {"solved": 0, "linearised": 0}
+    renew = Linearizer.renew
+
+    def solved(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: ForceProcess) -> Solution:
+        counts["solved"] += 1
+        return solve(sums, start, of_k, scales, process)
+
+    def renewed(self: Linearizer, keys: object, chosen: list[int], point: Array) -> set[int]:
+        counts["linearised"] = len(chosen)
+        return renew(self, keys, chosen, point)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(smoother, "solve", solved)
+    monkeypatch.setattr(Linearizer, "renew", renewed)
+    made = observed(SOFT, forces(100), noise=NOISE, seed=2)
+    learner = OnlineLearner(made.length, MARKERS, 0.06, settings=OnlineSettings(functions=8))
+    many = []
+    for t in range(100):
+        counts["solved"] = 0
+        shown(learner, made, range(t, t + 1))
+        many.append(counts["linearised"])
+        assert counts["solved"] <= (1 if many[-1] <= 6 else 0)
+    assert 6 < max(many) <= 10
