@@ -147,6 +147,7 @@ class _Followed:
         self.root[self.inner] = follow @ self.root[outer]
         self.covariance = covariance
 
+    @np.errstate(over="ignore", invalid="ignore")  # where there is no equilibrium
     def __call__(self, z: Array) -> There:
         """Minus log density, its slope (the force's error being at its optimum, only what z does itself counts), and
         the log of the volume of the force's errors."""
