@@ -12,10 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from onebend.learning.film import Film
+from onebend.learning.force_error import ForceError
 from onebend.learning.gauss_newton import (
     FilmNoise,
     Quadratic,
@@ -82,15 +83,54 @@ class Known:
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Scales) -> Callable[[Array], float]:
-        """Minus log posterior of z."""
+        """Minus log posterior of z. All but the force's error is integrated out once.
+
+        With C = L L' its covariance, H and b what is said of it less its mean, `-2 log p` is a constant and
+        `log det (I + L' H L) - |(I + L' H L)^-1/2 L' b|^2`.
+        """
+        axes, information, b, constant = self._of_error(start)
 
         def of(z: Array) -> float:
+            scales = self.scaled(start, z)
+            inside, right = information.copy(), b.copy()
             try:
-                return 0.5 * float(z @ z) - self.solve(self.scaled(start, z))[1]
+                for error, where in axes:
+                    root = np.linalg.cholesky(error.covariance(*(getattr(scales, name) for name in CHOSEN)))
+                    for axis in where:
+                        inside[:, axis] = inside[:, axis] @ root
+                        inside[axis] = root.T @ inside[axis]
+                        right[axis] = root.T @ right[axis]
+                factor = np.linalg.cholesky(inside + np.eye(len(b)))
             except np.linalg.LinAlgError:
                 return 1e12
+            explained = np.sum(solve_triangular(factor, right, lower=True, check_finite=False) ** 2)
+            return constant + float(0.5 * (z @ z - explained) + np.sum(np.log(np.diag(factor))))
 
         return of
+
+    def _of_error(self, scales: Scales) -> tuple[list[tuple[ForceError, tuple[slice, slice]]], Array, Array, float]:
+        """What is said of the force errors less their means, all else integrated out: for each film where x and y
+        stand, the information, its right side, and minus the log of what is left."""
+        axes, order, start = [], [], 0
+        for block in self.at.blocks:
+            if block.name == "force" and block.start >= 0:
+                index = np.arange(block.where.start, block.where.stop).reshape(-1, 2)
+                order += [index[:, 0], index[:, 1]]
+                ends = start, start + len(index), start + index.size
+                axes.append((self.films[block.recording].error, (slice(*ends[:2]), slice(*ends[1:]))))
+                start = ends[2]
+        mine = np.concatenate([np.zeros(0, dtype=np.int64), *order])
+        other = np.setdiff1d(np.arange(self.at.size), mine)
+        precision, mean, _ = prior(self.films, self.at, self.level, scales)
+        data, before = self.data, precision[np.ix_(other, other)]
+        right = data.b - data.information @ mean
+        across = data.information[np.ix_(other, mine)]
+        factor = cho_factor(data.information[np.ix_(other, other)] + before)
+        best = cho_solve(factor, right[other])
+        left = data.information[np.ix_(mine, mine)] - across.T @ cho_solve(factor, across)
+        away = data.c - (data.b + right) @ mean - right[other] @ best
+        ratio = np.linalg.slogdet(before)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
+        return axes, left, right[mine] - across.T @ best, float(0.5 * away - 0.5 * ratio + data.log_noise)
 
     def place(self, scales: Scales) -> Array:
         """(4,) sd of scales from what was expected."""
