@@ -214,4 +214,5 @@ def prior(films: list[Film], at: Layout, level: float | Array, scales: Scales) -
 
 def shrink(rows: Rows, noise: FilmNoise) -> Array:
     """(F, 2, 2) `((s/f)^2 + A'A)^-1`."""
-    return np.asarray(np.linalg.inv((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram))
+    (xx, xy), (_, yy) = np.moveaxis((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram, 0, -1)
+    return np.asarray(np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), -1, 0))

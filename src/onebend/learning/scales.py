@@ -229,14 +229,14 @@ def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
     """
     numbers = float(np.sum(rows.known))
     share = max(1.0 - spent / max(numbers, 1.0), 0.3)
-    noise = before
+    noise, by_force, squares = before, rows.by_force(rows.r), float(np.sum(rows.r**2))
     for _ in range(30):
-        across, force = split(rows, rows.r, noise)
-        doubt = noise.marker**2 * shrink(rows, noise)  # (F, 2, 2) covariance left in each frame's force
-        explained = np.einsum("frd,fde,fre->", rows.a, doubt, rows.a, optimize=True)
-        marker = (float(np.sum(across**2)) + explained) / (numbers * share)
-        own = np.mean(np.sum(force**2, axis=1) + np.trace(doubt, axis1=1, axis2=2)) / 2.0
-        noise = FilmNoise(max(float(np.sqrt(marker)), _LEAST), float(np.sqrt(own)))
+        less = shrink(rows, noise)
+        force = np.einsum("fde,fe->fd", less, by_force)
+        second = noise.marker**2 * less + force[:, :, None] * force[:, None]  # (F, 2, 2) moments of each frame's force
+        left = squares - 2.0 * float(np.sum(force * by_force)) + float(np.sum(second * rows.gram))
+        own = np.mean(np.trace(second, axis1=1, axis2=2)) / 2.0
+        noise = FilmNoise(float(np.sqrt(max(left / (numbers * share), _LEAST**2))), float(np.sqrt(own)))
     across, force = split(rows, rows.r, noise)
     marker = noise.marker * np.sqrt(correlation_time(across))
     return FilmNoise(float(marker), noise.force * float(np.sqrt(correlation_time(force))))
