@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor, cho_solve
 from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.blas import one_blas_thread
 from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.forward import Prediction, jacobian, predict
+from onebend.learning.forward import Prediction, predict
 from onebend.learning.gauss_newton import (
     explained_by,
     misfit,
@@ -94,7 +94,7 @@ def target_of(found: Posterior) -> tuple[Callable[[Array], Here], Array]:
     """The exact posterior, and Laplace's covariance at the optimum."""
     films, at, best, scales = list(found.films), found.at, found.optimum, found.optimum.scales
     every = list(zip(films, best.predictions, scales.films, strict=True))
-    rows = [rows_of(f, at, best.x, p, n) for f, p, n in every]
+    rows = [rows_of(p, n) for _, p, n in every]
     precision, mean, _ = prior(films, at, prior_level(found), scales)
     rests = rest_quadratic(films, at)
     data = together([*(quadratic(r, at, f.number, best.x, n) for (f, _, n), r in zip(every, rows, strict=True)), rests])
@@ -107,9 +107,9 @@ def target_of(found: Posterior) -> tuple[Callable[[Array], Here], Array]:
             there: Prediction = predict(f, at, x, p.solved.q, p.own)
             if not np.all(there.solved.converged):
                 raise UnreachableError
-            left, mine = r.root_weight * residuals(f, there) + explained_by(r.a, there.own), at.known_to(f.number)
+            left, mine = r.root_weight * residuals(there) + explained_by(r.a, there.own), at.known_to(f.number)
             value += 0.5 * misfit(r, left, n)
-            j = (f.whiten @ jacobian(f, at, x, there)[0]).reshape(*left.shape, -1) * r.root_weight[..., None]
+            j = (f.whiten @ there.slopes.written).reshape(*left.shape, -1) * r.root_weight[..., None]
             across = (j - r.a @ (shrink(r, n) @ (np.swapaxes(r.a, 1, 2) @ j))) / n.marker**2
             slope[mine] -= np.einsum("frc,fr->c", across, left)
             curvature[np.ix_(mine, mine)] += across.reshape(-1, len(mine)).T @ j.reshape(-1, len(mine))

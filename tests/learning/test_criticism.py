@@ -101,10 +101,11 @@ def drawn(line: Linear, posterior: Posterior, rng: np.random.Generator) -> Linea
     rows, noise = line.rows[0], line.optimum.scales.films[0]
     known = line.known[0]
     x = np.linalg.cholesky(posterior.prior_covariance) @ rng.standard_normal(posterior.at.size)
-    r = rows.j @ x[known] + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
+    r = rows.slopes.times(x[known])
+    r = r + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
     r = r + noise.marker * rng.standard_normal(r.shape)
     slope = np.zeros(posterior.at.size)
-    slope[known] = np.einsum("frc,fr->c", rows.j, split(rows, r, noise)[0]) / noise.marker**2
+    slope[known] = np.einsum("frc,fr->c", rows.slopes.written, split(rows, r, noise)[0]) / noise.marker**2
     return replace(line, rows=(replace(rows, r=r),), step=line.covariance @ slope)
 
 
