@@ -25,6 +25,7 @@ class Frame:
     loaded: bool
     gravity: Array  # (2,) m/s^2
 
+
 def checked_frame(
     tags: int,
     time: float,

@@ -155,7 +155,7 @@ class KeyFrames:
         begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
         return Spans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
 
-    def arrays(self) -> list[Array]:
+    def arrays(self) -> list[Array | BoolArray]:
         """All that is kept of every frame."""
         shapes = [self.left, self.linear, self.rows, self.shape]
         return [self.numbers, self.flags, self.measured, self.information, self.root, self.weight, *shapes]

@@ -149,7 +149,7 @@ def _shapes(place: Place, load: _Load, start: Array | None) -> tuple[Array, Bool
     """
     if start is not None:
         q, moved, b = start.copy(), 0.0, place.to_nodes.T
-        factors, update = [np.zeros(0)] * len(q), np.empty_like(q)
+        update, factors = np.empty_like(q), list[Array]([q]) * len(q)
         for _ in range(_MOST):
             unbalanced, matrices = _balance(load, place, q)
             info = 0
