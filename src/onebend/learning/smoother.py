@@ -11,6 +11,7 @@ from onebend.learning.force_process import ForceProcess
 from onebend.learning.frame_input import Frame
 from onebend.learning.key_frames import accept_average, closest_pairs, empty, propose_average
 from onebend.learning.live_doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit, missed_tag
+from onebend.learning.live_entry import expect_shape, surprise, write_frame
 from onebend.learning.live_frames import Linearizer
 from onebend.learning.live_noise import left_of, robust_weights, tags_noise
 from onebend.learning.live_past import fold_oldest, nothing_folded
@@ -108,24 +109,13 @@ class Smoother:
 
     def _write(self, frame: Frame, rate: Array) -> int:
         """The frame in the place behind the key frames in use, which is returned."""
-        keys = self.keys
-        i = keys.used
-        keys.begin[i] = keys.end[i] = frame.time
-        keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
-        keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
-        keys.measured[i], keys.weight[i] = frame.measured, frame.seen
-        keys.root[i], keys.information[i] = frame.root, frame.root.swapaxes(1, 2) @ frame.root
+        keys, i = self.keys, write_frame(self.keys, frame, rate)
         if frame.loaded:
             self._linear.pushed_at(frame.push_s)
-        keys.used += 1
         self._forget_changes(i)
         now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
         self._expected = self.solution.error_at(frame.time, now)
-        keys.error[i], keys.stale[i], keys.lost[i] = self._expected[0], False, False
-        keys.q[i], keys.grid[i] = 0.0, 0.0
-        if i > 0:
-            pushed = (keys.force[i - 1 : i + 1] - keys.error[i - 1 : i + 1]) * ~keys.rest[i - 1 : i + 1, None]
-            keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
+        expect_shape(keys, i, self._expected[0])
         return i
 
     def _forget_changes(self, i: int) -> None:
@@ -144,15 +134,7 @@ class Smoother:
         Tags too far from where they were expected get no weight, unless they stay away.
         """
         keys, i = self.keys, self.keys.used - 1
-        tags, n = len(frame.seen), len(self.x)
-        _, rows, own = self._expected
-        j, a = keys.j[i].reshape(-1, n), keys.a[i].reshape(-1, 2)
-        innovation = keys.zeta[i] - keys.j[i] @ self.x + keys.a[i] @ keys.error[i]
-        by_errors = -a[:, None, :] * rows[None, :, None]
-        expected = self.solution.spread(by_errors.reshape(len(j), -1), j) + own * a @ a.T
-        blocks = expected.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
-        solved = np.linalg.solve(blocks + self.scales.marker**2 * frame.covariance, innovation[..., None])[..., 0]
-        distance = np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
+        innovation, distance = surprise(keys, frame, self.solution, self.x, self.scales.marker, self._expected[1:])
         far = frame.seen & (distance > self._habits.gate)
         self._away = np.where(far, self._away + 1, np.where(frame.seen, 0, self._away))
         used = np.asarray(frame.seen & (~far | (self._away >= self._habits.patience)))
