@@ -48,8 +48,8 @@ def march(
     if first.open_freedoms:
         raise ControlError(
             f"the goals leave {first.open_freedoms} of {first.stand.hands.count} freedoms of the forces and the "
-            "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out a "
-            "force or the gripper"
+            "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
+            "a force or the gripper"
         )
     resting = rest(beam, pushes, grip, gravity, settings.resolution)
     grid = first.stand.hands.problem.grid
