@@ -131,7 +131,7 @@ def test_the_example_runs(
     for folder in ("results", "beam-results"):
         (tmp_path / folder).mkdir()
     there: dict[str, Any] = {}
-    GIVEN[page](there, request.getfixturevalue("pushes") if page in SLOW else None)
+    GIVEN[page](there, request.getfixturevalue("pushes") if page in SLOW else [])
     [example] = blocks(ROOT / "docs" / page)
     exec(example, there)
     assert_sound(page, there)

@@ -74,9 +74,9 @@ def _arrow(axes: Axes, found: Reach, at: Array) -> None:
     size = float(np.hypot(*found.force))
     if size == 0.0:
         return
-    tail = at - MM * ARROW * found.beam.length * found.force / size
-    axes.annotate("", tuple(at), tuple(tail), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
-    axes.plot(*tail, alpha=0.0)  # so that the arrow is inside the picture
+    head = at + MM * ARROW * found.beam.length * found.force / size
+    axes.annotate("", tuple(head), tuple(at), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
+    axes.plot(*head, alpha=0.0)  # so that the arrow is inside the picture
     axes.plot([], [], color=ORANGE, label="force")
 
 
