@@ -47,6 +47,11 @@ def millimetres(metres: float) -> str:
     return f"{1000.0 * float(metres):.2f}" if np.isfinite(metres) else UNKNOWN
 
 
+def length_words(metres: float, digits: int = 2) -> str:
+    """A length in mm; what is less than any ruler shows is said to be so, and not to be rounding."""
+    return "less than 0.001 mm" if metres < 1e-6 else f"{significant(1e3 * metres, digits)} mm"
+
+
 def bic_words(bic: float) -> str:
     """A BIC with one decimal; a dash for a pair (n, m) that is out of the running."""
     return f"{bic:.1f}" if np.isfinite(bic) else UNKNOWN

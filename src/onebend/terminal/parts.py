@@ -27,11 +27,6 @@ def force_words(force: Array) -> str:
     return f"[bold]{size} N[/] at {turn:.1f} deg: ({force[0]:.4g}, {force[1]:.4g}) N"
 
 
-def length_words(metres: float, digits: int = 2) -> str:
-    """A length in mm; what is less than any ruler shows is said to be so, and not to be rounding."""
-    return "less than 0.001 mm" if metres < 1e-6 else f"{significant(1e3 * metres, digits)} mm"
-
-
 def say_written(console: Console, output: Path | None, files: str) -> None:
     """Which `files` are in the folder `output` now; nothing where none were written."""
     if output is not None:

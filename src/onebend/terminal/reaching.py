@@ -11,8 +11,9 @@ from rich.console import Console
 
 from onebend.control.reach import Reach
 from onebend.control.uncertainty import SURE, PredictedError
+from onebend.report.wording import length_words
 from onebend.terminal.options import LEAST
-from onebend.terminal.parts import NO_BAND, facts_table, force_words, length_words, say_written
+from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
 PushAt = Annotated[
     float,

@@ -14,9 +14,9 @@ from rich.markup import escape
 from onebend.control.path import Path as Way
 from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
-from onebend.report.wording import significant
+from onebend.report.wording import length_words, significant
 from onebend.terminal.options import LEAST
-from onebend.terminal.parts import NO_BAND, facts_table, force_words, length_words, say_written
+from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
 TargetsFile = Annotated[
     Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
