@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from onebend import cli
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import RecordingError
