@@ -20,16 +20,14 @@ from onebend.lab.shortcut import observe_quickly
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, virtual_recording
 from onebend.learning.film import Film, film
-from onebend.learning.forward import jacobian, predict
+from onebend.learning.forward import predict
 from onebend.learning.gauss_newton import (
     FilmNoise,
-    Rows,
     Scales,
-    explained_by,
     quadratic,
-    residuals,
     rest_quadratic,
     together,
+    unweighted,
 )
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, Draws, mixed
@@ -162,17 +160,7 @@ def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
     """
     at, seen, noise = drawn.at, drawn.seen, drawn.scales.films[0]
     now = predict(seen, at, drawn.x, None, drawn.own)
-    j, a = jacobian(seen, at, drawn.x, now)
-    count = len(j)
-    by_force = (seen.whiten @ a).reshape(count, -1, 2)
-    known = np.repeat(np.any(seen.whiten != 0.0, axis=(-1, -2)), 3, axis=1).astype(float)
-    rows = Rows(
-        r=residuals(seen, now) + explained_by(by_force, now.own),
-        j=(seen.whiten @ j).reshape(count, -1, j.shape[-1]),
-        a=by_force,
-        known=known,
-        root_weight=known,
-    )
+    rows = unweighted(now)
     data = together([quadratic(rows, at, 0, drawn.x, noise), rest_quadratic([seen], at)])
     told = Known(data, [seen], at, LEVEL, drawn.scales).told(drawn.scales)
     covariance = np.linalg.pinv(told.information, hermitian=True)

@@ -20,7 +20,7 @@ from onebend.learning.criticism import Criticism, Finding
 from onebend.learning.criticism_words import cause_words, supposed_words
 from onebend.learning.departures import AXES, UNITS, Departure, Suspect, mechanics
 from onebend.learning.forward import predict
-from onebend.learning.gauss_newton import split
+from onebend.learning.gauss_newton import prior, split
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.score import Linear, Score, linear, scores
 from onebend.learning.verdict import fit_remarks
@@ -100,11 +100,13 @@ def drawn(line: Linear, posterior: Posterior, rng: np.random.Generator) -> Linea
     """Residuals as the linear model makes them: parameters from their priors, force errors of frames, noise of tags."""
     rows, noise = line.rows[0], line.optimum.scales.films[0]
     known = line.known[0]
-    x = np.linalg.cholesky(posterior.prior_covariance) @ rng.standard_normal(posterior.at.size)
-    r = rows.j @ x[known] + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
+    precision, _, _ = prior(list(posterior.films), posterior.at, 0.0, posterior.optimum.scales)
+    x = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal(posterior.at.size))
+    r = rows.slopes.times(x[known])
+    r = r + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
     r = r + noise.marker * rng.standard_normal(r.shape)
     slope = np.zeros(posterior.at.size)
-    slope[known] = np.einsum("frc,fr->c", rows.j, split(rows, r, noise)[0]) / noise.marker**2
+    slope[known] = np.einsum("frc,fr->c", rows.slopes.written, split(rows, r, noise)[0]) / noise.marker**2
     return replace(line, rows=(replace(rows, r=r),), step=line.covariance @ slope)
 
 

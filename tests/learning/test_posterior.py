@@ -11,7 +11,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
 from onebend.errors import LearningError
 from onebend.learning.film import Film, film
-from onebend.learning.forward import jacobian, predict
+from onebend.learning.forward import predict
 from onebend.learning.gauss_newton import FilmNoise, Rows, quadratic, rows_of
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit
@@ -48,7 +48,8 @@ def test_every_derivative_matches_differences(curved: Observations, weighs: bool
     seen, at, x = prepared(curved, Priors(clock=0.02, placement=5e-4, origin=5e-4))
     assert ("mass", -1) in at.index
     assert (at.columns("mass") is not None) == weighs
-    exact, by_force = jacobian(seen, at, x, predict(seen, at, x, None))
+    slopes = predict(seen, at, x, None).slopes
+    exact, by_force = slopes.written, slopes.a
     h = 1e-5
     for i in range(at.size):
         step = h * np.eye(at.size)[i]
@@ -61,11 +62,12 @@ def test_a_frames_covariance_is_the_dense_one(curved: Observations) -> None:
     """`S = s^2 I + f^2 A A^T`: information, right side, misfit and log determinant against explicit inverses."""
     seen, at, x = prepared(curved)
     noise = FilmNoise(1.7, 0.004)
-    rows: Rows = rows_of(seen, at, x, predict(seen, at, x, None), noise)
+    rows: Rows = rows_of(predict(seen, at, x, None), noise)
     found = quadratic(rows, at, 0, x, noise)
-    y = rows.r + rows.j @ x
+    written = rows.slopes.written
+    y = rows.r + written @ x
     h, b, c, log_noise = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0.0
-    for r, j, a in zip(y, rows.j, rows.a, strict=True):
+    for r, j, a in zip(y, written, rows.a, strict=True):
         s = noise.marker**2 * np.eye(len(r)) + noise.force**2 * a @ a.T
         h += j.T @ np.linalg.solve(s, j)
         b += j.T @ np.linalg.solve(s, r)

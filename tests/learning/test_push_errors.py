@@ -12,7 +12,7 @@ from onebend.lab.sensors import ForceSensor
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, Said, observe_virtual, virtual_recording
 from onebend.learning.film import Film, film
-from onebend.learning.forward import jacobian, predict
+from onebend.learning.forward import predict
 from onebend.learning.parameters import Layout, Priors, layout
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.spline import Spline
@@ -68,7 +68,7 @@ def test_derivatives_are_those_of_the_prediction(name: str) -> None:
     x[at.index["along", -1].where] = -1e-3
     columns, where, h = at.columns(name, 0), at.index[name, 0].where, 1e-5
     assert columns is not None
-    exact = jacobian(seen, at, x, predict(seen, at, x, None))[0][..., columns]
+    exact = predict(seen, at, x, None).slopes.written[..., columns]
     for i in range(where.stop - where.start):
         step = np.zeros(at.size)
         step[where.start + i] = h

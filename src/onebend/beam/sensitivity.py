@@ -8,7 +8,7 @@ Never by differentiating through the iterations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,7 +28,7 @@ class Change:
 
     force: Array | None  # (T, Q, 2, P) N per unit: of the dead force beyond each node
     moment: Array | None  # (T, Q, P) N m per unit: of the moment beyond each node
-    elastic: Array | None  # (T, Q, P) N m per unit: of k (q - q0) at fixed q
+    elastic: tuple[Array, Array] | None  # of k (q - q0) at fixed q: (T, Q) times functions (Q, P) or (T, Q, P), N m
     clamp: Array  # (P,) rad per unit
 
     @property
@@ -135,7 +135,8 @@ class Response:
             out = flat @ self.q
         else:
             matrices = tangent(self.solved.problem, self.solved.q)
-            out = transposed(solve_each(transposed(matrices), transposed(flat))) @ self._right
+            adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
+            out = np.concatenate([_seen_through(adjoint, self.solved, part) for part in self.change.parts], axis=-1)
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
@@ -161,10 +162,22 @@ def right_side(solved: Equilibrium, change: Change | Changes) -> Array:
         if part.moment is not None:
             out[..., columns] += weights * part.moment
         if part.elastic is not None:
-            out[..., columns] -= weights * part.elastic
+            size, functions = part.elastic
+            out[..., columns] -= (problem.weights * size)[..., None] * functions
         if np.any(part.clamp != 0.0):
             out[..., columns] -= _of_turn(solved) * part.clamp
     return out
+
+
+def _seen_through(rows: Array, solved: Equilibrium, part: Change) -> Array:
+    """(T, S, P): rows (T, S, Q) times the right side; functions that all frames share are not written out for each."""
+    if part.elastic is None or part.elastic[1].ndim > 2:
+        return np.asarray(rows @ right_side(solved, part))
+    size, functions = part.elastic
+    out = np.tensordot(rows * -(solved.problem.weights * size)[..., None, :], functions, 1)
+    if part.force is not None or part.moment is not None or np.any(part.clamp != 0.0):
+        out += rows @ right_side(solved, replace(part, elastic=None))
+    return np.asarray(out)
 
 
 def _of_turn(solved: Equilibrium) -> Array:
@@ -203,13 +216,12 @@ def of_moment(problem: Problem, at_s: Array) -> Change:
 def of_stiffness(solved: Equilibrium, functions: Array) -> Change:
     """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m]."""
     problem = solved.problem
-    return Change(None, None, (solved.q - problem.q0)[..., None] * functions, np.zeros(functions.shape[-1]))
+    return Change(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]))
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Change:
     """P parameters: coefficients of functions (Q, P) added to q0(s) [rad]."""
-    elastic = -np.asarray(problem.k)[..., None] * functions
-    return Change(None, None, elastic if elastic.ndim == 3 else elastic[None], np.zeros(functions.shape[-1]))
+    return Change(None, None, (-np.atleast_2d(problem.k), functions), np.zeros(functions.shape[-1]))
 
 
 def of_clamp_angle(problem: Problem) -> Change:  # noqa: ARG001 - it takes what its sisters take

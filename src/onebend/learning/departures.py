@@ -137,7 +137,7 @@ def _entering(seen: Film, now: Prediction) -> dict[str, Change]:
         "push beside": Change(None, -along[:, None, None] * lever, None, np.zeros(1)),
         "force direction": _force(turned),
         "weight": Change(sag, None, None, np.zeros(2)),
-        "viscous": Change(None, None, _rate(seen, solved)[..., None], np.zeros(1)),
+        "viscous": Change(None, None, (_rate(seen, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
     }

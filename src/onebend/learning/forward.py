@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,13 +27,47 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
+class Slopes:
+    """Derivatives of R numbers a frame with the parameters of a film (`at.known_to`) and with each frame's force.
+
+    The slow error of the force log comes last of the parameters. It enters by its value in the frame alone, so its K
+    knots are not written out: they have `-a axes` times the frame's weights.
+    """
+
+    j: Array  # (F, ..., C - 2 K) with all parameters but that error
+    a: Array  # (F, ..., 2) with the frame's force
+    axes: Array  # (2, 2) by which the logged force is turned
+    weights: Array  # (F, K): that error is `weights @ values`
+
+    @property
+    def written(self) -> Array:
+        """(F, ..., C) with all parameters."""
+        knots = -np.einsum("t...d,tk->t...kd", self.a @ self.axes, self.weights)
+        return np.concatenate([self.j, knots.reshape(*self.a.shape[:-1], 2 * self.weights.shape[1])], axis=-1)
+
+    def times(self, step: Array) -> Array:
+        """(F, ...): what a step (C,) of the parameters does."""
+        count = self.j.shape[-1]
+        error = self.weights @ step[count:].reshape(-1, 2) @ self.axes.T
+        return np.asarray(self.j @ step[:count] - np.einsum("t...d,td->t...", self.a, error))
+
+
+@dataclass(frozen=True)
 class Prediction:
     """Tags where the parameters put them."""
 
+    seen: Film
+    at: Layout
+    x: Array  # (P,) the parameters
     solved: Equilibrium
     pose: Array  # (F, m, 3)
     force: Array  # (F, 2) N, the corrected force, `own` with it
     own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """Derivatives of the tags' poses (F, m, 3), exact."""
+        return _slopes(self)
 
 
 def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
@@ -63,12 +98,12 @@ def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | 
     cos, sin = np.cos(angle), np.sin(angle)
     ride = np.stack([cos * over - sin * across, sin * over + cos * across], axis=-1)
     xy = (1.0 + at.get(x, "scale", r)) * (solved.xy(s) + ride) + at.get(x, "origin", r)
-    return Prediction(solved, np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1), force, own)
+    pose = np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1)
+    return Prediction(seen, at, x, solved, pose, force, own)
 
 
-def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, Array]:
-    """Derivatives of the tags' poses: (F, m, 3, C) with the parameters `at.known_to`, (F, m, 3, 2) with the force."""
-    r, solved = seen.number, now.solved
+def _slopes(now: Prediction) -> Slopes:
+    seen, at, x, r, solved = now.seen, now.at, now.x, now.seen.number, now.solved
     s, over = tag_places(seen, at, x)
     change = _changes(seen, at, x, now)
     if seen.ends is None:
@@ -81,7 +116,8 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     turned = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
     scale = 1.0 + at.get(x, "scale", r)[0]
     mechanics = _ridden(response, turned, scale)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
-    out = np.zeros((*now.pose.shape, len(at.known_to(r))))
+    knots = at.columns("force", r)
+    out = np.zeros((*now.pose.shape, len(at.known_to(r)) if knots is None else knots.start))
     p = seen.on_nodes.shape[-1]
     by_force = mechanics[..., p + 4 : p + 6]
     _put(out, at.columns("stiffness"), mechanics[..., :p])
@@ -94,10 +130,8 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
         put_ends(out, seen.ends, at, r, _ridden(by_end, turned[seen.ends.frames], scale))
     across_force = np.stack([-now.force[:, 1], now.force[:, 0]], axis=-1)
     _put(out, at.columns("direction", r), np.einsum("tmad,td->tma", by_force, across_force)[..., None])
-    by_log = by_force @ _axes(at, x, r)
-    _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_log, seen.rate)[..., None])
-    knots = -np.einsum("tmad,tk->tmakd", by_log, seen.error_weights)
-    _put(out, at.columns("force", r), knots.reshape(*now.pose.shape, -1))
+    axes = _axes(at, x, r)
+    _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_force, seen.rate @ axes.T)[..., None])
     bend = np.where(over > 0.0, 0.0, apply(solved.problem.grid.value_at(s), solved.q)) / seen.observations.length
     _put_tags(out, at, (cos, sin), (1.0 - across * bend) * scale, scale, bend)
     columns = at.columns("origin", r)
@@ -106,7 +140,7 @@ def jacobian(seen: Film, at: Layout, x: Array, now: Prediction) -> tuple[Array, 
     columns = at.columns("scale", r)
     if columns is not None:
         out[:, :, :2, columns.start] = (now.pose[..., :2] - at.get(x, "origin", r)) / scale
-    return out, by_force
+    return Slopes(out, by_force, axes, seen.error_weights)
 
 
 def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:

@@ -12,12 +12,13 @@ All derivatives are taken at the force with each frame's own, fast error f taken
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from onebend.learning.film import Film
-from onebend.learning.forward import Prediction, jacobian
+from onebend.learning.forward import Prediction, Slopes
 from onebend.learning.parameters import Layout
 from onebend.records import Array
 
@@ -51,10 +52,23 @@ class Rows:
     """One film at one point: whitened and robustly weighted, R = 3 m numbers a frame."""
 
     r: Array  # (F, R) residuals, what each frame's own force explains not taken off
-    j: Array  # (F, R, C) with the parameters known to the film
-    a: Array  # (F, R, 2) with the frame's force
+    slopes: Slopes
     known: Array  # (F, R) 1 where measured
     root_weight: Array  # (F, R)
+
+    @property
+    def a(self) -> Array:
+        """(F, R, 2) with the frame's force."""
+        return self.slopes.a
+
+    @cached_property
+    def gram(self) -> Array:
+        """(F, 2, 2) `A' A`."""
+        return np.asarray(np.swapaxes(self.a, 1, 2) @ self.a)
+
+    def by_force(self, r: Array) -> Array:
+        """(F, 2) `A' r` of residuals (F, R)."""
+        return np.asarray(np.einsum("frd,fr->fd", self.a, r))
 
 
 @dataclass(frozen=True)
@@ -67,28 +81,29 @@ class Quadratic:
     log_noise: float  # sum of the logs of the noise's sd: the rest of -log p
 
 
-def rows_of(seen: Film, at: Layout, x: Array, now: Prediction, noise: FilmNoise) -> Rows:
-    """Residuals and derivatives of one film at x, tags weighted by Student's t on what its force cannot explain."""
-    j, a = jacobian(seen, at, x, now)
-    frames = len(j)
-    known = np.any(seen.whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
-    whitened = (seen.whiten @ a).reshape(frames, -1, 2)
-    plain = Rows(
-        r=residuals(seen, now) + explained_by(whitened, now.own),
-        j=(seen.whiten @ j).reshape(frames, -1, j.shape[-1]),
-        a=whitened,
-        known=known,
-        root_weight=known,
-    )
+def rows_of(now: Prediction, noise: FilmNoise) -> Rows:
+    """Residuals and derivatives of one film, tags weighted by Student's t on what its force cannot explain."""
+    plain = unweighted(now)
+    known, frames = plain.known, len(plain.r)
     across, _ = split(plain, plain.r, noise)
     squares = np.sum(across.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
     numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
     root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
-    return Rows(root * plain.r, root[..., None] * plain.j, root[..., None] * plain.a, known, root)
+    weights, slopes = root[..., None], plain.slopes
+    return Rows(root * plain.r, replace(slopes, j=weights * slopes.j, a=weights * slopes.a), known, root)
 
 
-def residuals(seen: Film, now: Prediction) -> Array:
+def unweighted(now: Prediction) -> Rows:
+    """Residuals and derivatives of one film, whitened alone."""
+    whiten, slopes, frames = now.seen.whiten, now.slopes, len(now.pose)
+    known = np.any(whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
+    j, a = (np.asarray((whiten @ one).reshape(*known.shape, -1)) for one in (slopes.j, slopes.a))
+    return Rows(residuals(now) + explained_by(a, now.own), replace(slopes, j=j, a=a), known, known)
+
+
+def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
+    seen = now.seen
     away = np.where(np.isfinite(seen.measured), seen.measured - now.pose, 0.0)
     return np.asarray(np.einsum("fmab,fmb->fma", seen.whiten, away).reshape(len(away), -1))
 
@@ -100,7 +115,7 @@ def explained_by(a: Array, own: Array) -> Array:
 
 def split(rows: Rows, r: Array, noise: FilmNoise) -> tuple[Array, Array]:
     """Residuals (F, R) less what the frames' own force errors explain, and these errors (F, 2) N."""
-    force = np.einsum("fdc,fcr,fr->fd", shrink(rows, noise), np.swapaxes(rows.a, 1, 2), r, optimize=True)
+    force = np.einsum("fdc,fc->fd", shrink(rows, noise), rows.by_force(r))
     return r - explained_by(rows.a, force), force
 
 
@@ -111,23 +126,34 @@ def misfit(rows: Rows, r: Array, noise: FilmNoise) -> float:
 
 
 def quadratic(rows: Rows, at: Layout, number: int, x: Array, noise: FilmNoise) -> Quadratic:
-    """A film's say under given noise."""
-    mine = at.known_to(number)
-    y = rows.r + rows.j @ x[mine]
-    aj = np.swapaxes(rows.a, 1, 2) @ rows.j  # (F, 2, C)
-    ay = np.einsum("frd,fr->fd", rows.a, y)
-    less = shrink(rows, noise)
-    j, flat = rows.j.reshape(-1, len(mine)), y.ravel()
-    lowered = (less @ aj).reshape(-1, len(mine))
-    variance = noise.marker**2
-    h = (j.T @ j - aj.reshape(-1, len(mine)).T @ lowered) / variance
-    b = (j.T @ flat - lowered.T @ ay.ravel()) / variance
-    c = (flat @ flat - np.einsum("fd,fde,fe->", ay, less, ay)) / variance
-    gram = np.swapaxes(rows.a, 1, 2) @ rows.a
-    spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * gram)[1]
+    """A film's say under given noise.
+
+    The log's slow error moves a frame's tags as the frame's own force does, so all that is said of its knots is what
+    is said of the force: `A' S^-1 = ((s/f)^2 + A' A)^-1 A' / f^2`.
+    """
+    mine, slopes = at.known_to(number), rows.slopes
+    (frames, k), variance = slopes.weights.shape, noise.marker**2
+    y = rows.r + slopes.times(x[mine])
+    less, ay = shrink(rows, noise), rows.by_force(y)
+    aj = np.swapaxes(rows.a, 1, 2) @ slopes.j  # (F, 2, C - 2 K)
+    j, flat, count = slopes.j.reshape(-1, aj.shape[-1]), y.ravel(), aj.shape[-1]
+    lowered = less @ np.concatenate([aj, rows.gram @ slopes.axes, ay[..., None]], axis=-1)
+    by_j, by_log, by_y = np.split(lowered, [count, count + 2], axis=-1)
+    inside = np.zeros((len(mine), len(mine)))
+    inside[:count, :count] = (j.T @ j - aj.reshape(-1, count).T @ by_j.reshape(-1, count)) / variance
+    onto = -slopes.axes.T / noise.force**2
+    of_force = (onto @ np.concatenate([by_j, by_y], axis=-1)).reshape(frames, -1)
+    across = (slopes.weights.T @ of_force).reshape(2 * k, count + 1)  # (2 K, C - 2 K + 1)
+    inside[count:, :count], inside[:count, count:] = across[:, :count], across[:, :count].T
+    pairs = (slopes.weights[:, :, None] * (-onto @ by_log).reshape(frames, 1, 4)).reshape(frames, 4 * k)
+    knots = (slopes.weights.T @ pairs).reshape(k, k, 2, 2)
+    inside[count:, count:] = knots.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
+    b = np.concatenate([(j.T @ flat - by_j.reshape(-1, count).T @ ay.ravel()) / variance, across[:, count]])
+    c = (flat @ flat - np.sum(ay * by_y[..., 0])) / variance
+    spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * rows.gram)[1]
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
     information, right = np.zeros((at.size, at.size)), np.zeros(at.size)
-    information[np.ix_(mine, mine)], right[mine] = h, b
+    information[np.ix_(mine, mine)], right[mine] = inside, b
     return Quadratic(information, right, float(c), log_noise)
 
 
@@ -188,5 +214,5 @@ def prior(films: list[Film], at: Layout, level: float | Array, scales: Scales) -
 
 def shrink(rows: Rows, noise: FilmNoise) -> Array:
     """(F, 2, 2) `((s/f)^2 + A'A)^-1`."""
-    gram = np.swapaxes(rows.a, 1, 2) @ rows.a
-    return np.asarray(np.linalg.inv((noise.marker / noise.force) ** 2 * np.eye(2) + gram))
+    (xx, xy), (_, yy) = np.moveaxis((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram, 0, -1)
+    return np.asarray(np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), -1, 0))

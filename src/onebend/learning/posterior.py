@@ -24,7 +24,7 @@ from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.film import Film, film
 from onebend.learning.forward import Prediction, predict
 from onebend.learning.frames import check_same_beam, chosen_frames, mass_profile
-from onebend.learning.gauss_newton import Scales, prior
+from onebend.learning.gauss_newton import Scales
 from onebend.learning.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.misses import Miss, misses
 from onebend.learning.own_weight import following
@@ -69,7 +69,6 @@ class Posterior:
     at: Layout
     films: tuple[Film, ...]
     optimum: Optimum
-    prior_covariance: Array  # (P, P)
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
 
@@ -275,9 +274,8 @@ def _fit(
     found = search(films, at, near.x, level, near.scales, expected, end, progress, shapes)
     optimum = conclude(films, at, replace(found, steps=near.steps + found.steps), level, expected, end)
     progress.done()
-    precision, _, _ = prior(films, at, level, optimum.scales)
     criticism = criticise(films, at, optimum, level, stiffness_of(at, optimum, gain_sd))
-    return Posterior(at, tuple(films), optimum, np.asarray(np.linalg.inv(precision)), gain_sd, criticism)
+    return Posterior(at, tuple(films), optimum, gain_sd, criticism)
 
 
 def _films(recordings: Sequence[Observations], most: int, spline: Spline) -> list[Film]:

@@ -10,10 +10,12 @@ mixture of normals given the sizes, so that few draws are enough. Chains run sid
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.linalg.lapack import dpotrs, dtrtrs
 from scipy.special import ndtri
 
 from onebend.beam.uncertain import SHAPE_LEVELS, SHAPE_PLACES
@@ -56,7 +58,6 @@ class _Chains:
     own: Array  # (B, 2 p - 1) variance of every step and bump beside the others
     variance: Array  # (B, n) of the parts
     root: Array  # (B, r, r) Cholesky factors of the data's covariance
-    white: Array  # (B, r) the data, whitened by them
     value: Array  # (B,) log density of the sizes, log k integrated out
 
     @property
@@ -95,19 +96,24 @@ class _Target:
         self.rows = np.repeat(np.stack(rows)[:, -kept:], each, axis=0)  # (B, r, p)
         self.seen = np.repeat(np.stack(seen)[:, -kept:], each, axis=0)  # (B, r)
         self.on_parts = self.rows @ self.weights  # (B, r, n)
+        line, smooth, local = np.split(self.on_parts, [2, spline.count], axis=-1)
+        self.line = (line * spline.variances(TAU, RHO)[:2]) @ np.swapaxes(line, 1, 2) + np.eye(kept)
+        self.smooth = smooth @ np.swapaxes(smooth, 1, 2)
+        self.on_local = np.ascontiguousarray(local)
         self.share = np.repeat([t.weight for t in told], each) / each
         self.local = slice(spline.count, self.weights.shape[1])  # steps and bumps
 
     def at(self, logs: Array, own: Array) -> _Chains:
         """The chains with these sizes."""
         variance, capped = part_variances(self.spline, logs, own)
-        spread = (self.on_parts * variance[:, None]) @ np.swapaxes(self.on_parts, 1, 2)
-        root = np.asarray(np.linalg.cholesky(spread + np.eye(spread.shape[-1])), dtype=float)
-        white = np.linalg.solve(root, self.seen[..., None])[..., 0]
+        local = (self.on_local * variance[:, None, self.local]) @ np.swapaxes(self.on_local, 1, 2)
+        spread = self.line + np.exp(2.0 * logs[:, :1, None]) * self.smooth + local
+        root = np.asarray(np.linalg.cholesky(spread), dtype=float)
+        white = _each(dtrtrs, root, self.seen)
         value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)
         value -= 0.5 * np.sum(np.log1p(capped), axis=1)
         value -= 0.5 * np.sum(((logs - np.log([TAU, RHO])) / SPREAD) ** 2, axis=1)
-        return _Chains(logs, own, variance, root, white, value)
+        return _Chains(logs, own, variance, root, value)
 
     def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
         """One step of every chain."""
@@ -127,9 +133,14 @@ class _Target:
         misses."""
         drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
         missed = self.seen - (self.on_parts @ drawn[..., None])[..., 0] - rng.standard_normal(self.seen.shape)
-        pull = np.linalg.solve(np.swapaxes(root, 1, 2), np.linalg.solve(root, missed[..., None]))
-        local = np.swapaxes(self.on_parts[..., self.local], 1, 2) @ pull
-        return np.asarray(drawn[:, self.local] + variance[:, self.local] * local[..., 0])
+        local = np.einsum("brn,br->bn", self.on_local, _each(dpotrs, root, missed))
+        return np.asarray(drawn[:, self.local] + variance[:, self.local] * local)
+
+
+def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
+    """Lower factors (B, r, r) into (B, r) or (B, r, n), by a solver of LAPACK: for sizes like these its call is most of
+    the work."""
+    return np.stack([solver(root, one, lower=1)[0] for root, one in zip(roots, right, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -157,18 +168,19 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, star
     target, p = _Target(spline, told, level, draws.chains), spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
-    on_places = spline.basis(SHAPE_PLACES) @ target.weights  # (S, n)
+    basis = spline.basis(SHAPE_PLACES)  # (S, p)
+    squares = (basis @ target.weights).T ** 2  # (n, S)
     for now in _drawn_chains(target, draws, start):
-        across = np.linalg.solve(now.root, target.on_parts * now.variance[:, None])  # (B, r, n)
-        of_parts = np.einsum("brn,br->bn", across, now.white)
+        of_parts = now.variance * np.einsum("brn,br->bn", target.on_parts, _each(dpotrs, now.root, target.seen))
         means = of_parts @ target.weights.T
-        told_away = np.sqrt(target.share)[:, None, None] * (across @ target.weights.T)
+        away = _each(dtrtrs, now.root, (target.on_parts * now.variance[:, None]) @ target.weights.T)  # (B, r, p)
+        told_away = np.sqrt(target.share)[:, None, None] * away
         second += (target.weights * (target.share @ now.variance)) @ target.weights.T
         second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
         mean += target.share @ means
         parts += target.share @ of_parts
-        left = now.variance @ (on_places**2).T - np.sum((across @ on_places.T) ** 2, axis=1)
-        marginals.append(np.stack([of_parts @ on_places.T, np.sqrt(np.maximum(left, 0.0))]))
+        left = now.variance @ squares - np.sum((away @ basis.T) ** 2, axis=1)
+        marginals.append(np.stack([means @ basis.T, np.sqrt(np.maximum(left, 0.0))]))
     mean, second, parts = mean / draws.kept, second / draws.kept, parts / draws.kept
     covariance = second - np.outer(mean, mean)
     means, sds = np.concatenate(marginals, axis=1)
@@ -198,11 +210,13 @@ def _shape(means: Array, sds: Array, weight: Array) -> Array:
     those of one normal of the same sd."""
     middle = weight @ means
     sd = np.sqrt(weight @ (sds**2 + (means - middle) ** 2))
-    values = (means[:, None] + sds[:, None] * ndtri(_STRATA)[:, None]).reshape(-1, means.shape[1])
-    weights = np.repeat(weight / len(_STRATA), len(_STRATA))
-    order = np.argsort(values, axis=0)
-    below = np.cumsum(weights[order], axis=0) - 0.5 * weights[order]
-    rising = np.take_along_axis(values, order, axis=0)
+    values = (means.T[:, None] + sds.T[:, None] * ndtri(_STRATA)[:, None]).reshape(means.shape[1], -1)
+    weights = np.tile(weight / len(_STRATA), len(_STRATA))
     asked = 0.5 + 0.5 * np.stack([-SHAPE_LEVELS, SHAPE_LEVELS])
-    low, high = np.stack([np.interp(asked, b, v) for b, v in zip(below.T, rising.T, strict=True)], axis=-1)
+    ends = []
+    for one in values:
+        order = np.argsort(one)
+        each = weights[order]
+        ends.append(np.interp(asked, np.cumsum(each) - 0.5 * each, one[order]))
+    low, high = np.stack(ends, axis=-1)
     return np.asarray((high - low) / (2.0 * ndtri(asked[1])[:, None] * sd))

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from onebend.learning.film import Film
+from onebend.learning.force_error import ForceError
 from onebend.learning.gauss_newton import (
     FilmNoise,
     Quadratic,
@@ -82,15 +83,54 @@ class Known:
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Scales) -> Callable[[Array], float]:
-        """Minus log posterior of z."""
+        """Minus log posterior of z. All but the force's error is integrated out once.
+
+        With C = L L' its covariance, H and b what is said of it less its mean, `-2 log p` is a constant and
+        `log det (I + L' H L) - |(I + L' H L)^-1/2 L' b|^2`.
+        """
+        axes, information, b, constant = self._of_error(start)
 
         def of(z: Array) -> float:
+            scales = self.scaled(start, z)
+            inside, right = information.copy(), b.copy()
             try:
-                return 0.5 * float(z @ z) - self.solve(self.scaled(start, z))[1]
+                for error, where in axes:
+                    root = np.linalg.cholesky(error.covariance(*(getattr(scales, name) for name in CHOSEN)))
+                    for axis in where:
+                        inside[:, axis] = inside[:, axis] @ root
+                        inside[axis] = root.T @ inside[axis]
+                        right[axis] = root.T @ right[axis]
+                factor = np.linalg.cholesky(inside + np.eye(len(b)))
             except np.linalg.LinAlgError:
                 return 1e12
+            explained = np.sum(solve_triangular(factor, right, lower=True, check_finite=False) ** 2)
+            return constant + float(0.5 * (z @ z - explained) + np.sum(np.log(np.diag(factor))))
 
         return of
+
+    def _of_error(self, scales: Scales) -> tuple[list[tuple[ForceError, tuple[slice, slice]]], Array, Array, float]:
+        """What is said of the force errors less their means, all else integrated out: for each film where x and y
+        stand, the information, its right side, and minus the log of what is left."""
+        axes, order, start = [], [], 0
+        for block in self.at.blocks:
+            if block.name == "force" and block.start >= 0:
+                index = np.arange(block.where.start, block.where.stop).reshape(-1, 2)
+                order += [index[:, 0], index[:, 1]]
+                ends = start, start + len(index), start + index.size
+                axes.append((self.films[block.recording].error, (slice(*ends[:2]), slice(*ends[1:]))))
+                start = ends[2]
+        mine = np.concatenate([np.zeros(0, dtype=np.int64), *order])
+        other = np.setdiff1d(np.arange(self.at.size), mine)
+        precision, mean, _ = prior(self.films, self.at, self.level, scales)
+        data, before = self.data, precision[np.ix_(other, other)]
+        right = data.b - data.information @ mean
+        across = data.information[np.ix_(other, mine)]
+        factor = cho_factor(data.information[np.ix_(other, other)] + before)
+        best = cho_solve(factor, right[other])
+        left = data.information[np.ix_(mine, mine)] - across.T @ cho_solve(factor, across)
+        away = data.c - (data.b + right) @ mean - right[other] @ best
+        ratio = np.linalg.slogdet(before)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
+        return axes, left, right[mine] - across.T @ best, float(0.5 * away - 0.5 * ratio + data.log_noise)
 
     def place(self, scales: Scales) -> Array:
         """(4,) sd of scales from what was expected."""
@@ -189,14 +229,14 @@ def film_noise(rows: Rows, before: FilmNoise, spent: float) -> FilmNoise:
     """
     numbers = float(np.sum(rows.known))
     share = max(1.0 - spent / max(numbers, 1.0), 0.3)
-    noise = before
+    noise, by_force, squares = before, rows.by_force(rows.r), float(np.sum(rows.r**2))
     for _ in range(30):
-        across, force = split(rows, rows.r, noise)
-        doubt = noise.marker**2 * shrink(rows, noise)  # (F, 2, 2) covariance left in each frame's force
-        explained = np.einsum("frd,fde,fre->", rows.a, doubt, rows.a, optimize=True)
-        marker = (float(np.sum(across**2)) + explained) / (numbers * share)
-        own = np.mean(np.sum(force**2, axis=1) + np.trace(doubt, axis1=1, axis2=2)) / 2.0
-        noise = FilmNoise(max(float(np.sqrt(marker)), _LEAST), float(np.sqrt(own)))
+        less = shrink(rows, noise)
+        force = np.einsum("fde,fe->fd", less, by_force)
+        second = noise.marker**2 * less + force[:, :, None] * force[:, None]  # (F, 2, 2) moments of each frame's force
+        left = squares - 2.0 * float(np.sum(force * by_force)) + float(np.sum(second * rows.gram))
+        own = np.mean(np.trace(second, axis1=1, axis2=2)) / 2.0
+        noise = FilmNoise(float(np.sqrt(max(left / (numbers * share), _LEAST**2))), float(np.sqrt(own)))
     across, force = split(rows, rows.r, noise)
     marker = noise.marker * np.sqrt(correlation_time(across))
     return FilmNoise(float(marker), noise.force * float(np.sqrt(correlation_time(force))))

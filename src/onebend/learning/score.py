@@ -62,7 +62,7 @@ def linear(films: Sequence[Film], at: Layout, optimum: Optimum, level: float) ->
     """Rows, covariance and the step that the search left undone; `level`: prior mean of log k."""
     own, best = list(films), optimum.x
     every = list(zip(own, optimum.predictions, optimum.scales.films, strict=True))
-    rows = tuple(rows_of(f, at, best, p, n) for f, p, n in every)
+    rows = tuple(rows_of(p, n) for _, p, n in every)
     data = [quadratic(r, at, f.number, best, n) for r, (f, _, n) in zip(rows, every, strict=True)]
     total = together([*data, rest_quadratic(own, at)])
     precision, mean, _ = prior(own, at, level, optimum.scales)
@@ -139,7 +139,7 @@ def _extended(line: Linear, patterns: Sequence[Sequence[Departure]]) -> _Extende
         across = d - rows.a @ (shrink(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
         weighted = across.reshape(-1, count) / noise.marker**2
         bb += weighted.T @ d.reshape(-1, count)
-        bx[:, known] += weighted.T @ rows.j.reshape(-1, len(known))
+        bx[:, known] += weighted.T @ rows.slopes.written.reshape(-1, len(known))
         g += weighted.T @ rows.r.ravel()
         whole.append(d)
     left = bb - bx @ line.covariance @ bx.T
@@ -161,7 +161,8 @@ def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
     chi2 = float(every.score[part] @ b)
     step = -line.covariance @ (every.mixed[part].T @ b)
     log10_p = float(chi_squared.logsf(chi2, count)) / np.log(10.0)
-    changes = [d[..., part] @ b + r.j @ step[k] for d, r, k in zip(every.d, line.rows, line.known, strict=True)]
+    films = zip(every.d, line.rows, line.known, strict=True)
+    changes = [d[..., part] @ b + r.slopes.times(step[k]) for d, r, k in films]
     ratio = 1.0
     if log10_p < _WORTH:
         ratio, numbers = _noise_left(line, changes)
@@ -182,7 +183,7 @@ def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
     """
     before, after, numbers = 0.0, 0.0, 0.0
     for rows, known, change, noise in zip(line.rows, line.known, changes, line.optimum.scales.films, strict=True):
-        plain = rows.r - rows.j @ line.step[known]
+        plain = rows.r - rows.slopes.times(line.step[known])
         old, new = (split(rows, r, noise)[0] for r in (plain, plain - change))
         time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)

@@ -96,13 +96,13 @@ def search(
     for round_number in range(effort.rounds):
         last = steady or round_number == effort.rounds - 1
         if round_number < effort.coarse_rounds:
-            size = [float(np.sqrt(np.mean(residuals(f, p) ** 2))) for f, p in zip(films, now, strict=True)]
+            size = [float(np.sqrt(np.mean(residuals(p) ** 2))) for p in now]
             coarse = tuple(replace(n, marker=max(s, 1.5)) for n, s in zip(expected.films, size, strict=True))
             scales = replace(expected, films=coarse)
         most, tolerance = (effort.most_steps, effort.tolerance) if last else (20, effort.on_the_way)
         x, now, taken, converged = _descend(films, at, x, now, level, scales, most, tolerance)
         steps += taken
-        rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
+        rows = [rows_of(p, n) for p, n in zip(now, scales.films, strict=True)]
         progress.advance()
         if last:
             break
@@ -115,7 +115,7 @@ def search(
 def conclude(films: list[Film], at: Layout, found: Found, level: float, expected: Scales, effort: Effort) -> Optimum:
     """The posterior around where the search ended, what the scales leave open included."""
     scales, now = found.scales, found.predictions
-    rows = [rows_of(f, at, found.x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
+    rows = [rows_of(p, n) for p, n in zip(now, scales.films, strict=True)]
     known = Known(_data(films, at, rows, found.x, scales), films, at, level, expected)
     of_k, covariance = averaged(known, scales)
     x, now = _settled(films, at, found, of_k.mean, covariance)
@@ -194,13 +194,13 @@ def _descend(
     def cost(rows: list[Rows], shapes: list[Prediction], at_x: Array) -> float:
         if not all(np.all(p.solved.converged) for p in shapes):
             return np.inf
-        every = zip(films, rows, shapes, scales.films, strict=True)
-        tags = sum(_misfit(r.root_weight * residuals(f, p), p.own, noise) for f, r, p, noise in every)
+        every = zip(rows, shapes, scales.films, strict=True)
+        tags = sum(_misfit(r.root_weight * residuals(p), p.own, noise) for r, p, noise in every)
         away = at_x - mean
         return float(tags + away @ precision @ away + at_x @ rests.information @ at_x - 2.0 * rests.b @ at_x)
 
     for step_number in range(1, most + 1):
-        rows = [rows_of(f, at, x, p, n) for f, p, n in zip(films, now, scales.films, strict=True)]
+        rows = [rows_of(p, n) for p, n in zip(now, scales.films, strict=True)]
         data = _data(films, at, rows, x, scales)
         hessian = data.information + precision
         slope = data.b - data.information @ x - precision @ (x - mean)
@@ -208,8 +208,8 @@ def _descend(
         while True:
             step = np.linalg.solve(hessian + damping * np.diag(diagonal), slope)
             tried = x + step * min(1.0, 1.5 / max(float(np.max(np.abs(step[: at.spline.count]))), 1e-300))
-            every = zip(films, rows, now, scales.films, strict=True)
-            forces = [_own(f, at, r, p, noise, tried - x, damping) for f, r, p, noise in every]
+            every = zip(rows, now, scales.films, strict=True)
+            forces = [_own(r, p, noise, tried - x, damping) for r, p, noise in every]
             there = [predict(f, at, tried, p.solved.q, own) for f, p, own in zip(films, now, forces, strict=True)]
             if cost(rows, there, tried) <= before + 1e-6:
                 break
@@ -228,7 +228,7 @@ def _misfit(left: Array, own: Array, noise: FilmNoise) -> float:
     return float(np.sum(left**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
 
 
-def _own(seen: Film, at: Layout, rows: Rows, now: Prediction, noise: FilmNoise, step: Array, damping: float) -> Array:
+def _own(rows: Rows, now: Prediction, noise: FilmNoise, step: Array, damping: float) -> Array:
     """(F, 2) N: each frame's own force after a step of the parameters, to first order the most probable one."""
-    best = split(rows, rows.r - rows.j @ step[at.known_to(seen.number)], noise)[1]
+    best = split(rows, rows.r - rows.slopes.times(step[now.at.known_to(now.seen.number)]), noise)[1]
     return np.asarray(now.own + (best - now.own) / (1.0 + damping))

@@ -60,7 +60,8 @@ def rough_compliance(seen: Seen, force: Array) -> tuple[Array, float, Array]:
 @dataclass(frozen=True)
 class Model:
     """Mean of the log at N rows, as a function of 3 k + 4 parameters z that are standard normal: logs of the spans'
-    compliances, their slopes, the push's place, the log's direction and bias (2), and the spans' turns at rest."""
+    compliances, their slopes, the push's place, the log's direction and bias (2), and the spans' turns at rest. z may
+    have leading axes; so has then what comes out."""
 
     moments: Moments
     compliance: Array  # (k,) rad / (N m), about which the parameters are
@@ -76,9 +77,9 @@ class Model:
     def matrix(self, seen: Seen, z: Array) -> Array:
         """(N, k, 2) rad / N, turns of the spans under a unit force."""
         k = len(self.compliance)
-        w = self.compliance * np.exp(FREE_SCALE * z[:k])
-        lever = seen.lever[:, 0] + PLACE_SD * z[2 * k] * seen.tangent[:, None, :]
-        return np.asarray((lever + SLOPE * z[k : 2 * k, None] * seen.lever[:, 1]) * w[:, None])
+        w = self.compliance * np.exp(FREE_SCALE * z[..., :k])
+        lever = seen.lever[:, 0] + PLACE_SD * z[..., 2 * k, None, None, None] * seen.tangent[:, None, :]
+        return np.asarray((lever + SLOPE * z[..., None, k : 2 * k, None] * seen.lever[:, 1]) * w[..., None, :, None])
 
     def told(self, seen: Seen, z: Array) -> tuple[Array, Array]:
         """(N, 2) N and (N, 2, 2) N^2: mean and covariance of the force on the beam."""
@@ -89,38 +90,33 @@ class Model:
         size = np.sqrt(np.mean((seen.turn / self.moments.noise) ** 2, axis=1) + 1.0)
         size *= self.force / np.sqrt(np.mean((self.moments.largest / self.moments.noise) ** 2))
         weighed = a * weight[:, None]
-        inner = weighed.transpose(0, 2, 1) @ a + np.eye(2) / size[:, None, None] ** 2
-        spread = np.stack([inner[:, 1, 1], -inner[:, 0, 1], -inner[:, 1, 0], inner[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-        spread /= (inner[:, 0, 0] * inner[:, 1, 1] - inner[:, 0, 1] * inner[:, 1, 0])[:, None, None]
-        turn = seen.turn - rest * z[2 * k + 4 :]
-        pulled = (weighed * turn[..., None]).sum(axis=1)
-        return np.asarray((spread * pulled[:, None, :]).sum(axis=2)), spread
+        inner = np.swapaxes(weighed, -1, -2) @ a + np.eye(2) / size[:, None, None] ** 2
+        (xx, xy), (_, yy) = np.moveaxis(inner, (-2, -1), (0, 1))
+        spread = np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), (0, 1), (-2, -1))
+        turn = seen.turn - rest * z[..., None, 2 * k + 4 :]
+        pulled = np.einsum("...kc,...k->...c", weighed, turn)
+        return np.einsum("...cd,...d->...c", spread, pulled), spread
 
     def misfit(self, seen: Seen, z: Array) -> Array:
         """(N, k) sd that the turns are off what one force a row would make."""
         k = len(self.compliance)
         force, _ = self.told(seen, z)
-        rest = self.moments.noise / np.sqrt(STILL) * z[2 * k + 4 :]
-        return np.asarray(
-            (seen.turn - rest - (self.matrix(seen, z) * force[:, None, :]).sum(axis=2)) / self.moments.noise
-        )
+        rest = self.moments.noise / np.sqrt(STILL) * z[..., None, 2 * k + 4 :]
+        made = np.einsum("...kc,...c->...k", self.matrix(seen, z), force)
+        return np.asarray((seen.turn - rest - made) / self.moments.noise)
 
     def mean(self, seen: Seen, z: Array) -> Array:
         """(N, 2) N, the log's expectation."""
         k = len(self.compliance)
         force, _ = self.told(seen, z)
-        turned = DIRECTION_SD * z[2 * k + 1] * np.stack([-force[:, 1], force[:, 0]], axis=1)
-        return np.asarray(force + turned + FREE * self.force * z[2 * k + 2 : 2 * k + 4])
+        turned = DIRECTION_SD * z[..., 2 * k + 1, None, None] * np.stack([-force[..., 1], force[..., 0]], axis=-1)
+        return np.asarray(force + turned + FREE * self.force * z[..., None, 2 * k + 2 : 2 * k + 4])
 
 
 def jacobian(function: Callable[[Array], Array], z: Array, base: Array) -> Array:
-    """(n, p) derivatives of `function`, n numbers whose values at z are `base`."""
-    out = np.empty((base.size, len(z)))
-    for i in range(len(z)):
-        step = np.zeros(len(z))
-        step[i] = DIFFERENCE
-        out[:, i] = (function(z + step) - base).ravel() / DIFFERENCE
-    return out
+    """(n, p) derivatives of `function`, n numbers whose values at z are `base`; it takes all steps of z at once."""
+    moved = function(z + DIFFERENCE * np.eye(len(z)))
+    return np.asarray(((moved - base) / DIFFERENCE).reshape(len(z), -1).T)
 
 
 def covariance(noise: ForceNoise, time: Array, spread: Array, jumps: Array) -> Array:
