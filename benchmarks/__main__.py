@@ -24,7 +24,8 @@ PREFACE = """\
 # Accuracy and speed
 
 Measured by the scripts in `benchmarks/` against known truth; `make bench` makes every table again, and
-`python -m benchmarks --write` this page.
+`python -m benchmarks --write` this page. The *development recordings* are twelve simulated and rendered ones with known
+truth, made by an independent simulator and not shipped; `linear_train` and the like are their names.
 """
 
 

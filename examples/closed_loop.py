@@ -19,9 +19,9 @@ TRUTH = Truth(
     eye=Eye(delay=0.06, jitter=0.01, noise=1e-4, dropped=0.1, hidden=((2.2, 2.7),)),
 )
 VARIANTS = {
-    "open loop: the learned beam's force": (True, False, ORANGE),
-    "feedback alone": (False, True, GREEN),
-    "both": (True, True, BLUE),
+    "open loop: the learned beam's force": (True, False, ORANGE, "--"),
+    "feedback alone": (False, True, GREEN, "-."),
+    "both": (True, True, BLUE, "-"),
 }
 
 
@@ -29,7 +29,7 @@ def runs(duration: float = 5.0) -> dict[str, Rehearsal]:
     """The three variants on one beam, through the same camera."""
     control = controller(MODEL, MODEL.equilibrium((-0.1, 0.3)).xy(1.0))
     found = {}
-    for name, (feedforward, feedback, _) in VARIANTS.items():
+    for name, (feedforward, feedback, *_) in VARIANTS.items():
         settings = ControllerSettings(feedforward=feedforward, feedback=feedback)
         found[name] = rehearse(replace(control, settings=settings), TRUTH, duration, seed=1)
     return found
@@ -40,7 +40,9 @@ def picture(found: dict[str, Rehearsal]) -> Figure:
     """Distance from the goal, in mm, on a logarithmic axis."""
     figure, (axes,) = blank(3.2)
     for name, run in found.items():
-        axes.semilogy(run.time, 1e3 * np.maximum(run.error, 1e-6), label=name, color=VARIANTS[name][2])
+        axes.semilogy(
+            run.time, 1e3 * np.maximum(run.error, 1e-6), label=name, color=VARIANTS[name][2], ls=VARIANTS[name][3]
+        )
     axes.axhline(0.5, color="0.4", lw=1.0, ls=":")
     axes.text(0.02, 0.52, "0.5 mm", fontsize=8, color="0.4", va="bottom")
     for first, last in TRUTH.eye.hidden:

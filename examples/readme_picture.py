@@ -13,7 +13,7 @@ from onebend.report.style import png_of
 
 HERE = Path(__file__).parent
 TARGET = HERE.parent / "docs" / "images" / "learned.jpg"
-WIDTH = 1000  # px
+HEIGHT = 560  # px
 
 observations = onebend.observe(HERE / "linear-beam" / "train")
 learned = onebend.learn(observations)
@@ -29,13 +29,13 @@ figures = [
     ),
 ]
 pictures = [Image.open(BytesIO(png_of(figure))).convert("RGB") for figure in figures if figure is not None]
-rows = [one.resize((WIDTH, round(one.height * WIDTH / one.width)), Image.Resampling.LANCZOS) for one in pictures]
+columns = [one.resize((round(one.width * HEIGHT / one.height), HEIGHT), Image.Resampling.LANCZOS) for one in pictures]
 
-sheet = Image.new("RGB", (WIDTH, sum(row.height for row in rows)), "white")
-top = 0
-for row in rows:
-    sheet.paste(row, (0, top))
-    top += row.height
+sheet = Image.new("RGB", (sum(column.width for column in columns), HEIGHT), "white")
+left = 0
+for column in columns:
+    sheet.paste(column, (left, 0))
+    left += column.width
 
 TARGET.parent.mkdir(parents=True, exist_ok=True)
 sheet.save(TARGET, quality=88, optimize=True)

@@ -89,6 +89,21 @@ def test_a_path_with_a_limit(model: Path, goals: Path, tmp_path: Path) -> None:
     assert "already holds results" in again.stderr.replace("\n", " ")
 
 
+@pytest.mark.parametrize(
+    ("limit", "value"), [("--max-speed-m-per-s", 0.001), ("--max-turn-rate-deg-per-s", 1), ("--max-moment-N-m", 0.1)]
+)
+def test_a_limit_of_a_gripper_that_is_not_there_is_refused(model: Path, goals: Path, limit: str, value: float) -> None:
+    told = run("path", model, "--goals", goals, limit, value)
+    assert told.exit_code == 2
+    assert f"{limit} limits a gripper, and there is none: add --grip" in told.stderr
+
+
+def test_gravity_in_another_unit_is_refused(model: Path, targets: Path) -> None:
+    told = run("shape", model, "--targets", targets, "--gravity-m-s2", 0, -9810)
+    assert told.exit_code == 2
+    assert "9810 m/s^2" in told.stderr
+
+
 def test_a_path_too_fast_is_refused(model: Path, goals: Path) -> None:
     asked = ("--rate-Hz", "100", "--max-force-rate-N-per-s", "0.2", "--too-fast", "refuse")
     done = run("path", model, "--goals", goals, *asked)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from onebend import cli
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import RecordingError
@@ -154,3 +155,12 @@ def test_overview_without_force_or_calibration(tmp_path: Path) -> None:
     rows = dict(overview(tmp_path).rows)
     assert rows["force"] == "none"
     assert "not calibrated" in rows["camera"]
+
+
+def test_no_heading_or_help_loses_its_brackets_to_markup() -> None:
+    """rich takes [mm] for a tag unless it is escaped."""
+    sources = [*Path(cli.__file__).parent.glob("*.py"), *(Path(cli.__file__).parents[1] / "terminal").glob("*.py")]
+    for source in sources:
+        for text in re.findall(r"(?:title|help)=f?\"([^\"\n]*)\"", source.read_text(encoding="utf-8")):
+            bare = re.sub(r"\[/?(?:bold|dim|red|yellow|green)[^\]]*\]|\[/\]", "", text)
+            assert not re.search(r"(?<!\\)\[[a-z]", bare), f"{source.name}: {text}"

@@ -11,7 +11,7 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
 from onebend.control.feedback import Controller, ControllerSettings, controller
-from onebend.control.loop import Eye, Hand, Truth, rehearse
+from onebend.control.loop import Eye, Hand, Rehearsal, Truth, rehearse
 from onebend.control.margins import Gains, Loop, Timing, margins
 from onebend.control.plant import plant_at
 from onebend.records import Array
@@ -74,6 +74,20 @@ def test_both_settle_sooner_than_feedback_alone_and_open_loop_never() -> None:
     )
     assert both < alone < 4.0
     assert np.isinf(never)
+
+
+def test_what_only_passes_the_goal_in_the_end_has_not_settled() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    none = np.zeros((len(time), 2))
+
+    def near_from(begin: float) -> Rehearsal:
+        away = np.where(time < begin, 5e-3, 1e-4)
+        return Rehearsal(np.zeros(2), time, np.column_stack([away, 0.0 * away]), none, none)
+
+    ends_near, stays = near_from(3.9), near_from(2.5)
+    assert ends_near.steady() == 5e-3
+    assert np.isinf(ends_near.settled(1e-3))
+    assert stays.settled(1e-3) == pytest.approx(2.5)
 
 
 @pytest.mark.slow

@@ -147,6 +147,16 @@ def test_bound_on_curvature_is_kept_and_named() -> None:
     assert np.max(np.abs(found.solved.q)) / LENGTH <= most
 
 
+def test_an_angle_that_no_load_holds_is_not_said_to_be_a_place_out_of_reach() -> None:
+    there = BEAM.equilibrium((-0.1, 0.2)).xy(1.0)  # its tangent is then at 0.79 rad
+    upright = reach(BEAM, (*there, 0.4), settings=ReachSettings(moment=True))
+    assert not upright.converged
+    assert "at 22.92 deg by a force and a moment" in upright.reason
+    assert "A force alone brings the point there: it needs 0.224 N at 116.6 deg" in upright.reason
+    assert "nearest reachable point" not in upright.reason
+    assert "onebend shape --grip" in upright.reason
+
+
 def test_one_direction_reaches_what_lies_on_its_curve_and_the_nearest_else() -> None:
     up = ReachSettings(direction=0.5 * np.pi)
     goal = BEAM.equilibrium((0.0, 0.23)).xy(1.0)

@@ -94,6 +94,38 @@ def test_odd_sds_are_remarked_on(tmp_path: Path, key: str, value: str, level: st
         assert remarks(tmp_path, saying(key, fine)) == []
 
 
+def written(table: str, key: str, value: str) -> str:
+    """FULL with `key` of `table` set to `value`, in place of what stands there."""
+    head, after = FULL.split(f"[{table}]\n", 1)
+    body, *others = re.split(r"(?m)^(?=\[)", after, maxsplit=1)
+    body = re.sub(rf"(?m)^{key} .*\n", "", body)
+    return f"{head}[{table}]\n{key} = {value}\n{body}{''.join(others)}"
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "words"),
+    [
+        ("beam", "length_m", "150", "is it in metres?"),
+        ("tags", "size_m", "12", "are both in metres?"),
+        ("tags", "placement_sd_m", "0.5", "placement_sd_m = 0.5 is more than a fifth"),
+        ("push", "at_sd_m", "0.5", "at_sd_m = 0.5 is more than a fifth"),
+        ("tags", "turn_sd_deg", "90", "turn_sd_deg = 90 leaves the direction open"),
+        ("force", "rotation_sd_deg", "90", "rotation_sd_deg = 90 leaves the direction open"),
+        ("force", "gain_sd", "2", "gain_sd = 2 is 200 %: is it a share"),
+    ],
+)
+def test_sizes_in_another_unit_are_warned_of(tmp_path: Path, table: str, key: str, value: str, words: str) -> None:
+    said = [text for level, text in remarks(tmp_path, written(table, key, value)) if level == "warning"]
+    assert any(words in text for text in said)
+    assert not any(words.split(" = ")[0] in text for _, text in remarks(tmp_path, FULL))
+
+
+def test_a_key_in_the_wrong_table_is_told_its_own(tmp_path: Path) -> None:
+    assert "It belongs into [tags]." in refusal(tmp_path, written("beam", "turn_sd_deg", "1"))
+    assert "It belongs into [video] or [markers]" in refusal(tmp_path, written("beam", "clamp_sd_deg", "1"))
+    assert "Did you mean turn_sd_deg?" in refusal(tmp_path, written("tags", "turnsd_deg", "1"))
+
+
 def test_a_curvature_that_is_ruled_out_is_said_to_be_unused(tmp_path: Path) -> None:
     straight = FULL.replace('rest = "unknown"', 'rest = "straight"')
     ((level, text),) = remarks(tmp_path, saying("rest_curvature_sd_deg", "20", straight))

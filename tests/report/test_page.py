@@ -12,10 +12,11 @@ import pytest
 
 from onebend.learning.film import Film
 from onebend.records import ClockOffset, Remark
+from onebend.report.cards import cards, stiffness_range
 from onebend.report.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
 from onebend.report.page import page
-from onebend.report.sureness import tradeoff_words, unidentified_words
+from onebend.report.sureness import alarm_words, tradeoff_words, unidentified_words
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
 from tests import made_up
 
@@ -171,11 +172,11 @@ def test_a_validation_far_beyond_the_noise_is_a_warning() -> None:
     [
         (0.0412345, "0.0412"),
         (0.051, "0.0510"),
-        (6182.3, "6182"),
+        (6182.3, "6180"),
         (1.0, "1.00"),
         (-0.0213, "-0.0213"),
         (0.0, "0"),
-        (9.9999, "10.00"),
+        (9.9999, "10.0"),
         (1.5e-7, "1.5e-07"),
         (2e9, "2e+09"),
         (float("nan"), "–"),
@@ -188,9 +189,34 @@ def test_significant(value: float, text: str) -> None:
 
 def test_small_words() -> None:
     assert millimetres(0.0012345) == "1.23"
+    assert millimetres(3.93e-5) == "0.039"  # 0.04 says less than the fit knows, 0.00 of 4.2 um nothing
+    assert millimetres(4.2e-6) == "0.0042"
+    assert millimetres(0.0) == "0.00"
     assert percent(1.0, 4.0) == "25 %"
     assert percent(1.0, 0.0) == "–"
     assert worst_marker(replace(made_up.comparison(), rms=np.full(3, np.nan))) == "–"
+
+
+def test_cards_count_the_recordings_and_keep_to_what_is_identified() -> None:
+    one, two = made_up.findings(1), made_up.findings(2)
+    notes = [" ".join(card["note"] for card in cards(found)) for found in (one, two)]
+    assert f"RMS, on {one.validations[0].name}" in notes[0]
+    assert "worst of 2 other recordings" in notes[1]
+    assert one.posterior is not None
+    known = one.posterior.band(np.linspace(0.0, 1.0, 201)).identified
+    low, high = stiffness_range(one)
+    inside = one.beam.stiffness(np.linspace(0.0, 1.0, 201))[known]
+    assert (low, high) == (inside.min(), inside.max())
+    assert f"{significant(low)} … {significant(high)}" in cards(one)[0]["value"]
+
+
+def test_the_page_says_from_where_on_a_test_counts() -> None:
+    found = made_up.findings(1)
+    assert found.posterior is not None
+    text = Links(page(found, {}, version="1")).text
+    assert alarm_words(found.posterior) in text
+    assert "1 in 100 000 (1 in 320 " in alarm_words(found.posterior)
+    assert "itself can tell" in text
 
 
 def test_a_clock_that_was_not_found_says_so() -> None:

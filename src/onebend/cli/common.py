@@ -22,6 +22,7 @@ from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars
 
 BY = f"onebend {onebend.__version__}"
+HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
 @contextmanager
@@ -84,6 +85,8 @@ def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
     """The gravity [m/s^2] that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
     if not all(math.isfinite(one) for one in gravity):
         raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
+    if math.hypot(*gravity) > HEAVY:
+        raise ControlError(f"gravity of {math.hypot(*gravity):g} m/s^2 is no planet's: is it in m/s^2?")
     if any(gravity) and not has_mass(beam):
         raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
     return gravity

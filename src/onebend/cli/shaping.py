@@ -116,7 +116,12 @@ def path(
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
     with clean_errors():
         stored = read_trusted(model)
+        _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
         pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        if not pushes and max_force_rate is not None:
+            raise ControlError(
+                "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
+            )
         turning = math.radians(or_unlimited(max_turn_rate))
         limits = Rates(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
         settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
@@ -150,10 +155,18 @@ def _led(beam: Beam, goals: Goals, pushes: tuple[Push, ...], grip: Grip | None, 
     return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
 
 
+def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
+    """A limit of a gripper that is not there would be kept by nobody."""
+    for name, limit in limits.items():
+        if limit is not None and not grip:
+            raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
+
+
 def _hands(
     grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
 ) -> tuple[tuple[Push, ...], Grip | None]:
     """Without a word a push at the tip; with a grip only the pushes that are named."""
+    _no_idle_limit(grip, {"--max-moment-N-m": max_moment})
     places = push_at if push_at is not None else ([] if grip else [1.0])
     pushes = tuple(Push(place, or_unlimited(max_force)) for place in places)
     return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None

@@ -78,11 +78,12 @@ class Rehearsal:
         return float(np.max(self.error[self.time > self.time[-1] - last]))
 
     def settled(self, within: float) -> float:
-        """s: time after which the point stays `within` m of the goal; infinite where it does not."""
+        """s: time after which the point stays `within` m of the goal; infinite where it does not, or not for the last
+        second, as what only passes through the goal in the end."""
+        if self.steady() > within:
+            return np.inf
         outside = np.flatnonzero(self.error > within)
-        if not outside.size:
-            return 0.0
-        return float(self.time[outside[-1] + 1]) if outside[-1] + 1 < len(self.time) else np.inf
+        return float(self.time[outside[-1] + 1]) if outside.size else 0.0
 
 
 def rehearse(control: Controller, truth: Truth, duration: float, *, seed: int = 0, tick: float = TICK) -> Rehearsal:

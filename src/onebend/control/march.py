@@ -47,8 +47,9 @@ def march(
     first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings)
     if first.open_freedoms:
         raise ControlError(
-            f"the goals leave {first.open_freedoms} of {first.stand.hands.count} freedoms of the hands open, so that "
-            "there is no one path; want more of the beam (angles, points), or give fewer hands"
+            f"the goals leave {first.open_freedoms} of {first.stand.hands.count} freedoms of the forces and the "
+            "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
+            "a force or the gripper"
         )
     resting = rest(beam, pushes, grip, gravity, settings.resolution)
     grid = first.stand.hands.problem.grid

@@ -192,14 +192,29 @@ def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, neare
         way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
         most = "" if settings.max_force is None else f" of up to {settings.max_force:.3g} N"
         bent = "" if settings.max_curvature is None else f" within {settings.max_curvature:.3g} 1/m"
-        known = f"no force{most}{way} has a stable shape{bent} there to which the beam comes from rest"
+        load = "load" if settings.moment else "force"
+        known = f"no {load}{most}{way} has a stable shape{bent} there to which the beam comes from rest"
     by = "a force and a moment" if settings.moment else "a force"
     known += "" if known.endswith("?") else "."
-    at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
+    angle = f" at {math.degrees(goal[2]):.4g} deg" if len(goal) > 2 else ""
     return (
-        f"the point s = {on.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm by {by} at "
-        f"s = {on.push_s:.4g}: {known} The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, "
-        f"{1e3 * nearest.distance:.3g} mm away; it needs {nearest.size:.3g} N at {turn:.4g} deg"
+        f"the point s = {on.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm{angle} by {by} "
+        f"at s = {on.push_s:.4g}: {known} {_instead(on, settings, nearest)}"
+    )
+
+
+def _instead(on: PushedBeam, settings: ReachSettings, nearest: Nearest) -> str:
+    """What can be had: the nearest point, which a force alone reaches, whatever the angle asked for."""
+    at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
+    needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
+    if settings.moment:
+        there = math.degrees(float(on.pose(nearest.states[-1].q)[2]))
+        needs += f" and no moment; the tangent is then at {there:.4g} deg"
+    if nearest.distance <= settings.tolerance:
+        held = "An end that is held can be stable where one under a load is not: see onebend shape --grip"
+        return f"A force alone brings the point there: {needs}. {held}"
+    return (
+        f"The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, {1e3 * nearest.distance:.3g} mm away; {needs}"
     )
 
 

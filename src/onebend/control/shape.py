@@ -206,7 +206,7 @@ def _warnings(found: Found, hands: Hands, open_freedoms: int, settings: ShapeSet
         )
     if open_freedoms:
         out.append(
-            f"the targets leave {open_freedoms} of {hands.count} freedoms of the hands open: other forces do as well; "
-            "give more targets, or fewer hands"
+            f"the targets leave {open_freedoms} of {hands.count} freedoms of the forces and the gripper open: others "
+            "do as well; give more targets, or leave out a force or the gripper"
         )
     return tuple(out)

@@ -92,7 +92,7 @@ def unseen_words(posterior: Posterior) -> str:
             return (
                 f"A push {_millimetres(_SLIP)} from where at_s says it acts would change k(s) by up to {change:.2g} % "
                 f"({share * one.sds:.1f} sd). The band allows for {said} (at_sd_m); more would be noticed only if it "
-                f"were off by more than about {seen:.2g} in s"
+                f"were off by more than about {_millimetres(seen * posterior.films[0].observations.length)}"
             )
     return ""
 
@@ -112,11 +112,11 @@ def _stretch(value: Array, _: Posterior) -> _Words:
     do = "Push less far, or more across the beam; a beam that stretches is beyond this model"
     if value[0] <= 0.0:
         return "the beam gets shorter where it is pulled", "Check the force's sign, the tags' places and the length"
-    return f"the beam stretches (E A about {1.0 / value[0]:.2g} N)", do
+    return f"the beam stretches (E A about {_two_digits(1.0 / value[0])} N)", do
 
 
 def _shear(value: Array, _: Posterior) -> _Words:
-    size = f" (G A about {1.0 / value[0]:.2g} N)" if value[0] > 0.0 else ""
+    size = f" (G A about {_two_digits(1.0 / value[0])} N)" if value[0] > 0.0 else ""
     return f"the beam shears{size}", "A beam as thick as that, or as soft across, is beyond this model"
 
 
@@ -209,8 +209,12 @@ _CHANGES: dict[str, Callable[[float, int], _Words]] = {
 }
 
 
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):.9g}"  # 550, not 5.5e+02
+
+
 def _millimetres(metres: float) -> str:
-    return f"{1000.0 * metres:.2g} mm"
+    return f"{_two_digits(1000.0 * metres)} mm"
 
 
 def _degrees(radians: float) -> str:

@@ -44,7 +44,7 @@ def scan(path: Path) -> Iterator[Item]:
             elif magic == SQLITE_MAGIC:
                 yield from map(opened, scan_sqlite(path))
             else:
-                raise BrokenOffError("it begins like no MCAP, ROS 1 bag or sqlite3 file")
+                raise BrokenOffError("it begins like no MCAP file, ROS 1 bag or sqlite3 file (is it a bag at all?)")
     except OSError as wrong:
         raise BrokenOffError(wrong.strerror or str(wrong)) from None
 

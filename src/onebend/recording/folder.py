@@ -14,8 +14,8 @@ from onebend.recording.bag import is_bag
 from onebend.recording.bag_recording import check_bag, with_bags
 from onebend.recording.beam_entry import BeamEntry
 from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
-from onebend.recording.odd_entries import entry_remarks, spread_remarks
-from onebend.recording.schema import Mistakes, read_table, report_unknown
+from onebend.recording.odd_entries import entry_remarks, spread_remarks, unit_remarks
+from onebend.recording.schema import Mistakes, keys_of, read_table, report_unknown
 from onebend.recording.source_entries import (
     CameraEntry,
     MarkersEntry,
@@ -41,6 +41,13 @@ SECTIONS: dict[str, type] = {
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
 TABLES = ("beam", "tags", *SECTIONS)
+RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS}
+# Which tables know a key: what stands in the wrong one is told its place.
+HOMES: dict[str, tuple[str, ...]] = {
+    name: tuple(table for table, one in RECORDS.items() if name in {key.name for key, _ in keys_of(one).values()})
+    for record in RECORDS.values()
+    for name in {key.name for key, _ in keys_of(record).values()}
+}
 
 
 def read_recording(folder: Path | str) -> Recording:
@@ -51,7 +58,7 @@ def read_recording(folder: Path | str) -> Recording:
     """
     folder = Path(folder)
     content, data = load(folder)
-    mistakes = Mistakes(str(folder / FILE_NAME), content)
+    mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
     check_top(data, mistakes)
     if mistakes.found:
         raise RecordingError(str(mistakes))
@@ -82,6 +89,7 @@ def read_recording(folder: Path | str) -> Recording:
             *remarks_on(tags, data),
             *entry_remarks(beam, found["camera"]),
             *spread_remarks(beam, found, scale_sd),
+            *unit_remarks(beam, tags, found),
         ),
         scale_sd=scale_sd,
         **found,

@@ -10,8 +10,9 @@ import dataclasses
 import difflib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 Place = tuple[str | int, ...]  # ("tags", "on_beam", 0, "s"): where a value stands in the file
@@ -119,8 +120,9 @@ def several(item: Check, *counts: int) -> Check:
 class Mistakes:
     """What is wrong with one file, collected so that a person can mend it in one go."""
 
-    def __init__(self, file: str, content: str) -> None:
+    def __init__(self, file: str, content: str, homes: Mapping[str, Sequence[str]] = MappingProxyType({})) -> None:
         self.file = file
+        self.homes = homes  # the tables that know a key
         self.lines = lines_of_keys(content)
         self.found: list[tuple[int, str]] = []
 
@@ -167,6 +169,8 @@ def report_unknown(table: dict[str, Any], known: list[str], place: Place, mistak
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
             hint = f"Did you mean {near[0]}?" if near else "Known here: " + ", ".join(known) + "."
+            if homes := mistakes.homes.get(name):
+                hint = "It belongs into " + " or ".join(f"[{one}]" for one in homes) + "."
             mistakes.add((*place, name), f"{place_name(place)} does not know the key {name}. {hint}")
 
 

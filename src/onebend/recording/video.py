@@ -153,7 +153,7 @@ def opened(path: Path) -> Iterator[av.container.InputContainer]:
     try:
         container = av.open(str(path))
     except FileNotFoundError:
-        raise RecordingError(f"There is no file {path}. Put it there, or correct [video] file.") from None
+        raise RecordingError(f"There is no file {path}. Put it there, or correct its name.") from None
     except (av.error.FFmpegError, OSError) as wrong:
         raise RecordingError(
             f"{path} is not a readable video ({wrong.strerror}). If it is truncated, copy it again from the camera."

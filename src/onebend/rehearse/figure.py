@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.learning.proposals import PLACES
+from onebend.records import Array
 from onebend.rehearse.rehearsal import LEVEL_SD, MEDIAN, NINETY, Rehearsal
 from onebend.rehearse.runs import errors_of
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
@@ -24,7 +25,7 @@ def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
         _marks(axes, rehearsal)
         axes.set_xlim(0.0, 1.0)
         axes.set_ylim(bottom=0.0)
-    error.set_xlabel("s")
+    error.set_xlabel("place along the beam s  (squares: tags; triangles: pushes)")
     return figure
 
 
@@ -50,20 +51,25 @@ def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
 
 def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
-    axes.plot(PLACES, 100.0 * MEDIAN * p.error, color=BLUE, label="median, predicted")
-    axes.plot(PLACES, 100.0 * NINETY * p.error, color=BLUE, linestyle=":", label="9 in 10 below, predicted")
-    highest = [float(np.max(100.0 * NINETY * p.error))]
+    axes.plot(PLACES, _percent(MEDIAN * p.error), color=BLUE, label="median, predicted")
+    axes.plot(PLACES, _percent(NINETY * p.error), color=BLUE, linestyle=":", label="9 in 10 below, predicted")
+    highest = [float(np.max(_percent(NINETY * p.error)))]
     if o is not None:
-        axes.plot(PLACES, 100.0 * o.median, color=ORANGE, label=f"median of {o.runs} fits")
-        axes.plot(PLACES, 100.0 * o.ninety, color=ORANGE, linestyle=":", label="9 in 10 below, of the fits")
-        highest.append(float(np.max(100.0 * o.ninety)))
+        axes.plot(PLACES, _percent(o.median), color=ORANGE, label=f"median of {o.runs} fits")
+        axes.plot(PLACES, _percent(o.ninety), color=ORANGE, linestyle=":", label="9 in 10 below, of the fits")
+        highest.append(float(np.max(_percent(o.ninety))))
     axes.fill_between(
         PLACES, 0.0, 2.0 * max(highest), where=~p.identified, color=FAINT, alpha=0.6, linewidth=0.0, step="mid"
     )
     axes.set_ylim(0.0, 1.35 * max(highest))
-    axes.set_ylabel("error of log k [%]")
+    axes.set_ylabel("error of k [%]")
     axes.set_title("error along the beam" + ("" if np.all(p.identified) else " (grey: not identified)"))
     axes.legend(ncols=2, loc="upper left")
+
+
+def _percent(log_error: Array) -> Array:
+    """Sizes of log k as ones of k, as in the table."""
+    return np.asarray(100.0 * np.expm1(log_error))
 
 
 def _marks(axes: Axes, rehearsal: Rehearsal) -> None:

@@ -20,7 +20,9 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     found.append(_training_card(findings))
     if findings.validations:
         worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
-        note = f"RMS, worst of {len(findings.validations)} other recordings ({worst.name})"
+        others = len(findings.validations)
+        which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
+        note = f"RMS, {which}"
         found.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
     if seen.clean_force is not None:
         size = np.linalg.norm(seen.force[seen.loaded], axis=1)
@@ -43,17 +45,23 @@ def _training_card(findings: Findings) -> dict[str, str]:
 
 
 def _stiffness_card(findings: Findings) -> dict[str, str]:
+    low, high = stiffness_range(findings)
+    area = 1e6 * findings.beam.length
+    return {
+        "what": "bending stiffness k(s)",
+        "value": f"{significant(low)} … {significant(high)}\u00a0N\u00a0m",
+        "note": f"EI {significant(area * low)} … {significant(area * high)} N mm²",
+    }
+
+
+def stiffness_range(findings: Findings) -> tuple[float, float]:
+    """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
     if findings.posterior is not None:
         known = findings.posterior.band(s).identified
         k = k[known] if known.any() else k
-    length = findings.beam.length
-    return {
-        "what": "bending stiffness k(s)",
-        "value": f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
-        "note": f"EI {significant(1e6 * length * k.min())} … {significant(1e6 * length * k.max())} N mm²",
-    }
+    return float(k.min()), float(k.max())
 
 
 def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:

@@ -83,7 +83,8 @@ def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | N
     """The bands, and the regression, in per cent of k(s)."""
     k = uncertain.profile(_S)
     wide = _bands(axes, uncertain, lambda value: 100.0 * (value / k - 1.0))
-    axes.axhline(0.0, color=BLUE)
+    axes.plot(_S, np.where(wide.identified, 0.0, np.nan), color=BLUE)
+    axes.plot(_S, np.where(_reach(~wide.identified), 0.0, np.nan), color=GREY)
     if regression is not None:
         axes.plot(_S, 100.0 * (regression(_S) / k - 1.0), color=ORANGE, linewidth=1.3, linestyle="--")
     seen = wide.identified if wide.identified.any() else np.ones(len(_S), dtype=bool)

@@ -21,7 +21,7 @@ from onebend.recording.signals import runs
 from onebend.records import Array, Observations, View
 from onebend.report.simulated import centreline, largest_push, same_frame, spread_of_pushes
 from onebend.report.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
-from onebend.report.wording import millimetres
+from onebend.report.wording import millimetres, significant
 
 MM = 1000.0
 _DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
@@ -66,8 +66,8 @@ def fit_over_frame(
     where = line[round(float(shown.push_s[t]) * (len(line) - 1))] if line is not None else shown.measured[t, -1]
     points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
-    size = np.linalg.norm(shown.force[t])
-    axes.set_title(f"{one.name}, frame {shown.frame[t]}: {size:.2f} N at s = {shown.push_s[t]:.2g}")
+    size = f"{significant(float(np.linalg.norm(shown.force[t])))} N" + (" as fitted," if fitted is not None else "")
+    axes.set_title(f"{one.name}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4 if fitted is not None else 3, columnspacing=1.2)
     return figure
 
@@ -137,9 +137,9 @@ def markers(one: Comparison, fitted: Explained | None = None) -> Figure:
             if fitted is not None:
                 axes.plot(*_unbroken(time, MM * one.predicted[:, i, axis]), color=colour(i), linewidth=0.9, **_DASHED)
             axes.plot(*_unbroken(shown.time - one.time[0], MM * shown.predicted[:, i, axis]), color=colour(i),
-                      linewidth=1.4, label=f"M{i + 1}, s = {one.marker_s[i]:.3g}")  # fmt: skip
+                      linewidth=1.4, label=f"M{i + 1}, s = {one.marker_s[i]:.3g}", **_marked(i, time))  # fmt: skip
         axes.set_ylabel(f"{name} [mm]")
-    below.set_xlabel("pose" if one.static else "time [s]")
+    below.set_xlabel(_time_label(one))
     lines = "lines simulated" if fitted is None else "lines fitted, dashed under the force as logged"
     above.set_title(f"{one.name}: dots measured, {lines}")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(one.tag_id)))
@@ -153,17 +153,27 @@ def _unbroken(time: Array, values: Array) -> tuple[Array, Array]:
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
+def _marked(i: int, time: Array) -> dict[str, Any]:
+    """The i-th tag's symbol now and then on its line, which its colour alone would not tell from the others."""
+    return {"marker": shape(i), "markevery": max(1, len(time) // 9), "markersize": 4.5}
+
+
+def _time_label(one: Comparison) -> str:
+    return "pose" if one.static else "time since the first loaded frame [s]"
+
+
 @styled
 def residuals(one: Comparison, title: str = "measured to simulated") -> Figure:
     """How far the simulated markers are from the measured ones: over time, and in the plane."""
     figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
     residual = MM * (one.measured - one.predicted)
     time = one.time - one.time[0]
-    for i, rms in enumerate(MM * one.rms):
+    for i, rms in enumerate(one.rms):
         distance = distances(residual[:, i])
-        left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=f"M{i + 1}: {rms:.2f} mm RMS")
+        label = f"M{i + 1}: {millimetres(rms)} mm RMS"
+        left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=label, **_marked(i, time))
         right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
-    left.set(xlabel="pose" if one.static else "time [s]", ylabel="distance [mm]", ylim=(0, None))
+    left.set(xlabel=_time_label(one), ylabel="distance [mm]", ylim=(0, None))
     left.set_title(f"{one.name}: {title}")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(one.tag_id))), fontsize=8)
     right.axhline(0, color=MUTED, linewidth=0.8)
@@ -190,7 +200,7 @@ def selection(learned: Learned) -> Figure:
         inside = bool(np.isfinite(trial.bic))
         face = colours(scale(above)) if inside else "#eceef1"
         axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=face, edgecolor="white", linewidth=2))
-        dark = inside and scale(above) < 0.35
+        dark = inside and float(np.dot(face[:3], (0.299, 0.587, 0.114))) < 0.55
         axes.text(x, y, _cell(trial), ha="center", va="center", color="white" if dark else INK, fontsize=8.5)
         if i == learned.chosen:
             box = Rectangle((x - 0.47, y - 0.44), 0.94, 0.88, fill=False, edgecolor=ORANGE, linewidth=2.4, zorder=5)
@@ -250,7 +260,7 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
             axes.barh(y, rms, height=0.8, color=colour(i), alpha=0.85)
             axes.plot(MM * one.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
             end = np.nanmax([rms, MM * one.sensor_rms[i], 0.0])
-            text = millimetres(one.rms[i])
+            text = f"{millimetres(one.rms[i])} ({millimetres(one.sensor_rms[i])})"
             axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
             ticks.append((y, f"{one.name}  M{i + 1}" if i == 0 else f"M{i + 1}"))
             y += 1.0
@@ -259,5 +269,5 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.margins(x=0.1)
-    axes.set(xlabel="RMS distance, measured to simulated [mm]  (|: explained by the force log's noise)")
+    axes.set(xlabel="RMS distance, measured to simulated [mm]\n(| and in brackets: explained by the force log's noise)")
     return figure

@@ -15,6 +15,7 @@ from onebend.records import Observations
 from onebend.report.cards import cards
 from onebend.report.findings import Findings, all_remarks, name_of
 from onebend.report.sureness import (
+    alarm_words,
     gain_words,
     load_error_words,
     nuisance_rows,
@@ -52,7 +53,7 @@ def _content(findings: Findings) -> dict[str, Any]:
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
-        "frames": ", ".join(_frames(one) for one in findings.recordings),
+        "frames": " and ".join(_frames(one) for one in findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
@@ -87,6 +88,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
         "tests": supposed_rows(posterior),
+        "alarm": alarm_words(posterior),
         "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": " ".join([gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]),

@@ -23,14 +23,14 @@ LIGHT = np.array([-0.2, -0.55, 0.81])
 @styled
 def design_figure(design: Design) -> Figure:
     """The outline that is cast, to scale, and k(s) with the band that the modulus leaves."""
-    figure, (outline, stiffness) = blank(4.6, rows=2)
+    figure, (outline, stiffness) = blank(4.2, rows=2, height_ratios=(1.0, 2.2))
     x, half = MM * design.length * S, 0.5 * MM * np.asarray(design.width(S))
     outline.fill_between(x, -half, half, color=BLUE, alpha=0.25, linewidth=0.0)
     outline.plot(x, half, color=BLUE)
     outline.plot(x, -half, color=BLUE)
     outline.set_aspect("equal")
     outline.set_xlabel("along the beam [mm]")
-    outline.set_ylabel("width [mm]")
+    outline.set_ylabel("across [mm]")
     outline.set_title(f"{design.name}: {MM * design.length:g} mm long, {MM * design.depth:g} mm deep")
     k = np.asarray(design.along.stiffness(S))
     stiffness.plot(S, k, color=INK)
@@ -40,7 +40,7 @@ def design_figure(design: Design) -> Figure:
         stiffness.legend()
     stiffness.set_xlim(0.0, 1.0)
     stiffness.set_ylim(bottom=0.0)
-    stiffness.set_xlabel("s")
+    stiffness.set_xlabel("place along the beam s")
     stiffness.set_ylabel("k [N m]")
     stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({design.source})")
     return figure

@@ -55,7 +55,7 @@ def draw_reach(axes: Axes, found: Reach, error: PredictedError | None) -> None:
         colour = MUTED if rest else BLUE
         strength = 1.0 if last or rest else 0.2 + 0.4 * i / max(chosen[-1], 1)
         axes.plot(*(MM * shapes[i].T), color=colour, alpha=strength, lw=2.4 if last else 1.3, label=label)
-    axes.plot(*(MM * found.path_points.T), ":", color=INK, lw=1.0, label=f"the point s = {found.point_s:.3g}")
+    axes.plot(*(MM * found.path_points.T), ":", color=INK, lw=1.0, label="the point's way")
     axes.plot(*(MM * found.goal[:2]), "x", color=ORANGE, markersize=11, markeredgewidth=2.2, zorder=6, label="goal")
     axes.plot(*(MM * found.reached[:2]), "o", color=BLUE, markersize=5.5, zorder=5)
     _arrow(axes, found, MM * found.shapes(np.array([found.push_s]))[-1, 0])

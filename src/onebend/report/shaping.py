@@ -70,7 +70,7 @@ def _hands_in_time(axes: Axes, way: Path) -> None:
         axes.plot(way.time, way.forces[:, i, 0], color=colour(i), label=f"$F_x$ at s = {one.at_s:.3g}")
         axes.plot(way.time, way.forces[:, i, 1], "--", color=colour(i), label=f"$F_y$ at s = {one.at_s:.3g}")
     stretch = f", stretched {way.stretch:.2f} times" if way.stretch > 1.0 + 1e-6 else ""
-    axes.set(ylabel="force [N]" if way.hands.pushes else "gripper [mm, deg]", title=f"What the hands do{stretch}")
+    axes.set(ylabel="force [N]" if way.hands.pushes else "gripper [mm, deg]", title=f"{_acting(way)}{stretch}")
     other = axes.twinx() if way.hands.pushes and way.wrench is not None else axes
     if way.wrench is not None:
         x, y, angle = way.poses.T
@@ -81,6 +81,12 @@ def _hands_in_time(axes: Axes, way: Path) -> None:
         other.set_ylabel("gripper [mm, deg]")
         other.legend(loc="center left", bbox_to_anchor=(1.08, 0.15))
     axes.legend(loc="center left", bbox_to_anchor=(1.0 if other is axes else 1.08, 0.5))
+
+
+def _acting(way: Path) -> str:
+    if way.wrench is None:
+        return "Force" if len(way.hands.pushes) == 1 else "Forces"
+    return "Forces and gripper" if way.hands.pushes else "Gripper"
 
 
 def _spread(axes: Axes, found: Shaped) -> None:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from onebend.beam.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.learning.criticism import ALARM_WRITTEN
 from onebend.learning.criticism_words import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
@@ -145,6 +146,17 @@ def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
         )
         for one in critic.findings[:most]
     ]
+
+
+def alarm_words(posterior: Posterior) -> str:
+    """From where on a test counts: of so many, some look odd by chance."""
+    critic = posterior.criticism
+    written = max(critic.alarm, ALARM_WRITTEN)
+    return (
+        f"Of {len(critic.findings)} tests some look odd by chance: one counts beyond {_odds(critic.alarm)} "
+        f"({_odds(written)} for place and direction of the push, which people write down), if k(s) would change by "
+        "more than half of its sd."
+    )
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:

@@ -13,14 +13,15 @@ from onebend.report.findings import Findings
 
 UNKNOWN = "–"
 NOT_WORTH_A_ROW = 0.005  # s
+SMALL = 9.5e-5  # m: less would be 0.00 to 0.09 mm
 
 FILES = {
     "model.json": "the learned beam; load_model reads it",
     "stiffness.csv": "k(s) at 201 places, with its 95 % band",
     "nuisances.csv": "what else was fitted, before and after the data",
-    "selection.csv": "the (n, m) table",
+    "selection.csv": "the paper's regression: every n (curvature modes) and m (stiffness functions)",
     "markers.csv": "measured and simulated markers, every frame and recording",
-    "validation.csv": "Tables IV to VI",
+    "validation.csv": "RMS per tag of the recordings validated on, as the paper's Tables IV to VI",
     "observations.parquet": "what the recording said, so that its video is not needed again",
     "summary.json": "the figures of this page for scripts, in SI",
     "report.html": "this page",
@@ -34,13 +35,21 @@ def significant(value: float, digits: int = 3) -> str:
         return UNKNOWN
     if value == 0.0 or not 1e-4 <= abs(value) < 1e6:
         return f"{float(value):.{digits}g}"
+    value = float(f"{value:.{digits - 1}e}")  # 18728 has no more to say than 0.0187
     decimals = digits - 1 - math.floor(math.log10(abs(value)))
     return f"{float(value):.{max(decimals, 0)}f}"
 
 
 def millimetres(metres: float) -> str:
-    """A length in mm with two decimals; a dash where it is not known."""
+    """A length in mm with two decimals, a small one with two digits; a dash where it is not known."""
+    if np.isfinite(metres) and 0.0 < abs(metres) < SMALL:
+        return significant(1000.0 * float(metres), 2)
     return f"{1000.0 * float(metres):.2f}" if np.isfinite(metres) else UNKNOWN
+
+
+def length_words(metres: float, digits: int = 2) -> str:
+    """A length in mm; what is less than any ruler shows is said to be so, and not to be rounding."""
+    return "less than 0.001 mm" if metres < 1e-6 else f"{significant(1e3 * metres, digits)} mm"
 
 
 def bic_words(bic: float) -> str:

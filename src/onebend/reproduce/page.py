@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from onebend.report.template import render
-from onebend.report.wording import UNKNOWN, millimetres, significant
+from onebend.report.wording import UNKNOWN, length_words, millimetres, significant
 from onebend.reproduce.assumed import assumed
 from onebend.reproduce.outcome import Outcome
 from onebend.reproduce.tables import (
@@ -108,7 +108,7 @@ def cards(found: Outcome) -> list[dict[str, str]]:
         {
             "what": "tasks reached in the model",
             "value": f"{len(reached)} of {len(tasks)}",
-            "note": f"to {largest(done.found.error for done in reached):.1g} m",
+            "note": f"to {length_words(largest(done.found.error for done in reached))}",
         },
         {
             "what": "the true beam is then off by",
@@ -121,13 +121,15 @@ def cards(found: Outcome) -> list[dict[str, str]]:
 def shown(table: Table) -> dict[str, Any]:
     """A table as the page shows it: lengths in mm, groups of columns above."""
     groups: list[dict[str, Any]] = []
+    alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: said once, above
     for name in table.columns:
         group = _group(name)
+        group += " [mm]" if group and alike else ""
         if groups and group and groups[-1]["name"] == group:
             groups[-1]["wide"] += 1
         else:
             groups.append({"name": group, "wide": 1})
-    heads = [{"name": _head(name), "text": _is_text(table, i)} for i, name in enumerate(table.columns)]
+    heads = [{"name": _head(name, said=alike), "text": _is_text(table, i)} for i, name in enumerate(table.columns)]
     rows = [
         {
             "cells": [_cell(name, cell) for name, cell in zip(table.columns, row, strict=True)],
@@ -148,12 +150,14 @@ def _group(column: str) -> str:
     return GROUPS.get(by, "") if "_M" in column or column.endswith("_bic") else ""
 
 
-def _head(column: str) -> str:
+def _head(column: str, *, said: bool) -> str:
     if column in NAMES:
         return NAMES[column]
     if column.endswith("_bic"):
         return "BIC"
-    return f"{column.split('_')[1]} [mm]" if _group(column) else column
+    if not _group(column):
+        return column
+    return column.split("_")[1] + ("" if said else " [mm]")
 
 
 def _is_text(table: Table, i: int) -> bool:

@@ -29,7 +29,7 @@ MarkerMm = Annotated[
 ]
 Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
 MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the [camera] table goes.")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
 
 
 def show_calibration(console: Console, found: Calibration, out: Path) -> None:

@@ -41,7 +41,7 @@ def design_table(expected: Expected) -> Table:
         ("length, depth", f"{1e3 * design.length:g} mm, {1e3 * design.depth:g} mm"),
         ("width", f"{width.min():.4g} to {width.max():.4g} mm, narrowest at s = {DENSE[width.argmin()]:.2f}"),
         ("modulus E", f"{significant(design.modulus / 1e6)} MPa ({design.source})"),
-        ("EI", f"{significant(1e3 * bending.min())} to {significant(1e3 * bending.max())} mN m^2"),
+        ("EI", f"{significant(1e6 * bending.min())} to {significant(1e6 * bending.max())} N mm^2"),
         (
             "k = EI / L",
             f"{significant(bending.min() / design.length)} to {significant(bending.max() / design.length)} N m",

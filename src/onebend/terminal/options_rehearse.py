@@ -11,7 +11,7 @@ import typer
 from onebend.lab.named import PushName
 from onebend.rehearse.setup import Setup
 
-TURN_DEG = math.degrees(Setup.turn_sd)
+TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
 
 Rehearsed = Annotated[
     str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from onebend.control.reach import Reach
 from onebend.control.uncertainty import SURE, PredictedError
-from onebend.report.wording import significant
+from onebend.report.wording import length_words
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
@@ -63,7 +63,7 @@ def show_reach(console: Console, found: Reach, error: PredictedError | None, out
     x, y = 1e3 * found.reached[:2]
     angle = math.degrees(found.reached[2])
     table.add_row(f"point s = {found.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
-    table.add_row("from the goal", f"{1e3 * found.error:.2g} mm in the model, after {found.iterations} iterations")
+    table.add_row("from the goal", f"{length_words(found.error)} in the model, after {found.iterations} iterations")
     table.add_row("sure to within", _sureness(error))
     table.add_row("way there", f"{len(found.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table, highlight=False)
@@ -73,5 +73,6 @@ def show_reach(console: Console, found: Reach, error: PredictedError | None, out
 def _sureness(error: PredictedError | None) -> str:
     if error is None:
         return NO_BAND
-    long, short = 1e3 * error.ellipse(SURE).semi_axes
-    return f"{significant(long, 2)} x {significant(short, 2)} mm ({100 * SURE:.0f} % ellipse, from the band on k(s))"
+    long, short = error.ellipse(SURE).semi_axes
+    ellipse = f"± {length_words(long)} along and ± {length_words(short)} across"
+    return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the band on k(s)"

@@ -15,7 +15,7 @@ from onebend.reproduce.tables import below_printed
 
 def show_reproduced(console: Console, found: Outcome, output: Path) -> None:
     """The error at the tip of every validation, the tasks, and where the report is."""
-    table = Table(title="RMS error at the tip [mm]", title_justify="left", box=None, pad_edge=False)
+    table = Table(title="RMS error at the tip \\[mm]", title_justify="left", box=None, pad_edge=False)
     for name in ("beam", "push"):
         table.add_column(name)
     for name in ("printed", "paper's method", "fit", "true beam"):

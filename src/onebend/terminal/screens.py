@@ -16,7 +16,7 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
-from onebend.report.cards import sureness_card
+from onebend.report.cards import stiffness_range, sureness_card
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
 from onebend.report.sureness import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
@@ -36,8 +36,8 @@ from onebend.terminal.tables import (
 
 def headline(run: Findings) -> Panel:
     """The result in a few lines."""
-    k = run.beam.stiffness(np.linspace(0.0, 1.0, 201))
-    lines = [f"[bold]k(s)[/] from {significant(k.min())} to {significant(k.max())} N m"]
+    low, high = stiffness_range(run)
+    lines = [f"[bold]k(s)[/] from {significant(low)} to {significant(high)} N m"]
     if run.posterior is not None:
         card = sureness_card(run.posterior.stiffness)
         if run.posterior.doubts:

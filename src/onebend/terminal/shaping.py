@@ -14,7 +14,7 @@ from rich.markup import escape
 from onebend.control.path import Path as Way
 from onebend.control.path_spread import PathSpread
 from onebend.control.shape import Shaped
-from onebend.report.wording import significant
+from onebend.report.wording import length_words, significant
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
@@ -87,7 +87,7 @@ def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
         table.add_row(
             "it puts on the beam", f"({found.wrench[0]:.4g}, {found.wrench[1]:.4g}) N and {found.wrench[2]:.4g} N m"
         )
-    table.add_row("from the targets", f"{1e3 * found.rms:.3g} mm rms: {_why(found)}")
+    table.add_row("from the targets", f"{length_words(found.rms, 3)} rms: {_why(found)}")
     table.add_row("from buckling", f"margin {found.margin:.3f} (1 without loads, 0 where it buckles)")
     table.add_row("sure to within", _sureness(found))
     console.print(table, highlight=False)
@@ -105,7 +105,7 @@ def _why(found: Shaped) -> str:
 def _sureness(found: Shaped) -> str:
     if found.spread is None:
         return NO_BAND
-    return f"{2e3 * found.spread.rms:.2g} mm (2 sd over the targets' places, from the band on k(s))"
+    return f"{length_words(2.0 * found.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
 def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path | None) -> None:
@@ -117,7 +117,7 @@ def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path 
         table.add_row(f"force at s = {one.at_s:.3g}", f"up to {significant(float(np.max(np.hypot(*force.T))))} N")
     if way.wrench is not None:
         table.add_row("gripper's force", f"up to {significant(float(np.max(np.hypot(*way.wrench[:, :2].T))))} N")
-    table.add_row("from the goals", f"at worst {1e3 * float(np.max(way.miss)):.2g} mm rms in the model")
+    table.add_row("from the goals", f"at worst {length_words(float(np.max(way.miss)))} rms in the model")
     table.add_row("sure to within", _path_sureness(sure))
     table.add_row(
         "from buckling", f"margin at least {float(np.min(way.margin)):.3f} (1 without loads, 0 where it buckles)"
@@ -132,4 +132,5 @@ def _path_sureness(sure: PathSpread | None) -> str:
     if sure is None:
         return NO_BAND
     worst = int(np.argmax(sure.rms))
-    return f"{2e3 * sure.rms[worst]:.2g} mm at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
+    most = length_words(2.0 * float(sure.rms[worst]))
+    return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
