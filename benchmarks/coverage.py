@@ -53,7 +53,7 @@ class Cell:
     rms_error: float  # of log k, identified places
     rms_sd: float
     z_variance: float  # mean of (error / sd)^2
-    clock_z: float  # root mean square of clock error / sd
+    clock_z: float  # root mean square of clock error / sd; NaN where the clock is right as written
     seconds: float  # median
 
 
@@ -89,7 +89,7 @@ def summary(name: str, runs: Sequence[Run]) -> Cell:
         rms_error=float(np.sqrt(np.mean(error[known] ** 2))),
         rms_sd=float(np.sqrt(np.mean(sd[known] ** 2))),
         z_variance=float(np.mean((error[known] / sd[known]) ** 2)),
-        clock_z=float(np.sqrt(np.mean(np.square(clock)))) if clock else np.nan,
+        clock_z=float(np.sqrt(np.mean(np.square(clock)))) if any(clock) else np.nan,
         seconds=float(np.median([r.seconds for r in good])),
     )
 
@@ -121,7 +121,7 @@ def markdown(cells: Iterable[Cell]) -> str:
     lines += [
         f"| {c.name} | {c.runs} ({c.failed}) | {' / '.join(map(str, c.coverage))} "
         f"| {' / '.join(map(str, c.everywhere))} | {100 * c.identified:.0f} | {c.rms_error:.3f} | {c.rms_sd:.3f} "
-        f"| {c.z_variance:.2f} | {c.clock_z:.2f} | {c.seconds:.1f} |"
+        f"| {c.z_variance:.2f} | {'-' if np.isnan(c.clock_z) else f'{c.clock_z:.2f}'} | {c.seconds:.1f} |"
         for c in cells
     ]
     return "\n".join(lines)
