@@ -134,6 +134,13 @@ def test_runs_are_repeatable_kept_and_resumed(tmp_path: Path) -> None:
     assert 0.75 < np.median(predict(WRIST).sd / sd) < 1.33
 
 
+def test_a_sensor_without_errors_can_be_fitted() -> None:
+    """A log more exact than rounding lets the fit's equations follow."""
+    [one] = simulate(setup_of(known_beam("quadratic"), [Wish(sensor="ideal", seconds=6.0)], clock_sd=0.01), [0])
+    assert one.failure == ""
+    assert np.sqrt(np.mean(np.square(one.error[5:90]))) < 0.03
+
+
 def test_every_run_draws_its_own_errors_and_pushes_share_them() -> None:
     twice = replace(WRIST, pushes=WRIST.pushes * 2)
     (one, other), (new, _) = benches(twice, 0), benches(twice, 1)
