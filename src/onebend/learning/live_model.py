@@ -54,7 +54,6 @@ class _Load:
     gravity: Array  # (B, 2) m/s^2
     masses: Array  # (Q, 4) kg of each part of the mass beyond the nodes; (Q, 0) where none is among the parameters
     dead: Array  # (2, B, Q) N beyond the nodes
-
     pull: Array  # (2, B, Q) N m: that times the length and the nodes' weights
 
 
@@ -125,7 +124,7 @@ def _tags(setting: Setting, place: Place, x: Array, shape: tuple[Array, Array, A
 
 
 def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes: Array) -> tuple[Array, Array]:
-    """Derivatives (B, m, 3, n) with the parameters, from those of `_response`; (B, m, 3, 2) with the log."""
+    """Derivatives (B, m, 3, n) with the parameters, from those in `_turning`'s order; (B, m, 3, 2) with the log."""
     p = at.spline.count
     j = np.zeros((*mechanics.shape[:-1], at.size))
     by_force = mechanics[..., p + 4 : p + 6]
