@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.studies import KINDS, MOUNTING, S, bench_of, fit_from_nothing
-from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
-from onebend.beam.stiffness import Powers, Uniform
+from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.statics.continuation import equilibrium
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.shortcut import observe_quickly
 from onebend.lab.truths import RESOLUTION

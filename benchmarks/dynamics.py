@@ -14,19 +14,19 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from onebend.beam.actions import Actions, Force
-from onebend.beam.collocation import Method
-from onebend.beam.continuation import equilibrium
-from onebend.beam.dynamics import Body, body
 from onebend.beam.loads import push
+from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
-from onebend.beam.motion import Motion, Options, simulate
-from onebend.beam.pieces import taper
-from onebend.beam.problem import Resolution
-from onebend.beam.section import Material, Part, Rectangle, along
-from onebend.beam.stiffness import Uniform
-from onebend.beam.vibration import settle, vibration, vibration_of
+from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.collocation import Method
+from onebend.beam.motion.dynamics import Body, body
+from onebend.beam.motion.integration import Motion, Options, simulate
+from onebend.beam.motion.vibration import settle, vibration, vibration_of
+from onebend.beam.profiles.piecewise import taper
+from onebend.beam.profiles.section import Material, Part, Rectangle, along
+from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.statics.problem import Resolution
 from onebend.records import Array
 
 Row = tuple[str, float, str, str]  # name, value, unit, target

@@ -27,18 +27,18 @@ from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import Truth, parser_of, read_truth
 from onebend.errors import OnebendError
-from onebend.lab.chance import Chance, random_bench
-from onebend.lab.film import film
-from onebend.lab.filming import Filming
+from onebend.lab.filming.film import film
+from onebend.lab.filming.film_setup import Filming
+from onebend.lab.random_bench import Chance, random_bench
 from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn_recording
 from onebend.progress import Progress, Silent
-from onebend.recording.camera import measure_markers
-from onebend.recording.entries import TagsEntry
+from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
-from onebend.recording.source_entries import VideoEntry
-from onebend.recording.tags import detect_tags
+from onebend.recording.tags.detection import detect_tags
+from onebend.recording.toml.entries import TagsEntry
+from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Detections
 
 SMOOTH = 12.0  # of the slope of log k over s: steeper are steps and joints, which a smooth prior rounds off

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import LogSpline
+from onebend.beam.profiles.stiffness import LogSpline
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.shortcut import observe_quickly
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, virtual_recording
-from onebend.learning.film import Film, film
-from onebend.learning.forward import predict
-from onebend.learning.gauss_newton import (
+from onebend.learning.inference.hyperparameters import Known
+from onebend.learning.inference.linear_gaussian import (
     FilmNoise,
     Scales,
     quadratic,
@@ -29,10 +28,11 @@ from onebend.learning.gauss_newton import (
     together,
     unweighted,
 )
-from onebend.learning.parameters import Layout, Priors, layout
-from onebend.learning.roughness import JUMP, RHO, SPREAD, TAU, Draws, mixed
-from onebend.learning.scales import Known
-from onebend.learning.spline import Spline
+from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, mixed
+from onebend.learning.model.fit_data import Film, film
+from onebend.learning.model.forward import predict
+from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.spline import Spline
 from onebend.records import Array, ForceNoise, Observations
 
 COLOURED, MEMORY, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest force; s

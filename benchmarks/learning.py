@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, perfect, read_truth, recordings_asked, stiffness_error
 from onebend.errors import LearningError
-from onebend.learning.learn import learn
-from onebend.learning.selection import Method, Settings
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Method, Settings
 from onebend.learning.validation import validate
 from onebend.recording.observe import observe
 from onebend.records import Observations

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
-from onebend.control.feedback import Controller, controller
-from onebend.control.loop import Eye, Rehearsal, Truth, rehearse
-from onebend.control.margins import Loop, margins
-from onebend.control.plant import plant_at
+from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
+from onebend.control.loop.feedback import Controller, controller
+from onebend.control.loop.loop import Eye, Rehearsal, Truth, rehearse
+from onebend.control.loop.margins import Loop, margins
+from onebend.control.loop.plant import plant_at
 from onebend.records import Array
 
 BEAMS = {

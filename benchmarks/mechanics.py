@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, pose
-from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
-from onebend.beam.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
+from onebend.beam.profiles.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
+from onebend.beam.statics.continuation import equilibrium, follow
+from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
 from onebend.records import Array
 from tests.beam.exact import elastica_tip
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.studies import LEVELS, S, bench_of, fit_from_nothing
 from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError
 from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.learn import learn
-from onebend.learning.online import OnlineLearner
+from onebend.learning.live.online_learner import OnlineLearner
+from onebend.learning.paper.learn import learn
 from onebend.learning.posterior import fit
 from onebend.learning.replay import live_frames, replay, settings_for
 from onebend.recording.observe import observe

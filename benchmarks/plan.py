@@ -11,18 +11,18 @@ from benchmarks.studies import KINDS as BEAM_KINDS
 from benchmarks.studies import PLACEMENT, PUSHED, bench_of, fit_from_nothing
 from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.pushes import Push as VirtualPush
 from onebend.lab.virtual import Bench as VirtualBench
 from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.learn import learn
-from onebend.learning.planning import PlanSettings, after_push, plan
+from onebend.learning.design.instruments import Bench, Push, push_of
+from onebend.learning.design.instruments import bench_of as bench_of_fit
+from onebend.learning.design.planning import PlanSettings, after_push, plan
+from onebend.learning.design.proposals import PLACES, Proposal
+from onebend.learning.paper.learn import learn
 from onebend.learning.posterior import Posterior, fit
-from onebend.learning.proposals import PLACES, Proposal
-from onebend.learning.workbench import Bench, Push, push_of
-from onebend.learning.workbench import bench_of as bench_of_fit
-from onebend.recording.frame import MOUNTING_SD
+from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.observe import observe
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 

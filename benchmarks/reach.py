@@ -16,13 +16,13 @@ import numpy as np
 from benchmarks import reach_true
 from benchmarks.reach_goals import Goals, goals, places_under
 from benchmarks.truth import parser_of
-from onebend.beam.continuation import follow
 from onebend.beam.loads import push
-from onebend.beam.problem import Resolution, pose
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.problem import Resolution, pose
 from onebend.blas import one_blas_thread
-from onebend.control.reach import ReachSettings, reach
-from onebend.control.reach_paper import paper_force
-from onebend.control.reach_warm import WarmReach
+from onebend.control.reach.paper_iteration import paper_force
+from onebend.control.reach.reach import ReachSettings, reach
+from onebend.control.reach.tracking import WarmReach
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 

@@ -11,13 +11,13 @@ from scipy.integrate import solve_bvp
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks.truth import RECORDINGS
-from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, pose_many
-from onebend.beam.uncertain import UncertainStiffness
-from onebend.control.reach import Reach, reach
-from onebend.control.uncertainty import PredictedError, predicted_error
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.problem import Resolution, pose_many
+from onebend.control.reach.reach import Reach, reach
+from onebend.control.reach.uncertainty import PredictedError, predicted_error
 from onebend.lab.truths import force_that_bends
 from onebend.pipeline import learn_recording
 from onebend.records import Array

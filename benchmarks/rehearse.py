@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from onebend.forecast.advice import advise
+from onebend.forecast.prediction import Predicted, predict
+from onebend.forecast.rehearsal import Obtained, obtained_of
+from onebend.forecast.runs import simulate
+from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.lab.named import CameraName, SensorName, Wish
 from onebend.records import Array
-from onebend.rehearse.advice import advise
-from onebend.rehearse.prediction import Predicted, predict
-from onebend.rehearse.rehearsal import Obtained, obtained_of
-from onebend.rehearse.runs import simulate
-from onebend.rehearse.setup import Setup, known_beam, setup_of
 
 KEPT = Path(__file__).parents[1] / "out" / "rehearse"
 

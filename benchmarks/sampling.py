@@ -24,8 +24,7 @@ from scipy.linalg import cho_factor, cho_solve
 from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.blas import one_blas_thread
 from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.forward import Prediction, predict
-from onebend.learning.gauss_newton import (
+from onebend.learning.inference.linear_gaussian import (
     explained_by,
     misfit,
     prior,
@@ -36,6 +35,7 @@ from onebend.learning.gauss_newton import (
     shrink,
     together,
 )
+from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, BoolArray
 

@@ -11,18 +11,18 @@ from collections import Counter
 
 import numpy as np
 
-from onebend.beam.continuation import equilibrium
-from onebend.beam.held import hold
+from onebend.beam.clamped_ends.search import hold
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.beam.profiles.stiffness import Gaussians, equidistant
+from onebend.beam.statics.continuation import equilibrium
 from onebend.blas import one_blas_thread
-from onebend.control.goals import Goals, point_goals
-from onebend.control.grip import Grip, Push
-from onebend.control.path import PathSettings, follow_goals
-from onebend.control.shape import Shaped, shape
-from onebend.control.targets import curve
-from onebend.control.timing import Rates
+from onebend.control.goals.moving_goals import Goals, point_goals
+from onebend.control.goals.targets import curve
+from onebend.control.path.path import PathSettings, follow_goals
+from onebend.control.path.timing import Rates
+from onebend.control.shape.grip import Grip, Push
+from onebend.control.shape.shape import Shaped, shape
 from onebend.records import Array
 from tests.beam.boundary import integrate
 

@@ -13,18 +13,18 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from benchmarks.in_family import draw, least_variance, thirds
+from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
-from onebend.beam.stiffness import Powers, Profile
+from onebend.beam.profiles.stiffness import Powers, Profile
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.camera import TagNoise
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import FRANKA, ForceSensor
+from onebend.lab.tag_errors import TagNoise
 from onebend.lab.truths import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
-from onebend.learning.film import REST_MODES
+from onebend.learning.model.fit_data import REST_MODES
 from onebend.learning.posterior import FitSettings, Posterior, fit
-from onebend.recording.frame import MOUNTING_SD
+from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD as HELD_SD
 from onebend.records import CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Table
-from onebend.learning.frames import marker_rms
-from onebend.learning.learn import learn
+from onebend.beam.profiles.stiffness import Table
+from onebend.learning.model.frames import marker_rms
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Settings
 from onebend.learning.posterior import Posterior, fit
-from onebend.learning.selection import Settings
 from onebend.learning.validation import validate
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations

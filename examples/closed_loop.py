@@ -7,10 +7,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers, Scaled, Uniform
-from onebend.control.feedback import ControllerSettings, controller
-from onebend.control.loop import Eye, Rehearsal, Truth, rehearse
-from onebend.report.style import BLUE, GREEN, ORANGE, blank, png_of, styled
+from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
+from onebend.control.loop.feedback import ControllerSettings, controller
+from onebend.control.loop.loop import Eye, Rehearsal, Truth, rehearse
+from onebend.report.figures.style import BLUE, GREEN, ORANGE, blank, png_of, styled
 
 TARGET = Path(__file__).parents[1] / "docs" / "images" / "loop.png"
 MODEL = Beam(0.15, Powers((0.03, -0.02)), mass_per_length=Uniform(0.1))

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Table
-from onebend.control.reach import Reach, reach
-from onebend.control.reachable import reachable
-from onebend.report.reaching import draw_reach, reachable_places
-from onebend.report.style import blank, png_of, styled
+from onebend.beam.profiles.stiffness import Table
+from onebend.control.reach.reach import Reach, reach
+from onebend.control.reach.reachable import reachable
+from onebend.report.figures.reaching import draw_reach, reachable_places
+from onebend.report.figures.style import blank, png_of, styled
 
 PLACES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 # k(s) [N m] of beams like the paper's: weakest at the base, in the middle, near the tip.

@@ -7,9 +7,9 @@ from PIL import Image
 
 import onebend
 from onebend.learning.explained import explained
-from onebend.report.curves import stiffness
-from onebend.report.drawing import fit
-from onebend.report.style import png_of
+from onebend.report.figures.curves import stiffness
+from onebend.report.figures.drawing import fit
+from onebend.report.figures.style import png_of
 
 HERE = Path(__file__).parent
 TARGET = HERE.parent / "docs" / "images" / "learned.jpg"

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.beam.profiles.stiffness import Gaussians, equidistant
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, View

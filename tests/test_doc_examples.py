@@ -13,8 +13,8 @@ import pytest
 
 import onebend
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Uniform
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.lab.pushes import Push
 from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
 from onebend.records import Observations
@@ -25,9 +25,9 @@ ROOT = Path(__file__).parents[1]
 # Those that need more than a page can give are run where their subject is tested, or need a slow film.
 ELSEWHERE = {
     "README.md": 1,  # examples/learn_linear_beam.py
-    "bench.md": 2,  # tests/lab/test_bench_page.py; the second makes a film: tests/lab/test_film.py makes smaller ones
-    "lab.md": 1,  # tests/lab/test_page.py
-    "streaming.md": 1,  # tests/learning/test_online.py
+    "bench.md": 2,  # tests/lab/fabrication/test_bench_page.py; tests/lab/filming/test_film.py for the film
+    "lab.md": 1,  # tests/lab/fabrication/test_page.py
+    "streaming.md": 1,  # tests/learning/live/test_online_learner.py
 }
 
 

@@ -9,11 +9,11 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import LeaveOneOut, cross_val_score
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from onebend.beam.stiffness import equidistant, gaussian_basis
+from onebend.beam.profiles.stiffness import equidistant, gaussian_basis
 from onebend.errors import LearningError
 from onebend.estimators import StiffnessDistribution, StiffnessRegression, regression_rows
-from onebend.learning.learn import learn
-from onebend.learning.selection import Settings
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Settings
 from onebend.records import Observations
 from tests.learning.bench import SOFT, forces, in_family, observed
 

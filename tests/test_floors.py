@@ -1,4 +1,4 @@
-"""Layers import downwards only; folders on one floor do not know each other."""
+"""Layers import downwards only, and so do the rooms inside a layer; rooms on one floor do not know each other."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "src" / "onebend"
+MOST_MODULES = 15  # in one folder, `__init__` aside
+DEEPEST = 2  # folders under src/onebend
 
-FLOORS: tuple[tuple[str, ...], ...] = (
+# From the lowest floor up. A name is a folder, or a module, of the layer.
+LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "progress", "blas", "workers", "strict_json"),
     ("records",),
     ("beam",),
@@ -17,76 +20,187 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("learning", "control", "lab"),
     ("report", "export", "estimators"),
     ("results",),
-    ("pipeline", "rehearse"),
-    ("reproduce",),
+    ("pipeline", "forecast"),
+    ("studies",),
     ("terminal",),
     ("__init__",),
     ("cli",),
     ("__main__",),
 )
-LEVEL = {name: level for level, names in enumerate(FLOORS) for name in names}
 # One floor in the plan, but listed apart above so that neither may import the other.
 STRANGERS = {("recording", "beam")}
+ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "beam": (
+        ("grid", "loads"),
+        ("modal", "profiles"),
+        ("statics",),
+        ("clamped_ends", "motion"),
+        ("model",),
+    ),
+    "recording": (
+        ("signals", "tables"),
+        ("dropped_samples", "toml"),
+        ("force",),
+        ("bags",),
+        ("video", "mass_table", "tag_turns", "beam_frame"),
+        ("camera", "clock"),
+        ("tags", "tracks", "calibration"),
+        ("gravity", "plausible", "folder"),
+        ("pairing", "photos", "template"),
+        ("observe",),
+    ),
+    "learning": (
+        ("outcome",),
+        ("model",),
+        ("validation", "start", "inference", "swing"),
+        ("criticism", "paper"),
+        ("posterior",),
+        ("criticism_messages", "tradeoffs", "live", "design"),
+        ("verdict", "replay"),
+        ("explained",),
+    ),
+    "control": (
+        ("goals",),
+        ("reach", "shape"),
+        ("path", "loop"),
+    ),
+    "lab": (
+        ("materials", "pushes", "sensors", "truths", "extensible"),
+        ("designs", "tag_errors"),
+        ("design_file", "expected", "virtual", "fabrication"),
+        ("shortcut", "filming"),
+        ("named",),
+        ("random_bench",),
+    ),
+    "report": (
+        ("findings",),
+        ("wording",),
+        ("overview", "confidence"),
+        ("figures",),
+        ("page",),
+    ),
+}
 
 
-def room(path: Path, package: Path) -> str:
-    """The floor's member a file belongs to: its folder, or its own name at the top."""
-    parts = path.relative_to(package).parts
-    return parts[0] if len(parts) > 1 else path.stem
+def levels_of(floors: tuple[tuple[str, ...], ...]) -> dict[str, int]:
+    return {name: level for level, names in enumerate(floors) for name in names}
 
 
-def imported_rooms(path: Path) -> list[tuple[int, str]]:
-    """Line and member of every import of onebend in the file, lazy ones included."""
-    found: list[tuple[int, str]] = []
+LEVEL = levels_of(LAYERS)
+ROOM_LEVEL = {layer: levels_of(floors) for layer, floors in ROOMS.items()}
+
+
+def imported_modules(path: Path) -> list[tuple[int, str]]:
+    """Line and dotted name of everything of onebend that the file imports, lazily too."""
+    modules: list[tuple[int, str]] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
+            names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: imports are absolute here"
-            base = node.module or ""
-            modules = [f"onebend.{alias.name}" for alias in node.names] if base == "onebend" else [base]
+            names = [f"{node.module}.{alias.name}" for alias in node.names]  # a module, or a name in one
         else:
             continue
-        for module in modules:
-            parts = module.split(".")
-            if parts[0] == "onebend":
-                found.append((node.lineno, parts[1] if len(parts) > 1 else "__init__"))
-    return found
+        modules += [(node.lineno, name) for name in names if name.split(".")[0] == "onebend"]
+    return modules
 
 
 def breaches(package: Path) -> list[str]:
-    """Every import that goes up or sideways, as `file:line: a -> b`."""
+    """Every import that goes up or sideways between layers, or between the rooms of one, as `file:line: a -> b`."""
     wrong: list[str] = []
     for path in sorted(package.rglob("*.py")):
-        here = room(path, package)
+        parts = path.relative_to(package).with_suffix("").parts
+        here, room = parts[0], parts[1] if len(parts) > 1 else None
         if here not in LEVEL:
-            wrong.append(f"{path}: '{here}' stands on no floor; add it to FLOORS")
+            wrong.append(f"{path}: '{here}' stands on no floor; add it to LAYERS")
             continue
-        for line, there in imported_rooms(path):
-            if there == here:
-                continue
-            known = there in LEVEL
-            if not known or LEVEL[there] >= LEVEL[here] or (here, there) in STRANGERS:
-                wrong.append(f"{path}:{line}: {here} -> {there}")
+        if here in ROOMS and room not in (None, "__init__") and room not in ROOM_LEVEL[here]:
+            wrong.append(f"{path}: '{here}.{room}' stands on no floor; add it to ROOMS")
+            continue
+        for line, module in imported_modules(path):
+            names = module.split(".")[1:]
+            there = names[0] if names else "__init__"
+            if there != here:
+                known = there in LEVEL
+                if not known or LEVEL[there] >= LEVEL[here] or (here, there) in STRANGERS:
+                    wrong.append(f"{path}:{line}: {here} -> {there}")
+            elif here in ROOMS and room is not None and len(names) > 1 and names[1] != room:
+                rooms = ROOM_LEVEL[here]
+                if names[1] not in rooms or rooms[names[1]] >= rooms.get(room, -1):
+                    wrong.append(f"{path}:{line}: {here}.{room} -> {here}.{names[1]}")
     return wrong
 
 
-def test_layers_import_downwards_only() -> None:
+def circles(package: Path) -> list[str]:
+    """Modules that import themselves by way of others."""
+    paths = {".".join(("onebend", *p.relative_to(package).with_suffix("").parts)): p for p in package.rglob("*.py")}
+    needs = {}
+    for name, path in paths.items():
+        imported = {module for _, module in imported_modules(path)}
+        needs[name] = (imported | {module.rpartition(".")[0] for module in imported}) & set(paths)
+    while free := [name for name, needed in needs.items() if not needed & set(needs)]:
+        for name in free:
+            del needs[name]
+    return sorted(needs)
+
+
+def crowded(package: Path) -> list[str]:
+    """Folders with more modules, or deeper inside the package, than a reader finds their way in."""
+    folders = [package, *(path for path in package.rglob("*") if path.is_dir() and path.name != "__pycache__")]
+    count = {folder: sum(path.stem != "__init__" for path in folder.glob("*.py")) for folder in folders}
+    return [
+        str(folder)
+        for folder in folders
+        if count[folder] > MOST_MODULES or len(folder.relative_to(package).parts) > DEEPEST
+    ]
+
+
+def test_layers_and_their_rooms_import_downwards_only() -> None:
     assert breaches(PACKAGE) == []
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    assert circles(PACKAGE) == []
+
+
+def test_no_folder_is_crowded() -> None:
+    assert crowded(PACKAGE) == []
 
 
 @pytest.mark.parametrize(
     ("member", "line"),
     [
-        ("beam", "from onebend.recording import force"),
+        ("beam", "from onebend.recording.force import cleaning"),
         ("beam", "import onebend"),
-        ("recording", "from onebend.beam import statics"),
-        ("learning", "from onebend.control import reach"),
+        ("recording", "from onebend.beam.statics import newton"),
+        ("learning", "from onebend.control.reach import reach"),
         ("learning", "from onebend import pipeline"),
         ("report", "def lazy():\n    from onebend.cli import main"),
+        ("beam/statics", "from onebend.beam.model import Beam"),
+        ("beam/motion", "from onebend.beam import clamped_ends"),
+        ("recording/clock", "import onebend.recording.camera.plane"),
+        ("learning/model", "from onebend.learning.inference.optimizer import optimum"),
+        ("learning/live", "from onebend.learning.design.planning import plan"),
+        ("control/reach", "def lazy():\n    from onebend.control.loop import feedback"),
+        ("lab/fabrication", "from onebend.lab.filming.film import film"),
+        ("learning/cellar", "import math"),
     ],
 )
 def test_planted_breach_is_found(tmp_path: Path, member: str, line: str) -> None:
-    (tmp_path / member).mkdir()
+    (tmp_path / member).mkdir(parents=True)
     (tmp_path / member / "planted.py").write_text(line + "\n", encoding="utf-8")
     assert len(breaches(tmp_path)) == 1
+
+
+def test_planted_circle_is_found(tmp_path: Path) -> None:
+    (tmp_path / "beam" / "statics").mkdir(parents=True)
+    (tmp_path / "beam" / "statics" / "one.py").write_text("from onebend.beam.statics.other import x\n")
+    (tmp_path / "beam" / "statics" / "other.py").write_text("from onebend.beam.statics import one\n")
+    assert circles(tmp_path) == ["onebend.beam.statics.one", "onebend.beam.statics.other"]
+
+
+def test_planted_crowd_is_found(tmp_path: Path) -> None:
+    for i in range(MOST_MODULES + 1):
+        (tmp_path / f"module_{i}.py").touch()
+    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
+    assert crowded(tmp_path) == [str(tmp_path), str(tmp_path / "a" / "b" / "c")]

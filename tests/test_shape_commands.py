@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from onebend import cli
 from onebend.beam.model import Beam
 from onebend.results.model import save_model
-from tests.control.test_shape import S, band, gripped
+from tests.control.shape.test_shape import S, band, gripped
 
 KNOWN = band(0.01, 0.03)
 BEAM = Beam(0.15, KNOWN.profile)

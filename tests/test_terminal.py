@@ -12,7 +12,7 @@ from rich.console import Console
 
 from onebend import cli
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers, Uniform
+from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.errors import RecordingError
 from onebend.progress import track
 from onebend.report.overview import overview

@@ -1,15 +1,15 @@
 """onebend: learn how stiff a soft slender object is along its length from one push, then bend it where you want."""
 
 from onebend.beam.model import Beam, Shape
-from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
-from onebend.beam.uncertain import Band, UncertainStiffness
-from onebend.control.feedback import controller
-from onebend.control.loop import rehearse
-from onebend.control.path import follow_goals
-from onebend.control.reach import Reach, ReachSettings, reach
-from onebend.control.reachable import reachable
-from onebend.control.shape import shape
-from onebend.control.uncertainty import predicted_error
+from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
+from onebend.beam.profiles.uncertain import Band, UncertainStiffness
+from onebend.control.loop.feedback import controller
+from onebend.control.loop.loop import rehearse
+from onebend.control.path.path import follow_goals
+from onebend.control.reach.reach import Reach, ReachSettings, reach
+from onebend.control.reach.reachable import reachable
+from onebend.control.reach.uncertainty import predicted_error
+from onebend.control.shape.shape import shape
 from onebend.errors import (
     ControlError,
     ExportError,
@@ -22,18 +22,18 @@ from onebend.errors import (
 )
 from onebend.lab.design_file import read_design
 from onebend.lab.designs import DESIGNS, Design
-from onebend.learning.damping import Damping, DampingSettings, SwingFit, learn_damping
-from onebend.learning.identifiability import information, information_along
-from onebend.learning.learn import learn
-from onebend.learning.online import OnlineLearner, Update
-from onebend.learning.online_settings import OnlineSettings
+from onebend.learning.design.identifiability import information, information_along
+from onebend.learning.design.instruments import Bench, Push, bench_of
+from onebend.learning.design.planning import PlanSettings, plan
+from onebend.learning.live.online_learner import OnlineLearner, Update
+from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.planning import PlanSettings, plan
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Settings
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.replay import replay
-from onebend.learning.selection import Settings
+from onebend.learning.swing.damping import Damping, DampingSettings, SwingFit, learn_damping
 from onebend.learning.validation import validate
-from onebend.learning.workbench import Bench, Push, bench_of
 from onebend.pipeline import learn_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe

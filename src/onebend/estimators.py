@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from onebend.errors import LearningError
-from onebend.learning.frames import usable_frames
+from onebend.learning.model.frames import usable_frames
+from onebend.learning.paper.inverse_kinematics import solve_states
+from onebend.learning.paper.regression import Family, assemble, basis, column_sizes, least_squares, literal_rows
 from onebend.learning.posterior import FitSettings, fit
-from onebend.learning.regression import Family, assemble, basis, column_sizes, least_squares, literal_rows
 from onebend.learning.start import start_of, with_mass
-from onebend.learning.states import solve_states
 from onebend.learning.validation import validate
 from onebend.records import Array, Observations
 

@@ -10,23 +10,23 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.errors import LearningError, ObservationError, ResultsError
-from onebend.learning.held_poses import stated_remarks
-from onebend.learning.learn import learn
-from onebend.learning.mass import mass_remarks
+from onebend.learning.design.planning import PlanSettings, plan
+from onebend.learning.design.proposals import Plan
+from onebend.learning.model.held_ends import stated_remarks
+from onebend.learning.model.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.planning import PlanSettings, plan
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import pairs as trials
 from onebend.learning.posterior import FitSettings, Posterior, fit
-from onebend.learning.proposals import Plan
-from onebend.learning.selection import Settings
-from onebend.learning.selection import pairs as trials
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks
 from onebend.progress import Progress, Silent, Stopwatch
-from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
-from onebend.recording.tags import detect_tags
+from onebend.recording.tags.detection import detect_tags
+from onebend.recording.toml.entries import Recording
 from onebend.records import Observations, Remark
 from onebend.results.model import read_model
 

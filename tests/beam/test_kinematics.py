@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onebend.beam.kinematics import angles, jacobians, places, positions
-from onebend.beam.modes import Modes
+from onebend.beam.modal import Modes, angles, jacobians, places, positions
 
 S = np.array([0.0, 0.3, 0.71, 1.0])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.grid import make_grid
-from onebend.beam.modes import MOST_POWERS, Modes
+from onebend.beam.modal import MOST_POWERS, Modes
 from onebend.errors import MechanicsError
 
 S = np.linspace(0.0, 1.0, 23)

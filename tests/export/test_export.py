@@ -17,8 +17,8 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Table, Uniform
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.stiffness import Table, Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.cli import app
 from onebend.errors import ExportError, ResultsError
 from onebend.export.chain import chain_of

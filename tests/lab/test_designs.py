@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
-from onebend.beam.stiffness import Powers, Uniform
+from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.cli import app
 from onebend.errors import MechanicsError
 from onebend.lab.design_file import find_design, read_design, template, write_design_template

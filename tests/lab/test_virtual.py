@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Powers, Uniform
+from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.camera import TagNoise
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.shortcut import observe_quickly
+from onebend.lab.tag_errors import TagNoise
 from onebend.lab.truths import force_that_bends, random_stiffness
 from onebend.lab.virtual import Bench, Clock, Said, Tag, Virtual, observe_virtual, virtual_recording
 from onebend.learning.posterior import fit

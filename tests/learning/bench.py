@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.beam.kinematics import angles, places, positions
 from onebend.beam.loads import push
+from onebend.beam.modal import Modes, angles, places, positions
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
-from onebend.beam.problem import pose
-from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.beam.profiles.stiffness import Gaussians, equidistant
+from onebend.beam.statics.problem import pose
 from onebend.records import Array, Observations
 from tests.beam.modal import modal_equilibrium
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.beam.actions import Actions, Force
-from onebend.beam.dynamics import body
+from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
-from onebend.beam.motion import simulate
-from onebend.beam.stiffness import LogSpline, Scaled, Uniform
-from onebend.beam.vibration import settle
+from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.dynamics import body
+from onebend.beam.motion.integration import simulate
+from onebend.beam.motion.vibration import settle
+from onebend.beam.profiles.stiffness import LogSpline, Scaled, Uniform
 from onebend.records import ClockOffset, Observations
 from tests import made_up
 

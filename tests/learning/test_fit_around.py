@@ -11,14 +11,14 @@ import pytest
 
 from onebend import pipeline
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Uniform
+from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning import posterior
-from onebend.learning.frames import nothing_moves
-from onebend.learning.learn import learn
-from onebend.learning.parameters import Priors
+from onebend.learning.model.frames import nothing_moves
+from onebend.learning.model.parameters import Priors
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Settings
 from onebend.learning.posterior import FitSettings, Posterior, fit
-from onebend.learning.selection import Settings
 from onebend.learning.start import start_of
 from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
 from onebend.learning.validation import mounting, validate

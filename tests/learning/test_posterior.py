@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
+from onebend.beam.profiles.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
 from onebend.errors import LearningError
-from onebend.learning.film import Film, film
-from onebend.learning.forward import predict
-from onebend.learning.gauss_newton import FilmNoise, Rows, quadratic, rows_of
-from onebend.learning.parameters import Layout, Priors, layout
+from onebend.learning.inference.linear_gaussian import FilmNoise, Rows, quadratic, rows_of
+from onebend.learning.model.fit_data import Film, film
+from onebend.learning.model.forward import predict
+from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
-from onebend.learning.spline import Spline
 from onebend.records import Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 

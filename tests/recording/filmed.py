@@ -10,11 +10,11 @@ import numpy as np
 from pyapriltags import Detector
 from scipy.spatial.transform import Rotation
 
-from onebend.recording.beam_entry import BeamEntry
-from onebend.recording.entries import Recording, TagEntry, TagsEntry
-from onebend.recording.lens import project, to_plane
-from onebend.recording.plane import FACING, square
-from onebend.recording.source_entries import CameraEntry, VideoEntry
+from onebend.recording.camera.lens import project, to_plane
+from onebend.recording.camera.plane import FACING, square
+from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.entries import Recording, TagEntry, TagsEntry
+from onebend.recording.toml.source_entries import CameraEntry, VideoEntry
 from onebend.recording.video import Frame
 from onebend.records import Array, Detections, View
 

@@ -14,13 +14,13 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.lab.pushes import Push
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, Virtual, observe_virtual, virtual_recording
-from onebend.recording.beam_entry import BeamEntry
-from onebend.recording.clock import fit_clock
-from onebend.recording.force_log import read_force_log, whole_log
-from onebend.recording.odd_entries import entry_remarks
-from onebend.recording.odd_force import size_remarks
-from onebend.recording.source_entries import CameraEntry
-from onebend.recording.turns import check_turns
+from onebend.recording.clock.offset import fit_clock
+from onebend.recording.force.force_log import read_force_log, whole_log
+from onebend.recording.force.implausible_force import size_remarks
+from onebend.recording.tag_turns import check_turns
+from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.implausible_entries import entry_remarks
+from onebend.recording.toml.source_entries import CameraEntry
 from onebend.records import ForceLog
 from tests.made_up import BEAM
 

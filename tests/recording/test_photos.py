@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.problem import pose
-from onebend.beam.stiffness import Table
+from onebend.beam.profiles.stiffness import Table
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.problem import pose
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.recording.source_entries import VideoEntry
+from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import Frame, frame_at, frame_count, rate_remarks, read_frames, upright
 
 WIDTH, HEIGHT = 64, 48

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ResultsError
 from onebend.results.model import load_model, load_uncertain, origin_of, read_model, save_model
 from tests import made_up

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.continuation import equilibrium
-from onebend.beam.falling import Side
 from onebend.beam.loads import push, weight
-from onebend.beam.statics import Equilibrium
-from onebend.beam.stiffness import Profile, Uniform, profile_from_dict
+from onebend.beam.profiles.stiffness import Profile, Uniform, profile_from_dict
+from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.snap_through import Side
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

@@ -8,8 +8,8 @@ import typer
 from rich.console import Console
 
 from onebend.cli.common import clean_errors, print_json
-from onebend.recording.bag_force import FIELDS
-from onebend.recording.bag_topics import BagContents, bag_contents
+from onebend.recording.bags.force_topic import FIELDS
+from onebend.recording.bags.topics import BagContents, bag_contents
 from onebend.terminal.bags import show_bag
 from onebend.terminal.options import Json
 from onebend.terminal.options_bags import BagPath, Definitions

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, print_json, progress_of
 from onebend.errors import RecordingError
-from onebend.recording.boards import Board, BoardKind
-from onebend.recording.calibration import calibrate as calibrate_camera
+from onebend.recording.calibration.boards import Board, BoardKind
+from onebend.recording.calibration.intrinsics import calibrate as calibrate_camera
 from onebend.results.single import free_place, write_file
 from onebend.terminal.calibrating import (
     BoardOption,

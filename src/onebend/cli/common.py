@@ -13,7 +13,7 @@ from rich.console import Console
 
 import onebend
 from onebend.beam.model import Beam
-from onebend.beam.problem import has_mass
+from onebend.beam.statics.problem import has_mass
 from onebend.errors import ControlError, OnebendError
 from onebend.progress import Progress, Silent
 from onebend.results.folder import Workplace, abandon, prepare

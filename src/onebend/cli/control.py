@@ -8,13 +8,13 @@ import numpy as np
 from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, gravity_on, print_summary, read_trusted, workplace
-from onebend.control.reach import Reach, ReachSettings
-from onebend.control.reach import reach as solve_reach
-from onebend.control.reachable import ReachableSet, reachable
-from onebend.control.uncertainty import predicted_error
+from onebend.control.reach.reach import Reach, ReachSettings
+from onebend.control.reach.reach import reach as solve_reach
+from onebend.control.reach.reachable import ReachableSet, reachable
+from onebend.control.reach.uncertainty import predicted_error
 from onebend.errors import ControlError
-from onebend.report.reaching import reaching
-from onebend.report.style import png_of
+from onebend.report.figures.reaching import reaching
+from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
 from onebend.terminal.options import Json, Model, Output, Overwrite

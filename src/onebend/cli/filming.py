@@ -10,11 +10,11 @@ import numpy as np
 import typer
 
 from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of
-from onebend.lab.chance import random_bench
 from onebend.lab.design_file import find_design
-from onebend.lab.film import film as make_film
-from onebend.lab.filming import Filming
+from onebend.lab.filming.film import film as make_film
+from onebend.lab.filming.film_setup import Filming
 from onebend.lab.named import Wish, filming_of
+from onebend.lab.random_bench import random_bench
 from onebend.terminal.options import Json, Quiet
 from onebend.terminal.options_film import (
     BaseAngle,

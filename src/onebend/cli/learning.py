@@ -12,14 +12,14 @@ from rich.console import Console
 
 import onebend
 from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted, workplace
-from onebend.learning.candidates import Limits
-from onebend.learning.parameters import Priors
-from onebend.learning.planning import PlanSettings
+from onebend.learning.design.candidates import Limits
+from onebend.learning.design.planning import PlanSettings
+from onebend.learning.model.parameters import Priors
+from onebend.learning.paper.selection import Settings
 from onebend.learning.posterior import FitSettings
-from onebend.learning.selection import Settings
 from onebend.pipeline import compare, learn_recording, plan_next
 from onebend.recording.observe import ObserveSettings
-from onebend.report.drawing import draw, draw_all, validation_figures
+from onebend.report.figures.drawing import draw, draw_all, validation_figures
 from onebend.results.folder import publish
 from onebend.results.kept import KeptDetections
 from onebend.results.summary import (

@@ -5,13 +5,13 @@ from __future__ import annotations
 from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
-from onebend.control.feedback import ControllerSettings, controller
-from onebend.control.loop import Eye
-from onebend.control.margins import Timing
-from onebend.control.prospect import prospect
-from onebend.control.tuning import Wanted
-from onebend.report.looping import looping
-from onebend.report.style import png_of
+from onebend.control.loop.feedback import ControllerSettings, controller
+from onebend.control.loop.loop import Eye
+from onebend.control.loop.margins import Timing
+from onebend.control.loop.prospect import prospect
+from onebend.control.loop.tuning import Wanted
+from onebend.report.figures.looping import looping
+from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
 from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, show_loop

@@ -12,19 +12,19 @@ from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, print_json, workplace
 from onebend.errors import MechanicsError
-from onebend.lab.clamp import TagSeat, carriers, clamp
 from onebend.lab.design_file import find_design, write_design_template
 from onebend.lab.designs import Design
 from onebend.lab.expected import expect
+from onebend.lab.fabrication.clamp import TagSeat, carriers, clamp
+from onebend.lab.fabrication.mould import MouldSettings, PrintedPart
+from onebend.lab.fabrication.mould import mould as make_mould
+from onebend.lab.fabrication.page import files_of
+from onebend.lab.fabrication.sheet import Sheet, strip_page, tag_pages
 from onebend.lab.materials import Stiffness, from_shore_00, from_shore_a, silicone
-from onebend.lab.mould import MouldSettings, PrintedPart
-from onebend.lab.mould import mould as make_mould
-from onebend.lab.paper import files_of
-from onebend.lab.sheet import Sheet, strip_page, tag_pages
-from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
-from onebend.report.parts import design_figure, parts_figure
-from onebend.report.style import png_of
+from onebend.recording.toml.entries import FAMILIES
+from onebend.report.figures.parts import design_figure, parts_figure
+from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.making import DESIGN_FORMAT, MOULD_FORMAT, TAGS_FORMAT, design_csv, parts_summary, parts_writer
 from onebend.results.model import StoredModel, model_text

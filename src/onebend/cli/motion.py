@@ -7,8 +7,8 @@ from dataclasses import replace
 from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted
-from onebend.learning.damping import DampingSettings, learn_damping
-from onebend.learning.swing import Part
+from onebend.learning.swing.damping import DampingSettings, learn_damping
+from onebend.learning.swing.free_swing import Part
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe

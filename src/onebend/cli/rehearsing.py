@@ -13,11 +13,11 @@ from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of, workplace
 from onebend.errors import RecordingError
+from onebend.forecast.rehearsal import Rehearsal
+from onebend.forecast.rehearsal import rehearse as make_rehearsal
+from onebend.forecast.setup import Setup, known_beam, setup_of
+from onebend.forecast.writing import REHEARSE_FORMAT, summary_of, writer_of
 from onebend.lab.named import Wish
-from onebend.rehearse.rehearsal import Rehearsal
-from onebend.rehearse.rehearsal import rehearse as make_rehearsal
-from onebend.rehearse.setup import Setup, known_beam, setup_of
-from onebend.rehearse.writing import REHEARSE_FORMAT, summary_of, writer_of
 from onebend.results.folder import publish
 from onebend.terminal.options import Json, Overwrite, Quiet
 from onebend.terminal.options_film import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt

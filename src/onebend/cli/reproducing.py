@@ -6,11 +6,11 @@ from rich.console import Console
 
 import onebend
 from onebend.cli.common import BY, clean_errors, print_json, progress_of, workplace
-from onebend.reproduce.figures import draw_figures
-from onebend.reproduce.run import reproduce as run
-from onebend.reproduce.setting import Setting
-from onebend.reproduce.writing import REPRODUCE_FORMAT, summary_of, writer
 from onebend.results.folder import publish
+from onebend.studies.figures import draw_figures
+from onebend.studies.run import reproduce as run
+from onebend.studies.setting import Setting
+from onebend.studies.writing import REPRODUCE_FORMAT, summary_of, writer
 from onebend.terminal.options import Json, Overwrite, Quiet
 from onebend.terminal.options_reproduce import (
     Processes,

@@ -8,19 +8,19 @@ from rich.console import Console
 
 from onebend.beam.model import Beam
 from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
-from onebend.control.force_way import by_force
-from onebend.control.goals import Between, Goals
-from onebend.control.grip import Grip, Push
-from onebend.control.path import PathSettings, follow_goals
-from onebend.control.path_spread import path_spread
-from onebend.control.shape import ShapeSettings
-from onebend.control.shape import shape as solve_shape
-from onebend.control.target_files import read_goals, read_targets
-from onebend.control.timing import Rates
-from onebend.control.trajectory_files import FRAME
+from onebend.control.goals.moving_goals import Between, Goals
+from onebend.control.goals.target_files import read_goals, read_targets
+from onebend.control.path.force_way import by_force
+from onebend.control.path.path import PathSettings, follow_goals
+from onebend.control.path.path_spread import path_spread
+from onebend.control.path.timing import Rates
+from onebend.control.path.trajectory_files import FRAME
+from onebend.control.shape.grip import Grip, Push
+from onebend.control.shape.shape import ShapeSettings
+from onebend.control.shape.shape import shape as solve_shape
 from onebend.errors import ControlError
-from onebend.report.shaping import path_figure, shaping
-from onebend.report.style import png_of
+from onebend.report.figures.shaping import path_figure, shaping
+from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
 from onebend.terminal.options import Json, Model, Output, Overwrite

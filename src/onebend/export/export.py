@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ExportError
 from onebend.export.chain import chain_of
 from onebend.export.function import function

@@ -15,11 +15,11 @@ import numpy as np
 from PIL import Image
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ExportError
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import solved_frames
-from onebend.recording.lens import project
+from onebend.recording.camera.lens import project
 from onebend.recording.video import Frame
 from onebend.records import Array, Observations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.records import Array
 
 PLACES = 201

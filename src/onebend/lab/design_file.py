@@ -10,12 +10,22 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
-from onebend.beam.pieces import broken_line
-from onebend.beam.stiffness import Powers, Profile
+from onebend.beam.profiles.piecewise import broken_line
+from onebend.beam.profiles.stiffness import Powers, Profile
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design, design_named, width_table
 from onebend.lab.materials import TYPICAL_DENSITY, Stiffness, from_shore_00, from_shore_a, silicone
-from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown, text
+from onebend.recording.toml.schema import (
+    Check,
+    Mistakes,
+    key,
+    keys_of,
+    number,
+    one_of,
+    read_table,
+    report_unknown,
+    text,
+)
 
 FORMAT = 1
 TABLES = ("beam", "width", "material")

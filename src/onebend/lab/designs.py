@@ -16,9 +16,9 @@ import numpy as np
 from scipy.interpolate import make_lsq_spline
 
 from onebend.beam.model import Beam
-from onebend.beam.section import Along, Material, Part, Rectangle, along
-from onebend.beam.stiffness import Powers, Profile, Table, Uniform
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.section import Along, Material, Part, Rectangle, along
+from onebend.beam.profiles.stiffness import Powers, Profile, Table, Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import MechanicsError
 from onebend.lab.materials import TYPICAL_DENSITY, Stiffness, from_shore_a
 from onebend.records import Array, Remark

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.linalg import eigvals
 from scipy.optimize import brentq
 
-from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import follow_push, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, pose
-from onebend.beam.section import Material, Part, Rectangle, along
-from onebend.beam.statics import tangent
-from onebend.beam.stiffness import Uniform
-from onebend.beam.vibration import vibration
+from onebend.beam.motion.vibration import vibration
+from onebend.beam.profiles.section import Material, Part, Rectangle, along
+from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.statics.equilibrium import tangent
+from onebend.beam.statics.problem import Resolution, pose
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design
 from onebend.records import Array

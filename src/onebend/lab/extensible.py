@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.statics import Equilibrium
+from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

@@ -9,11 +9,11 @@ from typing import Literal, get_args
 from onebend.beam.model import Beam
 from onebend.errors import RecordingError
 from onebend.lab.designs import Design
-from onebend.lab.filming import Filming
+from onebend.lab.filming.film_setup import Filming
+from onebend.lab.filming.viewpoint import Camera
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import FRANKA, WRIST, ForceSensor
 from onebend.lab.truths import force_that_bends
-from onebend.lab.viewpoint import Camera
 from onebend.lab.virtual import Bench, Clock, Tag
 
 PushName = Literal["slow", "fast", "s08", "s06", "free"]

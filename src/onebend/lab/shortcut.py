@@ -12,9 +12,9 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.lab.virtual import Bench, Virtual
-from onebend.recording.entries import Recording
-from onebend.recording.force import clean_force, force_at
-from onebend.recording.frame import to_beam_frame
+from onebend.recording.beam_frame import to_beam_frame
+from onebend.recording.force.cleaning import clean_force, force_at
+from onebend.recording.toml.entries import Recording
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations
 
 MARGIN = 0.1  # s, kept away from contact when a rest is read

@@ -6,11 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution
-from onebend.beam.stiffness import Profile, Steps, Table
+from onebend.beam.profiles.stiffness import Profile, Steps, Table
+from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.statics.problem import Resolution
 from onebend.records import Array
 
 Kind = Literal["smooth", "stepped", "joint"]

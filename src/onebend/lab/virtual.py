@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
+from onebend.beam.statics.continuation import equilibrium
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.camera import TagNoise, filmed
 from onebend.lab.extensible import stretched
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor, log_of
+from onebend.lab.tag_errors import TagNoise, filmed
 from onebend.lab.truths import RESOLUTION
-from onebend.recording.beam_entry import BeamEntry
-from onebend.recording.entries import ForceEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.observe import ObserveSettings, assemble
-from onebend.recording.source_entries import VideoEntry
+from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.entries import ForceEntry, PushEntry, Recording, TagEntry, TagsEntry
+from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, ForceLog, Markers, Observations, Rest
 
 LOG_BEFORE = 1.0  # s, the log begins before the film and ends after it

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.learning.film import Film
-from onebend.learning.forward import Prediction
+from onebend.learning.model.fit_data import Film
+from onebend.learning.model.forward import Prediction
 from onebend.learning.outcome import Comparison, Explained
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms

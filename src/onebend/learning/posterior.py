@@ -14,25 +14,25 @@ from functools import cached_property
 
 import numpy as np
 
+from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.modes import Modes
-from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
-from onebend.beam.uncertain import Band, UncertainStiffness
+from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
+from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.criticism import Criticism, criticise
-from onebend.learning.film import Film, film
-from onebend.learning.forward import Prediction, predict
-from onebend.learning.frames import check_same_beam, chosen_frames, mass_profile
-from onebend.learning.gauss_newton import Scales
-from onebend.learning.mass import KNOWN, TOLD, LearnedMass
-from onebend.learning.misses import Miss, misses
-from onebend.learning.own_weight import following
-from onebend.learning.parameters import Block, Layout, Priors, layout
-from onebend.learning.quantities import quantities
-from onebend.learning.scales import noise_before
-from onebend.learning.search import Effort, Optimum, conclude, search
-from onebend.learning.spline import RHO, TAU, Spline
+from onebend.learning.criticism.criticism import Criticism, criticise
+from onebend.learning.inference.hyperparameters import noise_before
+from onebend.learning.inference.linear_gaussian import Scales
+from onebend.learning.inference.misfit import Miss, misses
+from onebend.learning.inference.nuisances import quantities
+from onebend.learning.inference.optimizer import Effort, Optimum, conclude, search
+from onebend.learning.model.fit_data import Film, film
+from onebend.learning.model.forward import Prediction, predict
+from onebend.learning.model.frames import check_same_beam, chosen_frames, mass_profile
+from onebend.learning.model.mass import KNOWN, TOLD, LearnedMass
+from onebend.learning.model.own_weight import following
+from onebend.learning.model.parameters import Block, Layout, Priors, layout
+from onebend.learning.model.spline import RHO, TAU, Spline
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations
 

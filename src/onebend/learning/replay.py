@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.beam.stiffness import Profile
-from onebend.beam.uncertain import UncertainStiffness
-from onebend.learning.force_error import ForceError, force_error, ramp
-from onebend.learning.frames import push_places, usable_frames
-from onebend.learning.online import OnlineLearner
-from onebend.learning.online_settings import OnlineSettings
-from onebend.learning.parameters import Priors, layout, scale_sd
-from onebend.learning.spline import Spline
+from onebend.beam.profiles.stiffness import Profile
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.live.online_learner import OnlineLearner
+from onebend.learning.live.settings import OnlineSettings
+from onebend.learning.model.force_error import ForceError, force_error, ramp
+from onebend.learning.model.frames import push_places, usable_frames
+from onebend.learning.model.parameters import Priors, layout, scale_sd
+from onebend.learning.model.spline import Spline
 from onebend.records import Array, BoolArray, Observations
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.problem import pose
-from onebend.beam.stiffness import Profile, Uniform
+from onebend.beam.profiles.stiffness import Profile, Uniform
+from onebend.beam.statics.problem import pose
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
-from onebend.learning.held_poses import is_held, resolution_of, sets_no_scale, shapes_of
-from onebend.learning.mass import NEEDS_MASS, check_mass_can_be_learned, mass_is_open, shared_mass, weighs
+from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
+from onebend.learning.model.held_ends import is_held, resolution_of, sets_no_scale, shapes_of
+from onebend.learning.model.mass import NEEDS_MASS, check_mass_can_be_learned, mass_is_open, shared_mass, weighs
 from onebend.learning.outcome import Learned
 from onebend.records import BoolArray, Observations
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.parameters import Block
+from onebend.learning.inference.nuisances import quantities
+from onebend.learning.model.parameters import Block
 from onebend.learning.posterior import Posterior
-from onebend.learning.quantities import quantities
 from onebend.records import Array
 
 LEVEL = "level of k(s)"

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
-from onebend.beam.problem import has_mass, pose
-from onebend.beam.sensitivity import of_force, respond
-from onebend.beam.statics import Equilibrium
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.problem import has_mass, pose
+from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
-from onebend.learning.held_poses import RESOLUTION, is_held, resolution_of, shapes_of
-from onebend.learning.mass import NEEDS_MASS, weighs
+from onebend.learning.model.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
+from onebend.learning.model.held_ends import RESOLUTION, is_held, resolution_of, shapes_of
+from onebend.learning.model.mass import NEEDS_MASS, weighs
+from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison
-from onebend.learning.rest import AtRest
 from onebend.records import Array, BoolArray, Observations, Remark
 
 _CHUNK = 500  # frames solved together: their tangents stay in the cache

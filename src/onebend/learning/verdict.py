@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.criticism_words import criticism_remarks
-from onebend.learning.misses import film_rms
-from onebend.learning.parameters import Priors, clamp_sd
+from onebend.learning.criticism_messages import criticism_remarks
+from onebend.learning.inference.misfit import film_rms
+from onebend.learning.model.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Observations, Remark
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from onebend.errors import RecordingError
-from onebend.recording.bag import is_bag
-from onebend.recording.bag_recording import check_bag, with_bags
-from onebend.recording.beam_entry import BeamEntry
-from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
-from onebend.recording.odd_entries import entry_remarks, spread_remarks, unit_remarks
-from onebend.recording.schema import Mistakes, keys_of, read_table, report_unknown
-from onebend.recording.source_entries import (
+from onebend.recording.bags.reader import is_bag
+from onebend.recording.bags.recorded_topics import check_bag, with_bags
+from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
+from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
+from onebend.recording.toml.schema import Mistakes, keys_of, read_table, report_unknown
+from onebend.recording.toml.source_entries import (
     CameraEntry,
     MarkersEntry,
     PhotosEntry,

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.clock_range import ROUGHLY, reach_of
-from onebend.recording.entries import GravityEntry
+from onebend.recording.clock.offset_prior import ROUGHLY, reach_of
+from onebend.recording.toml.entries import GravityEntry
 from onebend.records import Array, ClockOffset, Markers
 
 MILLISECONDS = 100.0  # times the film's length: a log that lasts longer is likely to be in another unit

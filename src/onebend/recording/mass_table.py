@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.recording.entries import Recording
 from onebend.recording.tables import read_columns
+from onebend.recording.toml.entries import Recording
 from onebend.records import MassLine
 
 

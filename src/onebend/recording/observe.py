@@ -11,23 +11,23 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent
-from onebend.recording.camera import measure_markers
-from onebend.recording.chords import with_angles
-from onebend.recording.clock import ClockFit, ClockSettings
-from onebend.recording.contact import Contact, ContactSettings, find_contact
-from onebend.recording.entries import Recording, TagsEntry
+from onebend.recording.beam_frame import RestShape, rest_shape, to_beam_frame
+from onebend.recording.camera.projection import measure_markers
+from onebend.recording.clock.offset import ClockFit, ClockSettings
 from onebend.recording.folder import read_recording
-from onebend.recording.force import ForceSettings
-from onebend.recording.frame import RestShape, rest_shape, to_beam_frame
+from onebend.recording.force.cleaning import ForceSettings
+from onebend.recording.force.contact import Contact, ContactSettings, find_contact
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
-from onebend.recording.marker_tracks import track_markers
 from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.photos import photo_observations
-from onebend.recording.pose_tables import pose_observations
-from onebend.recording.source_entries import VideoEntry
-from onebend.recording.tags import detect_tags
-from onebend.recording.turns import check_turns
+from onebend.recording.tag_turns import check_turns
+from onebend.recording.tags.detection import detect_tags
+from onebend.recording.toml.entries import Recording, TagsEntry
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tracks.chords import with_angles
+from onebend.recording.tracks.marker_tracks import track_markers
+from onebend.recording.tracks.pose_tables import pose_observations
 from onebend.records import (
     Array,
     BoolArray,

@@ -9,11 +9,10 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.bag_force import read_bag_force
-from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock
-from onebend.recording.contact import Contact
-from onebend.recording.entries import Recording
-from onebend.recording.force import (
+from onebend.recording.bags.force_topic import read_bag_force
+from onebend.recording.beam_frame import RestShape
+from onebend.recording.clock.offset import ClockFit, ClockSettings, displacements, fit_clock
+from onebend.recording.force.cleaning import (
     ForceSettings,
     choose_cutoff,
     clean_force,
@@ -21,13 +20,14 @@ from onebend.recording.force import (
     gap_limit,
     to_beam,
 )
-from onebend.recording.force_log import FEWEST_ROWS, read_force_log
-from onebend.recording.frame import RestShape
+from onebend.recording.force.contact import Contact
+from onebend.recording.force.force_log import FEWEST_ROWS, read_force_log
+from onebend.recording.force.implausible_force import size_remarks
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
-from onebend.recording.odd_force import size_remarks
 from onebend.recording.plausible import read_force
 from onebend.recording.signals import at_times, bandwidth, step
-from onebend.recording.source_entries import VideoEntry
+from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 

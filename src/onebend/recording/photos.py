@@ -10,13 +10,13 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
-from onebend.recording.camera import measure_markers
-from onebend.recording.chords import chord_angles
-from onebend.recording.entries import Recording
-from onebend.recording.frame import MOUNTING_SD, to_beam_frame
-from onebend.recording.pose_loads import PoseLoads, read_loads
-from onebend.recording.pose_tables import PosePoints, static
-from onebend.recording.tracking import Finder, track_block
+from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
+from onebend.recording.camera.projection import measure_markers
+from onebend.recording.tags.tracking import Finder, track_block
+from onebend.recording.toml.entries import Recording
+from onebend.recording.tracks.chords import chord_angles
+from onebend.recording.tracks.pose_loads import PoseLoads, read_loads
+from onebend.recording.tracks.pose_tables import PosePoints, static
 from onebend.recording.video import Frame, Picture
 from onebend.records import BoolArray, Detections, Markers, Observations, Remark
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.recording.force import to_beam
-from onebend.recording.frame import RestShape
+from onebend.recording.beam_frame import RestShape
+from onebend.recording.force.cleaning import to_beam
 from onebend.records import Array, BoolArray, Markers
 
 TURNS: dict[str, Array] = {

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from onebend.errors import RecordingError
-from onebend.recording.beam_entry import BeamEntry
-from onebend.recording.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.folder import FILE_NAME, FORMAT
-from onebend.recording.schema import keys_of
-from onebend.recording.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
+from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
+from onebend.recording.toml.schema import keys_of
+from onebend.recording.toml.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 
 INTRODUCTION = f"""\
 # What was filmed, for onebend. Fill in your own values; lines that start with # are optional and show an example.

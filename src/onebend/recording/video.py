@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_film import bag_film, bag_frames, picture_of
-from onebend.recording.dropped import missing_remarks
-from onebend.recording.source_entries import VideoEntry
+from onebend.recording.bags.film_topic import bag_film, bag_frames, picture_of
+from onebend.recording.dropped_samples import missing_remarks
+from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, Remark
 
 Picture = NDArray[np.uint8]

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from onebend.recording.bag_recording import bag_span
-from onebend.recording.entries import Recording
+from onebend.recording.bags.recorded_topics import bag_span
 from onebend.recording.folder import read_recording
-from onebend.recording.marker_tracks import read_tracks
 from onebend.recording.pairing import read_log
-from onebend.recording.pose_loads import read_loads
-from onebend.recording.pose_tables import read_points
-from onebend.recording.source_entries import VideoEntry
+from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tracks.marker_tracks import read_tracks
+from onebend.recording.tracks.pose_loads import read_loads
+from onebend.recording.tracks.pose_tables import read_points
 from onebend.recording.video import frame_count, opened, read_frames
 from onebend.records import ForceLog, Remark
 from onebend.report.wording import significant

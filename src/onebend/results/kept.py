@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from onebend.progress import Progress, Silent
-from onebend.recording.bag import files_of
-from onebend.recording.entries import TagsEntry
-from onebend.recording.source_entries import VideoEntry
-from onebend.recording.tags import detect_tags
+from onebend.recording.bags.reader import files_of
+from onebend.recording.tags.detection import detect_tags
+from onebend.recording.toml.entries import TagsEntry
+from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Detections, Remark
 
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from onebend.control.feedback import Controller
-from onebend.control.margins import Margins
-from onebend.control.prospect import SETTLED, Trial
+from onebend.control.loop.feedback import Controller
+from onebend.control.loop.margins import Margins
+from onebend.control.loop.prospect import SETTLED, Trial
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv

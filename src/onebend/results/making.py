@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from onebend.lab.designs import Design
-from onebend.lab.mould import Mould, PrintedPart
-from onebend.lab.solids import write_mesh
+from onebend.lab.fabrication.mould import Mould, PrintedPart
+from onebend.lab.fabrication.solids import write_mesh
 from onebend.results.folder import SUMMARY, files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import PLACES, csv_rows

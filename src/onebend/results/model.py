@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import Profile
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.stiffness import Profile
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.learning.damping import Damping
-from onebend.learning.frames import marker_rms
+from onebend.learning.design.instruments import Bench
+from onebend.learning.model.frames import marker_rms
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
-from onebend.learning.workbench import Bench
+from onebend.learning.swing.damping import Damping
 
 FORMAT = "onebend-model"
 VERSION = 3

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from onebend.control.reach import Reach
-from onebend.control.uncertainty import SURE, PredictedError
+from onebend.control.reach.reach import Reach
+from onebend.control.reach.uncertainty import SURE, PredictedError
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv

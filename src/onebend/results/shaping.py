@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from onebend.control.path import Path as Way
-from onebend.control.path_spread import PathSpread
-from onebend.control.shape import Shaped
-from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
+from onebend.control.path.path import Path as Way
+from onebend.control.path.path_spread import PathSpread
+from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
+from onebend.control.shape.shape import Shaped
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
-from onebend.learning.damping import SwingFit
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
+from onebend.learning.swing.damping import SwingFit
 from onebend.learning.tradeoffs import tradeoffs, with_level
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
+from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings, all_remarks, pair_remarks
-from onebend.report.sureness import identified_ranges
 from onebend.results.model import StoredModel
 from onebend.strict_json import to_json
 

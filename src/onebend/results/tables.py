@@ -13,7 +13,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance
 

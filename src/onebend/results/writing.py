@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from onebend.learning.design.instruments import bench_if_pushed
 from onebend.learning.outcome import Comparison
-from onebend.learning.workbench import bench_if_pushed
 from onebend.records import Observations
 from onebend.report.findings import Findings
-from onebend.report.page import page
+from onebend.report.page.page import page
 from onebend.results.folder import files_in
 from onebend.results.model import FILE_NAME, origin_of, save_model
 from onebend.results.observed import save_observations

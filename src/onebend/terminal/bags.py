@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.recording.bag_topics import BagContents, TopicRow
+from onebend.recording.bags.topics import BagContents, TopicRow
 from onebend.report.wording import significant
 
 

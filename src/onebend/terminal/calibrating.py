@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from onebend.recording.calibration import NAMES, Calibration
+from onebend.recording.calibration.intrinsics import NAMES, Calibration
 from onebend.terminal.tables import remarks_list
 
 Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]

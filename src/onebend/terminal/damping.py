@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from onebend.learning.damping import Damping, SwingFit
+from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.report.wording import significant
 from onebend.terminal.tables import remarks_list
 

@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from onebend.control.feedback import Controller
-from onebend.control.margins import Margins
-from onebend.control.prospect import SETTLED, Trial
+from onebend.control.loop.feedback import Controller
+from onebend.control.loop.margins import Margins
+from onebend.control.loop.prospect import SETTLED, Trial
 from onebend.report.wording import significant
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import facts_table, say_written

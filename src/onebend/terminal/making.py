@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.lab.expected import DENSE, Expected
-from onebend.lab.mould import Mould, PrintedPart
+from onebend.lab.fabrication.mould import Mould, PrintedPart
 from onebend.report.wording import significant
 
 

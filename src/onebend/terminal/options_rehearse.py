@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from onebend.forecast.setup import Setup
 from onebend.lab.named import PushName
-from onebend.rehearse.setup import Setup
 
 TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from onebend.reproduce.setting import SensorKind
+from onebend.studies.setting import SensorKind
 
 ReproduceOut = Annotated[
     Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from onebend.learning.proposals import Plan, Proposal, direction_words, identified_words, width_words
+from onebend.learning.design.proposals import Plan, Proposal, direction_words, identified_words, width_words
 from onebend.report.wording import significant
 
 

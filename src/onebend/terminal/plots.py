@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.beam.model import Beam
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.report.wording import significant
 
 BLOCKS = " ▁▂▃▄▅▆▇█"

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 from rich.console import Console
 
-from onebend.control.reach import Reach
-from onebend.control.uncertainty import SURE, PredictedError
+from onebend.control.reach.reach import Reach
+from onebend.control.reach.uncertainty import SURE, PredictedError
 from onebend.report.wording import length_words
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written

@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.learning.proposals import PLACES, identified_words, width_words
-from onebend.rehearse.prediction import Doubt
-from onebend.rehearse.rehearsal import MEDIAN, NINETY, Obtained, Rehearsal, setup_words
+from onebend.forecast.prediction import Doubt
+from onebend.forecast.rehearsal import MEDIAN, NINETY, Obtained, Rehearsal, setup_words
+from onebend.learning.design.proposals import PLACES, identified_words, width_words
 from onebend.report.wording import significant
 
 EVERY = 10  # of the 101 places

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.table import Table
 
 from onebend.report.wording import UNKNOWN, millimetres
-from onebend.reproduce.outcome import Outcome
-from onebend.reproduce.printed import printed_m3
-from onebend.reproduce.tables import below_printed
+from onebend.studies.outcome import Outcome
+from onebend.studies.printed import printed_m3
+from onebend.studies.tables import below_printed
 
 
 def show_reproduced(console: Console, found: Outcome, output: Path) -> None:

@@ -16,10 +16,10 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
-from onebend.report.cards import stiffness_range, sureness_card
+from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
-from onebend.report.sureness import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
+from onebend.report.page.cards import stiffness_range, sureness_card
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words

@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from onebend.control.path import Path as Way
-from onebend.control.path_spread import PathSpread
-from onebend.control.shape import Shaped
+from onebend.control.path.path import Path as Way
+from onebend.control.path.path_spread import PathSpread
+from onebend.control.shape.shape import Shaped
 from onebend.report.wording import length_words, significant
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written

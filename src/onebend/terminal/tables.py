@@ -10,11 +10,11 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from onebend.beam.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance
 from onebend.records import Remark
-from onebend.report.sureness import nuisance_rows
+from onebend.report.confidence import nuisance_rows
 from onebend.report.wording import bic_words, millimetres, percent, significant, stage_rows
 
 

@@ -1,0 +1,149 @@
+"""The end s = 1 at a given pose: its derivatives, equilibrium with the wrench as unknown, stability, and letting down.
+
+With the wrench (F, M) as multipliers of the end's pose the conditions are `g(q) = C^T (F, M)` and `c(q) = pose`, where
+`c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system). The
+equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.beam.grid import solve_each, transposed
+from onebend.beam.statics.equilibrium import gradient, node_angles, positive_definite, potential, tangent
+from onebend.beam.statics.problem import Problem
+from onebend.beam.statics.snap_through import to_the_left
+from onebend.records import Array, BoolArray
+
+_TOLERANCE = 1e-11  # of the last update, as an angle
+_FLAT = 1e-3  # least curvature of the energy assumed in a descent, as a share of the bending stiffness
+
+
+def end_pose(problem: Problem, q: Array) -> Array:
+    """(T, 3) x, y, angle of the end s = 1."""
+    alpha = node_angles(problem, q)
+    lw = problem.length * problem.weights
+    x, y = np.sum(lw * np.cos(alpha), axis=-1), np.sum(lw * np.sin(alpha), axis=-1)
+    angle = np.sum(problem.weights * q, axis=-1) + np.ravel(problem.alpha0)
+    return np.stack([x, y, angle], axis=-1)
+
+
+def end_jacobian(problem: Problem, q: Array) -> Array:
+    """(T, 3, Q) derivative of the end's pose with the curvature at the nodes."""
+    alpha = node_angles(problem, q)
+    lw = problem.length * problem.weights
+    turning = np.stack([-lw * np.sin(alpha), lw * np.cos(alpha)], axis=-2)
+    angle = np.broadcast_to(problem.weights, alpha.shape)[:, None, :]
+    return np.concatenate([turning @ problem.to_nodes, angle], axis=-2)
+
+
+def second_variation(problem: Problem, q: Array, wrench: Array) -> Array:
+    """(T, Q, Q) tangent less what the wrench's own force takes off it."""
+    alpha = node_angles(problem, q)
+    along = wrench[:, :1] * np.cos(alpha) + wrench[:, 1:2] * np.sin(alpha)
+    b = problem.to_nodes
+    return tangent(problem, q) + transposed(b) @ ((problem.length * problem.weights * along)[..., None] * b)
+
+
+def newton(
+    problem: Problem, start: Array, wrench: Array, goal: Array, *, trust: float, most: int = 12
+) -> tuple[Array, Array, BoolArray]:
+    """Shape and wrench by Newton's method; True where it settled without turning by more than `trust` on the way."""
+    q, w, nodes = start.copy(), wrench.copy(), start.shape[1]
+    settled, strayed = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
+    for _ in range(most):
+        todo = np.flatnonzero(~(settled | strayed))
+        if todo.size == 0:
+            break
+        part = problem.take(todo)
+        step = _bordered_step(part, q[todo], w[todo], goal[todo])
+        turned = node_angles(part, step[:, :nodes]) - part.alpha0
+        q[todo] += step[:, :nodes]
+        w[todo] += step[:, nodes:]
+        settled[todo] = np.max(np.abs(turned), axis=-1) < _TOLERANCE
+        moved = node_angles(part, q[todo]) - node_angles(part, start[todo])
+        strayed[todo] = ~(np.max(np.abs(moved), axis=-1) < trust)
+    return q, w, np.asarray(settled & ~strayed)
+
+
+def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Array:
+    """(T, Q + 3): Newton's step of shape and wrench."""
+    c, nodes = end_jacobian(problem, q), q.shape[1]
+    system = np.zeros((len(q), nodes + 3, nodes + 3))
+    system[:, :nodes, :nodes] = second_variation(problem, q, wrench)
+    system[:, :nodes, nodes:] = -transposed(c)
+    system[:, nodes:, :nodes] = c
+    unbalanced = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
+    return solve_each(system, np.concatenate([-unbalanced, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
+
+
+def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
+    """(T,) whether the second variation is positive on all changes of shape that leave both ends where they are."""
+    if len(q) == 0:
+        return np.zeros(0, dtype=bool)
+    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    scaled = second_variation(problem, q, wrench) * (scale[..., :, None] * scale[..., None, :])
+    c = end_jacobian(problem, q) * np.broadcast_to(scale, q.shape)[:, None, :]
+    free = np.linalg.qr(transposed(c), mode="complete")[0][..., 3:]
+    return positive_definite(transposed(free) @ scaled @ free)
+
+
+def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArray]:
+    """Shapes near `start` with the end at `goal`, by Gauss-Newton steps of least `int dq^2`; True where reached."""
+    q = start.copy()
+    weights = np.broadcast_to(problem.weights, q.shape)[:, None, :]
+    for _ in range(60):
+        c, away = end_jacobian(problem, q), goal - end_pose(problem, q)
+        if np.max(np.abs(away)) < 1e-13 * float(np.max(problem.length)):
+            break
+        scaled = c / weights
+        step = np.einsum("tcq,tc->tq", scaled, solve_each(c @ transposed(scaled), away[..., None])[..., 0])
+        turn = np.max(np.abs(node_angles(problem, step) - problem.alpha0), axis=-1, keepdims=True)
+        q = q + step * np.minimum(1.0, 0.5 / np.maximum(turn, 1e-300))
+    return q, np.asarray(np.max(np.abs(goal - end_pose(problem, q)), axis=-1) < 1e-10 * np.max(problem.length))
+
+
+def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array] | None:
+    """One frame: from a shape off balance down the energy, the end at its pose all the way, to where the beam stands.
+
+    Newton's steps on the free directions with the second variation made positive, shortened until the energy falls.
+    Returns shape and wrench; None where no stable equilibrium was reached.
+    """
+    q, there = restore(problem, start, goal)
+    if not there[0]:
+        return None
+    for _ in range(200):
+        step, wrench, rising = _way_down(problem, q)
+        turn = float(np.max(np.abs(node_angles(problem, step) - problem.alpha0)))
+        if turn < 1e-5 and rising:
+            found, push, near = newton(problem, q, wrench, goal, trust=0.1)
+            return (found, push) if near[0] and stands(problem, found, push)[0] else None
+        step, energy = step * min(1.0, 0.3 / max(turn, 1e-300)), potential(problem, q)[0]
+        for _ in range(30):
+            lower, there = restore(problem, q + step, goal)
+            if there[0] and potential(problem, lower)[0] < energy:
+                break
+            step = 0.5 * step
+        else:
+            return None
+        q = lower
+    return None
+
+
+def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
+    """One frame: a step along the free directions, the wrench that balances the rest, whether the energy is convex."""
+    scale = 1.0 / np.sqrt(np.broadcast_to(problem.weights * problem.k, q.shape))[0]
+    c = end_jacobian(problem, q)[0] * scale
+    free = np.linalg.qr(c.T, mode="complete")[0][:, 3:]
+    slope = gradient(problem, q)[0] * scale
+    wrench = np.linalg.lstsq(c.T, slope, rcond=None)[0][None]
+    second = second_variation(problem, q, wrench)[0] * scale[:, None] * scale
+    values, vectors = np.linalg.eigh(free.T @ second @ free)
+    modes = free @ vectors * scale[:, None]  # (Q, Q - 3) as curvature
+    amplitude = (free @ vectors).T @ slope
+    down = -amplitude / np.maximum(np.abs(values), _FLAT)
+    falling = values < 0.0
+    # At a perfect bifurcation the slope has no part along the unstable direction: to the left then.
+    left = to_the_left(problem, q, modes[None])[0]
+    down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
+    return (modes @ down)[None], wrench, not np.any(falling)

@@ -1,0 +1,211 @@
+"""The equation of motion (7) in curvature coordinates, on Gauss panels.
+
+The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`: coordinates count from the rest shape, so theta0 = 0 for
+any natural curvature. With `alpha = rest + A theta` at the nodes and the velocity `v = L int u' alpha'` the kinetic
+energy is that of a chain of bars whose every node carries the mass beyond it:
+
+    T = 1/2 sum_ij H_ij cos(alpha_i - alpha_j) alpha'_i alpha'_j + 1/2 sum_i D_i alpha'_i^2
+    H = L^3 R^T diag(w mu) R,   D = w L iota                                    (R integrates from the base to a node)
+
+H and D do not depend on the shape, hence every matrix of (7) is a product of tables with cos(alpha), sin(alpha):
+
+    B = A^T (H o cos(alpha_i - alpha_j) + diag D) A
+    C = A^T (H o sin(alpha_i - alpha_j)) diag(alpha') A      (= L int mu J^T dJ/dt, and = Christoffel's symbols of B)
+    G = -A^T (lever o u'.g),   lever = L^2 R^T (w mu)
+    K = int k phi phi^T,   D_theta = int d phi phi^T,   forces J^T F, moments a(s) M
+
+`B' - 2 C` is skew because H is symmetric. Assumed: the beam is inextensible, does not shear, is linear-elastic with
+Kelvin-Voigt damping, and the centre of mass of every section lies on the line that `r(s)` follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.grid import Grid, make_grid
+from onebend.beam.modal import Modes
+from onebend.beam.profiles.stiffness import Profile, Uniform
+from onebend.beam.statics.problem import Resolution, Rod
+from onebend.errors import MechanicsError
+from onebend.records import Array, BoolArray
+
+_NONE = Uniform(0.0)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A beam tabulated for motion: n coordinates, Q nodes. Make one with `body`."""
+
+    length: float  # L, m
+    grid: Grid
+    curvature: Array  # (Q, n): phi_i at the nodes
+    to_angle: Array  # (Q, n): A, the integral of phi_i up to the nodes
+    rest_curvature: Array  # (Q,) rad: q0
+    rest_angle: Array  # (Q,) rad: alpha at theta = 0 with the base as it is clamped
+    clamp_angle: float  # rad
+    carried: Array  # (Q, Q) kg m^2: H
+    lever: Array  # (Q,) kg m
+    rotary: Array  # (Q,) kg m^2: D
+    mass: float  # kg
+    stiffness: Array  # (n, n) N m: K
+    damping: Array  # (n, n) N m s: D_theta
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return int(self.to_angle.shape[1])
+
+    def to_places(self, s: Array) -> Array:
+        """(S, n): a_i(s), d alpha(s) / d theta_i."""
+        return np.asarray(self.grid.integral_to(np.asarray(s, dtype=float)) @ self.curvature)
+
+    def angle(self, s: Array, theta: Array, base_angle: Array | float = 0.0) -> Array:
+        """(T, S) rad, the tangent's angle for states (T, n), base turned by `base_angle` () or (T,). Equation (3)."""
+        rows = self.grid.integral_to(np.asarray(s, dtype=float))
+        turned = np.asarray(base_angle, dtype=float)[..., None]
+        return np.asarray(self.clamp_angle + turned + (self.rest_curvature + theta @ self.curvature.T) @ rows.T)
+
+    def xy(self, s: Array, theta: Array, base: Array | None = None) -> Array:
+        """(T, S, 2) m, positions for states (T, n); base poses (T, 3) of (x, y, turn), 0 if None. Equation (4)."""
+        pose = np.zeros(3) if base is None else np.asarray(base, dtype=float)
+        alpha = self.rest_angle + pose[..., 2:] + theta @ self.to_angle.T
+        rows = self.length * self.grid.integral_to(np.asarray(s, dtype=float))
+        return np.stack(
+            [pose[..., 0:1] + np.cos(alpha) @ rows.T, pose[..., 1:2] + np.sin(alpha) @ rows.T],
+            axis=-1,
+        )
+
+
+def body(
+    beam: Rod,
+    modes: Modes | None = None,
+    *,
+    rotary_inertia: Profile = _NONE,
+    damping: Profile = _NONE,
+    resolution: Resolution = Resolution(24),
+    grid: Grid | None = None,
+) -> Body:
+    """Tables of a beam in curvature modes, or with the curvature at every node as a coordinate where `modes` is None.
+
+    `rotary_inertia`: iota(s) = rho I, kg m (per metre of beam). `damping`: d(s), N m s. Modes suit smooth k(s); nodes
+    resolve any k(s), with panels that end at its jumps. A `grid` given takes the place of the one made here.
+
+    Raises:
+        MechanicsError: k or mu is not positive, iota or d negative somewhere, or the grid cannot carry the modes.
+    """
+    profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
+    jumps = tuple(jump for profile in profiles for jump in profile.jumps)
+    if grid is None:
+        grid = make_grid(jumps, order=resolution.order, widest=resolution.widest)
+    if modes is not None and modes.n > grid.order:
+        raise MechanicsError(f"{modes.n} modes need at least as many nodes a panel, got {grid.order}")
+    nodes, weights = grid.nodes, grid.weights
+    k, q0, mu, iota, d = (np.asarray(profile(nodes), dtype=float) for profile in profiles)
+    _refuse(k > 0.0, "k(s)", k, nodes, "N m must be positive")
+    _refuse(mu > 0.0, "mass per metre", mu, nodes, "kg/m must be positive: a beam without mass does not move by (7)")
+    _refuse(iota >= 0.0, "rotary inertia", iota, nodes, "kg m cannot be negative")
+    _refuse(d >= 0.0, "damping", d, nodes, "N m s cannot be negative")
+    phi = np.eye(len(nodes)) if modes is None else modes.curvature(nodes)
+    integral = grid.integral_to_nodes
+    return Body(
+        length=beam.length,
+        grid=grid,
+        curvature=phi,
+        to_angle=integral @ phi,
+        rest_curvature=q0,
+        rest_angle=beam.clamp_angle + integral @ q0,
+        clamp_angle=beam.clamp_angle,
+        carried=beam.length**3 * integral.T @ ((weights * mu)[:, None] * integral),
+        lever=beam.length**2 * integral.T @ (weights * mu),
+        rotary=beam.length * weights * iota,
+        mass=float(beam.length * np.sum(weights * mu)),
+        stiffness=phi.T @ ((weights * k)[:, None] * phi),
+        damping=phi.T @ ((weights * d)[:, None] * phi),
+    )
+
+
+def mass_matrix(of: Body, theta: Array) -> Array:
+    """(..., n, n) kg m^2: B of (7) for states (..., n)."""
+    c, s = _directions(of, theta)
+    across = np.concatenate([c[..., None] * of.to_angle, s[..., None] * of.to_angle], axis=-1)  # (..., Q, 2 n)
+    carried = of.carried @ across
+    n = of.n
+    out = np.swapaxes(across[..., :n], -1, -2) @ carried[..., :n]
+    out += np.swapaxes(across[..., n:], -1, -2) @ carried[..., n:]
+    return np.asarray(out + of.to_angle.T @ (of.rotary[:, None] * of.to_angle))
+
+
+def coriolis_matrix(of: Body, theta: Array, rate: Array) -> Array:
+    """(..., n, n) kg m^2/s: C of (7) by Christoffel's symbols, so that B' - 2 C is skew-symmetric."""
+    c, s = _directions(of, theta)
+    turned = (rate @ of.to_angle.T)[..., None] * of.to_angle
+    ca, sa = c[..., None] * of.to_angle, s[..., None] * of.to_angle
+    first = np.swapaxes(sa, -1, -2) @ (of.carried @ (c[..., None] * turned))
+    return np.asarray(first - np.swapaxes(ca, -1, -2) @ (of.carried @ (s[..., None] * turned)))
+
+
+def gravity_vector(of: Body, theta: Array, gravity: Array) -> Array:
+    """(..., n) N m: G of (7) for gravity (2,) m/s^2 in the beam's frame; on the left side of the equation."""
+    c, s = _directions(of, theta)
+    return np.asarray(-(of.lever * (c * gravity[1] - s * gravity[0])) @ of.to_angle)
+
+
+def force_jacobian(of: Body, theta: Array, at_s: float) -> Array:
+    """(..., 2, n) m: J(s) = d r(s) / d theta; a force F there acts as J^T F."""
+    c, s = _directions(of, theta)
+    row = of.length * of.grid.integral_to(np.array([at_s]))[0]
+    return np.stack([(-row * s) @ of.to_angle, (row * c) @ of.to_angle], axis=-2)
+
+
+def kinetic_energy(
+    of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None
+) -> Array:
+    """(...,) J for states and rates (..., n), the gripper at poses `base` (..., 3) moving at `base_rate` (..., 3)."""
+    pose, moving = _pose(base), _pose(base_rate)
+    turning = rate @ of.to_angle.T + moving[..., 2:]
+    c, s = _directions(of, theta, pose[..., 2:])
+    ct, st = c * turning, s * turning
+    carried = np.sum(ct * (ct @ of.carried) + st * (st @ of.carried) + of.rotary * turning**2, axis=-1)
+    with_base = moving[..., 1] * (ct @ of.lever) - moving[..., 0] * (st @ of.lever)
+    return np.asarray(0.5 * carried + with_base + 0.5 * of.mass * np.sum(moving[..., :2] ** 2, axis=-1))
+
+
+def elastic_energy(of: Body, theta: Array) -> Array:
+    """(...,) J: `1/2 int k (q - q0)^2`."""
+    return np.asarray(0.5 * np.sum(theta * (theta @ of.stiffness), axis=-1))
+
+
+def weight_energy(of: Body, theta: Array, gravity: Array, base: Array | None = None) -> Array:
+    """(...,) J: minus gravity (2,) m/s^2 times mass times position, 0 at the origin; gripper at `base` (..., 3)."""
+    pose = _pose(base)
+    c, s = _directions(of, theta, pose[..., 2:])
+    return np.asarray(-(gravity[0] * c + gravity[1] * s) @ of.lever - of.mass * (pose[..., :2] @ gravity))
+
+
+def momentum(of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None) -> Array:
+    """(..., n) kg m^2/s: derivative of the kinetic energy with respect to the rate; `B rate` where the base rests."""
+    pose, moving = _pose(base), _pose(base_rate)
+    turning = rate @ of.to_angle.T + moving[..., 2:]
+    c, s = _directions(of, theta, pose[..., 2:])
+    y = (c * turning) @ of.carried + moving[..., 1:2] * of.lever
+    x = moving[..., 0:1] * of.lever - (s * turning) @ of.carried
+    return np.asarray((c * y - s * x + of.rotary * turning) @ of.to_angle)
+
+
+def _directions(of: Body, theta: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
+    """cos and sin of the angles at the nodes, (..., Q) each."""
+    alpha = of.rest_angle + turn + np.asarray(theta, dtype=float) @ of.to_angle.T
+    return np.cos(alpha), np.sin(alpha)
+
+
+def _pose(given: Array | None) -> Array:
+    return np.zeros(3) if given is None else np.asarray(given, dtype=float)
+
+
+def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) -> None:
+    """`MechanicsError` at the first node where a profile has no meaning (NaN included)."""
+    if not np.all(good):
+        bad = int(np.flatnonzero(~good)[0])
+        raise MechanicsError(f"{name} = {values[bad]:.3g} at s = {nodes[bad]:.3f}: {rule}")

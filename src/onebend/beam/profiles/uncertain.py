@@ -1,0 +1,123 @@
+"""A stiffness distribution that is not known exactly: log k(s) as a spline, its coefficients' mean and covariance.
+
+Where its bands differ from a normal's, their shape is known too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.special import ndtri
+
+from onebend.beam.profiles.stiffness import LogSpline
+from onebend.errors import MechanicsError
+from onebend.records import Array, BoolArray
+
+SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # of the bands that `UncertainStiffness.shape` holds
+SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
+IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
+
+
+@dataclass(frozen=True)
+class Band:
+    """k(s) and how sure it is, at places s (S,)."""
+
+    s: Array
+    k: Array  # N m
+    low: Array  # N m
+    high: Array  # N m
+    identified: BoolArray  # False where the prior rather than the data sets the band, or k(s) is in doubt as a whole
+
+
+@dataclass(frozen=True)
+class UncertainStiffness:
+    """`log k(s) = sum_i c_i B_i(s) + g`: coefficients c, and one common log scale g, normal of sd `gain_sd`.
+
+    Where k may have a step or not, log k is a mixture: its 50 % band is narrower than a normal's of the same sd.
+    `shape` tells by how much; draws are normal.
+    """
+
+    knots: Array  # with the ends repeated, as scipy's BSpline takes them
+    mean: Array  # (p,) of the coefficients, log(N m)
+    covariance: Array  # (p, p)
+    gain_sd: float = 0.0  # what an uncertain force gain does to all of k alike
+    degree: int = 3
+    doubts: tuple[str, ...] = ()  # why none of it is to be relied on: then no place counts as identified
+    # (levels, S) widths of the bands of SHAPE_LEVELS at SHAPE_PLACES over those of a normal; None: all one
+    shape: Array | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.mean)
+        if self.shape is not None and self.shape.shape != (len(SHAPE_LEVELS), len(SHAPE_PLACES)):
+            raise MechanicsError(
+                f"the bands' shape must be ({len(SHAPE_LEVELS)}, {len(SHAPE_PLACES)}), got {self.shape.shape}"
+            )
+        if self.covariance.shape != (count, count) or len(self.knots) != count + self.degree + 1:
+            raise MechanicsError(
+                f"{count} coefficients need a ({count}, {count}) covariance and {count + self.degree + 1} knots, "
+                f"got {self.covariance.shape} and {len(self.knots)}"
+            )
+
+    @property
+    def profile(self) -> LogSpline:
+        """The most probable k(s)."""
+        return LogSpline(tuple(self.knots.tolist()), tuple(self.mean.tolist()), self.degree)
+
+    def log_at(self, s: Array) -> tuple[Array, Array]:
+        """(S,) mean and sd of log k at `s`, the common scale apart."""
+        basis = self.basis(s)
+        return basis @ self.mean, np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance, basis))
+
+    def band(self, s: Array, level: float = 0.95) -> Band:
+        """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
+        mean, sd = self.log_at(s)
+        wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(self._widening(s, level) * sd, self.gain_sd)
+        return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
+
+    def _widening(self, s: Array, level: float) -> Array | float:
+        """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
+        if self.shape is None:
+            return 1.0
+        at_places = [np.interp(level, SHAPE_LEVELS, one) for one in self.shape.T]
+        return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
+
+    def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
+        """Stiffness distributions as probable as this one says."""
+        rng = np.random.default_rng(seed)
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
+        drawn += self.gain_sd * rng.standard_normal((count, 1))
+        return tuple(LogSpline(tuple(self.knots.tolist()), tuple(one.tolist()), self.degree) for one in drawn)
+
+    def basis(self, s: Array) -> Array:
+        """(S, p) the splines' values at `s`."""
+        s = np.clip(np.asarray(s, dtype=float), 0.0, 1.0)
+        return np.asarray(BSpline.design_matrix(s, self.knots, self.degree).toarray())
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "knots": self.knots.tolist(),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "gain_sd": self.gain_sd,
+            "degree": self.degree,
+            "doubts": list(self.doubts),
+            "shape": None if self.shape is None else self.shape.tolist(),
+        }
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> UncertainStiffness:
+        """From `as_dict`. Raises `MechanicsError` where sizes do not fit or a number is not finite."""
+        arrays = [np.asarray(data[key], dtype=float) for key in ("knots", "mean", "covariance")]
+        shape = None if data.get("shape") is None else np.asarray(data["shape"], dtype=float)
+        arrays += [] if shape is None else [shape]
+        if not all(np.all(np.isfinite(one)) for one in arrays) or not float(data["gain_sd"]) >= 0.0:
+            raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
+        doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before, as the shape
+        gain_sd, degree = float(data["gain_sd"]), int(data["degree"])
+        return UncertainStiffness(arrays[0], arrays[1], arrays[2], gain_sd, degree, doubts, shape)

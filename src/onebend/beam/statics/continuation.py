@@ -1,0 +1,250 @@
+"""Following the equilibrium that grows from the rest shape while all loads grow together from nothing.
+
+Each step of the load is predicted from the branch so far and corrected by Newton's method. A step counts only if
+the corrector moved the shape by a small angle and the new shape is stable: then it cannot have landed on another
+branch. Otherwise it is shortened. Where no step however short keeps stability, the branch has passed a bifurcation
+(a perfectly straight beam under a perfectly axial load) and is followed on, marked unstable. Where no step succeeds at
+all, the branch itself turns back (a limit point): a real beam would snap through. On request the beam falls from such
+a place to a stable equilibrium (`snap_through.py`) and is followed on from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.grid import apply, transposed
+from onebend.beam.loads import Loads
+from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, pulls, tangent
+from onebend.beam.statics.newton import correct, solve_batch
+from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics.snap_through import Side, let_fall
+from onebend.records import Array, IntArray
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the branch is followed. Angles in radians."""
+
+    stride: float = 0.7  # the largest predicted turn of a step
+    trust: float = 0.25  # the largest turn that the corrector may add to the prediction,
+    surprise: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
+    least_surprise: float = 1e-3  # which is allowed however small the prediction
+    corrections: int = 8  # Newton iterations a step
+    left: float = 1e-13  # what Newton's method may leave of the way to equilibrium at the full load,
+    on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
+    shortest: float = 1e-9  # share of the load: a step below this has met the end of the branch
+    most: int = 400  # steps
+
+
+_PROBES = 4  # frames that decide the resolution of a batch
+_FINEST = 5  # halvings of the panels
+
+
+_BENT = 0.7  # share of the predicted turn that the terms beyond the slope may change
+_BEYOND = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
+
+
+class _State:
+    """Where each frame of a batch stands on its branch. Lives only inside `follow`."""
+
+    def __init__(self, rest: Array, size: int) -> None:
+        self.q = rest
+        self.factor, self.step = np.zeros(size), np.ones(size)
+        self.buckled_at = np.full(size, np.nan)
+        self.lost = np.zeros(size, dtype=bool)  # the branch has no stable continuation here
+        self.fell = np.zeros(size, dtype=bool)
+        self.slope, self.turn = np.zeros_like(rest), np.zeros(size)
+        self.curl = np.zeros(size)
+        self.second, self.third = np.zeros_like(rest), np.zeros_like(rest)
+        self.fresh = np.zeros(size, dtype=bool)  # whether slope, turn, second and third belong to `q`
+        self.q_before, self.factor_before = np.zeros_like(rest), np.full(size, np.nan)  # of the last step
+        self.iterations = 0
+
+
+def equilibrium(
+    beam: Rod,
+    loads: Loads,
+    *,
+    resolution: Resolution | None = None,
+    search: Search = Search(),
+    fall: Side | None = None,
+) -> Equilibrium:
+    """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
+
+    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (see
+    `Equilibrium.resolved`) or a finer one moves their tips by less than 1e-11 L; measured tables of k(s), which are not
+    smooth, stop at the finest of `_FINEST` halvings, where the tip is good to about 1e-8 L.
+
+    With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
+
+    Raises:
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    if resolution is None:
+        resolution = _resolve(beam, loads, search, fall)
+    return follow(pose(beam, loads, resolution), search=search, fall=fall)
+
+
+def _resolve(beam: Rod, loads: Loads, search: Search, fall: Side | None) -> Resolution:
+    """The coarsest resolution that is fine enough for the few frames that bend the beam most."""
+    resolution, tip = Resolution(), None
+    coarse = pose(beam, loads, resolution)
+    size = np.max(np.linalg.norm(coarse.dead_force, axis=-1), axis=1) * beam.length
+    size += np.max(np.abs(coarse.moment), axis=1) + np.sum(np.abs(coarse.follower), axis=(1, 2)) * beam.length
+    hardest = loads.spread(loads.size).take(np.sort(np.argsort(size)[-_PROBES:]))
+    for _ in range(_FINEST):
+        result = follow(pose(beam, hardest, resolution), search=search, fall=fall)
+        there = result.xy(np.array([1.0]))
+        if np.all(result.resolved) or (tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length):
+            break
+        resolution, tip = resolution.finer(), there
+    return resolution
+
+
+def follow(problem: Problem, *, search: Search = Search(), fall: Side | None = None) -> Equilibrium:
+    """Equilibria of a batch by load continuation from rest.
+
+    With `fall`, a frame whose branch loses stability or ends falls there to a stable equilibrium (`falling.let_fall`;
+    `fall` says to which side where that is undecided), and is followed on from there.
+    """
+    size = problem.size
+    rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
+    state = _State(rest, size)
+    open_frames = np.arange(size)
+    for _ in range(search.most):
+        if open_frames.size == 0:
+            break
+        _advance(problem, state, open_frames, search)
+        if fall is not None:
+            _fall(problem, state, open_frames[state.lost[open_frames]], fall)
+        open_frames = open_frames[(state.factor[open_frames] < 1.0) & (state.step[open_frames] >= search.shortest)]
+    converged = state.factor >= 1.0
+    stable = converged & ~state.lost
+    doubtful = np.flatnonzero(converged & state.lost)
+    stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
+    return Equilibrium(
+        problem=problem,
+        q=state.q,
+        converged=converged,
+        stable=stable,
+        load_factor=state.factor,
+        buckled_at=state.buckled_at,
+        fell=state.fell,
+        iterations=state.iterations,
+    )
+
+
+def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equilibrium:
+    """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
+    full, size = np.ones(problem.size), problem.size
+    q, near, iterations = correct(
+        problem, start, full, trust=search.stride * full, left=search.left * full, most=search.corrections
+    )
+    near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
+    stable, buckled_at = near.copy(), np.full(size, np.nan)
+    lost = np.flatnonzero(~near)
+    if lost.size:
+        again = follow(problem.take(lost), search=search)
+        q[lost], near[lost], stable[lost], buckled_at[lost] = again.q, again.converged, again.stable, again.buckled_at
+        iterations += again.iterations
+    factor = np.where(near, 1.0, np.nan)
+    return Equilibrium(problem, q, near, stable, factor, buckled_at, np.zeros(size, dtype=bool), iterations)
+
+
+def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) -> None:
+    """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
+    part = problem if frames.size == problem.size else problem.take(frames)
+    q, factor = state.q[frames], state.factor[frames]
+    _look_ahead(part, state, frames)
+    turn = state.turn[frames]
+    step = np.minimum(state.step[frames], search.stride / np.maximum(turn, 1e-300))
+    curl = np.maximum(state.curl[frames], 1e-300)
+    step = np.minimum(step, np.maximum(_BENT * turn, search.least_surprise) / curl)
+    step = np.minimum(step, 1.0 - factor)
+    last = factor + step >= 1.0 - 1e-12
+    target = np.where(last, 1.0, factor + step)
+    left = np.where(last, search.left, search.on_the_way)
+    trust = np.minimum(search.trust, search.least_surprise + search.surprise * step * turn)
+    begin = _predicted(part, state, frames, step)
+    found, near, count = correct(part, begin, target, trust=trust, left=left, most=search.corrections)
+    state.iterations += count
+    guarded = near & ~state.lost[frames]
+    buckles = np.zeros_like(near)
+    buckles[guarded] = ~is_stable(part.take(guarded), found[guarded], target[guarded])
+    at_last = buckles & (step < 4.0 * search.shortest)  # stability is lost however short the step
+    first = at_last & np.isnan(state.buckled_at[frames])
+    state.buckled_at[frames[first]] = target[first]
+    state.lost[frames[at_last]] = True
+    near &= ~buckles | at_last
+    moved = frames[near]
+    state.q_before[moved], state.factor_before[moved] = q[near], factor[near]
+    state.q[moved], state.factor[moved], state.fresh[moved] = found[near], target[near], False
+    state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
+    ended = ~near & (state.step[frames] < search.shortest)
+    state.lost[frames[ended]] = True
+
+
+def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
+    """Slope of the branch with the load, and its next two terms, where a frame has moved since they were known."""
+    stale = np.flatnonzero(~state.fresh[frames])
+    if stale.size == 0:
+        return
+    chosen = frames[stale]
+    part = problem if stale.size == frames.size else problem.take(stale)
+    q, factor = state.q[chosen], state.factor[chosen]
+    right = gradient(part, q, 0.0) - gradient(part, q, 1.0)
+    if np.all(factor == 0.0):  # then the tangent is diagonal
+        slope = right / (part.weights * part.k)
+        second, third = _terms_at_rest(part, q, slope)
+    else:
+        slope = solve_batch(tangent(part, q, factor), right)
+        second, third = _terms_behind(state, chosen, slope)
+    state.slope[chosen], state.second[chosen], state.third[chosen] = slope, second, third
+    state.turn[chosen] = np.max(np.abs(apply(part.to_nodes, slope)), axis=-1)
+    state.curl[chosen] = np.max(np.abs(apply(part.to_nodes, second)), axis=-1)
+    state.fresh[chosen] = True
+
+
+def _terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
+    """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
+    if problem.follower.shape[1]:
+        return np.zeros_like(q), np.zeros_like(q)
+    along, across = pulls(problem, q)
+    back, stiff = transposed(problem.to_nodes), problem.weights * problem.k
+    turn = apply(problem.to_nodes, slope)
+    second = -2.0 * apply(back, along * turn) / stiff
+    third = -3.0 * apply(back, along * apply(problem.to_nodes, second) + across * turn**2) / stiff
+    return second / 2.0, third / 6.0
+
+
+def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array, Array]:
+    """The same of the cubic through the last two places on the branch and the slopes there; 0 where there is one."""
+    h = (state.factor[frames] - state.factor_before[frames])[:, None]
+    with np.errstate(invalid="ignore"):
+        mean, before = (state.q[frames] - state.q_before[frames]) / h, state.slope[frames]
+        second, third = (2.0 * slope + before - 3.0 * mean) / h, (slope + before - 2.0 * mean) / h**2
+    return np.where(np.isnan(h), 0.0, second), np.where(np.isnan(h), 0.0, third)
+
+
+def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -> Array:
+    """(T, Q) where the branch is a step ahead: along its slope, bent as it was so far if that changes little."""
+    t = step[:, None]
+    bent = t**2 * (state.second[frames] + t * state.third[frames])
+    turn = np.max(np.abs(apply(problem.to_nodes, bent)), axis=-1)
+    little = turn < _BENT * step * state.turn[frames]
+    return state.q[frames] + t * state.slope[frames] + np.where(little[:, None], bent, 0.0)
+
+
+def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None:
+    """Frames that have lost their branch fall, the load a little beyond, to another; or end where they are."""
+    if frames.size == 0:
+        return
+    beyond = np.minimum(1.0, (1.0 + _BEYOND) * state.factor[frames])
+    q, landed = let_fall(problem.take(frames).loaded(beyond), state.q[frames], side)
+    down = frames[landed]
+    state.q[down], state.factor[down], state.step[down] = q[landed], beyond[landed], _BEYOND
+    state.fell[down], state.lost[down], state.fresh[down] = True, False, False
+    state.factor_before[down] = np.nan
+    state.step[frames[~landed]] = 0.0

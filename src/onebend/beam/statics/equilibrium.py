@@ -1,0 +1,230 @@
+"""Equilibrium of a clamped beam, exact: nodal Gauss collocation (5)-(11).
+
+The potential of dead loads is `V(q) = int k/2 (q - q0)^2 - L int N . (cos alpha, sin alpha) - int m q`, where `N(s)` is
+the sum of all forces beyond s and `m(s)` the sum of all point moments beyond s. With the integrals done by Gauss's rule
+on panels that end at every load and at every jump of k, the gradient and the tangent are
+
+    g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
+
+B the integration matrix, u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). The stiffness enters at the nodes:
+no mode shapes, no quadrature of k against them. A follower force turns with the tangent where it acts; it has no
+potential, and its part of T is not symmetric.
+
+`continuation.py` finds the branch of g = 0 that grows from the rest shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf
+
+from onebend.beam.grid import apply, transposed
+from onebend.beam.statics.problem import Problem
+from onebend.records import Array, BoolArray
+
+_TABULATED = 48  # nodes up to which B^T diag(d) B is done by a table
+RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Solved shapes of a `Problem`, one a frame."""
+
+    problem: Problem
+    q: Array  # (T, Q) rad, curvature at the nodes
+    converged: BoolArray  # (T,) equilibrium reached on the branch that grows from rest, or fallen to where it is lost
+    stable: BoolArray  # (T,) the second variation of the potential is positive there
+    load_factor: Array  # (T,) share of the load reached: below 1 the branch ends there (snap-through)
+    buckled_at: Array  # (T,) share of the load at which the branch lost stability; NaN where it never did
+    fell: BoolArray  # (T,) the branch was lost, and the beam fell from it to the one it stands on now
+    iterations: int  # Newton iterations, the most that a frame took
+
+    @property
+    def resolved(self) -> BoolArray:
+        """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
+        return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
+
+    @property
+    def alpha(self) -> Array:
+        """(T, Q) tangent's angle at the nodes."""
+        return node_angles(self.problem, self.q)
+
+    def angle(self, s: Array) -> Array:
+        """(T, S) tangent's angle at places `s` (S,) or (T, S). Equation (3)."""
+        return self.problem.alpha0 + apply(self.problem.grid.integral_to(s), self.q)
+
+    def xy(self, s: Array) -> Array:
+        """(T, S, 2) m, position at places `s` (S,) or (T, S). Equation (4)."""
+        alpha = self.alpha
+        rows = self.problem.grid.integral_to(s)
+        unit = np.stack([apply(rows, np.cos(alpha)), apply(rows, np.sin(alpha))], axis=-1)
+        return np.asarray(self.problem.length[..., None] * unit)
+
+    def moment(self) -> Array:
+        """(T, Q) N m, internal bending moment k (q - q0) at the nodes."""
+        return self.problem.k * (self.q - self.problem.q0)
+
+
+def node_angles(problem: Problem, q: Array) -> Array:
+    """(T, Q) `alpha = alpha0 + B q` (3)."""
+    return problem.alpha0 + apply(problem.to_nodes, q)
+
+
+def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q, 2) N: the sum of all forces beyond each node, followers turned to where they point now."""
+    factor = np.asarray(load_factor, dtype=float)[..., None, None]
+    if problem.follower.shape[1] == 0:
+        return np.asarray(factor * problem.dead_force)
+    turned, _ = _followers(problem, q)
+    return np.asarray(factor * (problem.dead_force + np.einsum("tcd,tcq->tqd", turned, problem.follower_beyond)))
+
+
+def potential(problem: Problem, q: Array) -> Array:
+    """(T,) J: bending energy less the work of the dead loads, whose gradient `gradient` is. Followers have none."""
+    alpha = node_angles(problem, q)
+    elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
+    work = problem.length * (problem.dead_force[..., 0] * np.cos(alpha) + problem.dead_force[..., 1] * np.sin(alpha))
+    return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
+
+
+def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads."""
+    return _gradient(problem, q, load_factor, _pulls(problem, q, load_factor))
+
+
+def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
+    return _tangent(problem, q, load_factor, _pulls(problem, q, load_factor))
+
+
+def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
+    """Gradient and tangent together, for Newton's method."""
+    pulls = _pulls(problem, q, load_factor)
+    return _gradient(problem, q, load_factor, pulls), _tangent(problem, q, load_factor, pulls)
+
+
+def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
+    """(T,) whether the equilibrium stands: the second variation is positive (a Cholesky factor of T exists).
+
+    With follower forces there is no potential: then "stable" means that no real eigenvalue of T is negative or zero
+    (no divergence). Flutter is a matter of dynamics and not seen here.
+    """
+    pulls = _pulls(problem, q, load_factor)
+    if problem.follower.shape[1]:
+        values = np.linalg.eigvals(scaled(problem, _tangent(problem, q, load_factor, pulls)))
+        real = np.abs(values.imag) < 1e-9 * np.abs(values)
+        return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
+    stable = _surely_stable(problem, pulls.along)
+    doubtful = np.flatnonzero(~stable)
+    if doubtful.size:
+        part = problem if doubtful.size == len(q) else problem.take(doubtful)
+        diagonal = part.weights * part.k
+        stable[doubtful] = positive_definite(_second_variation(part, pulls.along[doubtful], diagonal))
+    return stable
+
+
+def scaled(problem: Problem, matrices: Array) -> Array:
+    """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
+    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
+
+
+def pulls(problem: Problem, q: Array) -> tuple[Array, Array]:
+    """(T, Q) N m each: the internal force times L w, along the tangent and across it, to its left."""
+    here = _pulls(problem, q, 1.0)
+    return here.along, here.across
+
+
+@dataclass(frozen=True)
+class _Pulls:
+    """Direction of the tangent at the nodes, and the internal force times L w along it and across it."""
+
+    cos: Array  # (T, Q)
+    sin: Array  # (T, Q)
+    along: Array  # (T, Q) N m
+    across: Array  # (T, Q) N m
+
+
+def _pulls(problem: Problem, q: Array, load_factor: Array | float) -> _Pulls:
+    alpha = node_angles(problem, q)
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    x, y = problem.dead_pull
+    if problem.follower.shape[1]:
+        turned, _ = _followers(problem, q)
+        lw = problem.length * problem.weights
+        x, y = (d + lw * np.einsum("tc,tcq->tq", turned[..., i], problem.follower_beyond) for i, d in enumerate((x, y)))
+    return _Pulls(cos, sin, factor * (x * cos + y * sin), factor * (y * cos - x * sin))
+
+
+def _gradient(problem: Problem, q: Array, load_factor: Array | float, pulls: _Pulls) -> Array:
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    elastic = problem.weights * (problem.k * (q - problem.q0) - factor * problem.moment)
+    return elastic - apply(transposed(problem.to_nodes), pulls.across)
+
+
+def _tangent(problem: Problem, q: Array, load_factor: Array | float, pulls: _Pulls) -> Array:
+    out = _second_variation(problem, pulls.along, problem.weights * problem.k)
+    if problem.follower.shape[1]:
+        _, turning = _followers(problem, q)
+        factor = np.asarray(load_factor, dtype=float)[..., None, None]
+        lw = (problem.length * problem.weights)[..., None, :]
+        per_turn = turning[..., 1, None] * pulls.cos[:, None] - turning[..., 0, None] * pulls.sin[:, None]  # (T, c, Q)
+        moved = factor * lw * per_turn * problem.follower_beyond @ problem.to_nodes
+        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
+    return out
+
+
+def _second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
+    """(T, Q, Q) `diag(diagonal) + B^T diag(along) B`."""
+    out = _congruence(problem.to_nodes, along)
+    nodes = out.shape[-1]
+    out.reshape(-1, nodes * nodes)[:, :: nodes + 1] += diagonal
+    return out
+
+
+def _surely_stable(problem: Problem, along: Array) -> BoolArray:
+    """(T,) True where a bound that needs no factor proves the second variation positive.
+
+    A change of shape that costs the bending energy E turns node i by at most `2 E sum_j B_ij^2 / (w k)_j` squared
+    (Cauchy's inequality). Where compression gains less than E from such turns, nothing lowers the potential. For a
+    uniform column that holds up to 2 EI / L^2; Euler's load is 2.47.
+    """
+    gained = apply(problem.to_nodes**2, 1.0 / (problem.weights * problem.k))
+    return np.asarray(np.sum(np.minimum(along, 0.0) * gained, axis=-1) > -(1.0 - 1e-9))
+
+
+def _congruence(b: Array, diagonal: Array) -> Array:
+    """(T, Q, Q) `B^T diag(d) B`: for a small shared B one product with a table of its rows' squares."""
+    nodes = b.shape[-1]
+    if b.ndim == 2 and nodes <= _TABULATED:
+        return np.asarray((diagonal @ _squares(b.tobytes(), nodes)).reshape(*diagonal.shape[:-1], nodes, nodes))
+    return np.asarray(transposed(b) @ (diagonal[..., None] * b))
+
+
+@lru_cache(maxsize=16)
+def _squares(matrix: bytes, nodes: int) -> Array:
+    """(Q, Q * Q): row q holds `B[q, i] B[q, j]`."""
+    b = np.frombuffer(matrix).reshape(nodes, nodes)
+    return np.asarray((b[:, :, None] * b[:, None, :]).reshape(nodes, -1))
+
+
+def positive_definite(matrices: Array) -> BoolArray:
+    """(T,) of symmetric (T, n, n)."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return np.array([dpotrf(one, lower=1)[1] == 0 for one in matrices], dtype=bool)
+    return np.ones(len(matrices), dtype=bool)
+
+
+def _followers(problem: Problem, q: Array) -> tuple[Array, Array]:
+    """(T, c, 2) the followers in the beam's frame, and their derivative with the angle there."""
+    angle = problem.alpha0 + np.einsum("tcq,tq->tc", problem.follower_rows, q)
+    cos, sin = np.cos(angle), np.sin(angle)
+    f = problem.follower
+    turned = np.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1]], axis=-1)
+    return turned, np.stack([-turned[..., 1], turned[..., 0]], axis=-1)

@@ -1,0 +1,192 @@
+"""What is solved: the arrays of a batch of beams under loads, on a grid with an edge at every load and every jump.
+
+With the sum N(s) of all forces and the sum m(s) of all point moments beyond s known at the nodes, nothing else of the
+loads enters the statics; see `equilibrium.py` for what is made of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from onebend.beam.grid import Grid, apply, make_grid
+from onebend.beam.loads import Loads
+from onebend.beam.profiles.stiffness import Profile
+from onebend.errors import MechanicsError
+from onebend.records import Array, BoolArray, IntArray
+
+
+class Rod(Protocol):
+    """What mechanics needs to know of a beam; `model.Beam` is one."""
+
+    @property
+    def length(self) -> float: ...
+    @property
+    def stiffness(self) -> Profile: ...
+    @property
+    def rest_curvature(self) -> Profile: ...
+    @property
+    def clamp_angle(self) -> float: ...
+    @property
+    def mass_per_length(self) -> Profile: ...
+
+
+def has_mass(rod: Rod) -> bool:
+    """Whether it weighs anything: without, gravity does nothing and nothing swings."""
+    return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a beam is resolved: `order` Gauss nodes a panel, no panel wider than `widest`."""
+
+    order: int = 16
+    widest: float = 1.0
+
+    def finer(self) -> Resolution:
+        """Panels half as wide."""
+        return replace(self, widest=0.5 * self.widest)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Arrays of one batch of equilibria: T frames, Q nodes. What differs from beam to beam leads with T."""
+
+    grid: Grid
+    weights: Array  # (Q,) or (T, Q)
+    to_nodes: Array  # (Q, Q) or (T, Q, Q): B
+    length: Array  # () or (T, 1) m
+    k: Array  # (Q,) or (T, Q) N m
+    q0: Array  # (Q,) or (T, Q) rad
+    alpha0: Array  # () or (T, 1) rad
+    dead_force: Array  # (T, Q, 2) N: all dead forces beyond the node
+    moment: Array  # (T, Q) N m: all point moments beyond the node
+    follower: Array  # (T, c, 2) N, in the tangent's frame
+    follower_beyond: Array  # (T, c, Q): 1 where the follower acts beyond the node
+    follower_rows: Array  # (T, c, Q): angle at the follower's place
+
+    @property
+    def size(self) -> int:
+        """T."""
+        return int(self.dead_force.shape[0])
+
+    @cached_property
+    def dead_pull(self) -> tuple[Array, Array]:
+        """(T, Q) N m each: the dead force beyond the nodes times L w, its components x and y."""
+        lw = self.length * self.weights
+        return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
+
+    def loaded(self, factor: Array) -> Problem:
+        """With all loads times `factor` (T,)."""
+        f = factor[:, None]
+        return replace(
+            self,
+            dead_force=f[..., None] * self.dead_force,
+            moment=f * self.moment,
+            follower=f[..., None] * self.follower,
+        )
+
+    def take(self, chosen: IntArray | BoolArray) -> Problem:
+        """Some frames of the batch."""
+
+        def pick(x: Array, plain: int) -> Array:
+            return x[chosen] if x.ndim > plain else x
+
+        return Problem(
+            grid=self.grid if self.grid.edges.ndim == 1 else Grid(self.grid.edges[chosen], self.grid.order),
+            weights=pick(self.weights, 1),
+            to_nodes=pick(self.to_nodes, 2),
+            length=pick(self.length, 0),
+            k=pick(self.k, 1),
+            q0=pick(self.q0, 1),
+            alpha0=pick(self.alpha0, 0),
+            dead_force=self.dead_force[chosen],
+            moment=self.moment[chosen],
+            follower=self.follower[chosen],
+            follower_beyond=self.follower_beyond[chosen],
+            follower_rows=self.follower_rows[chosen],
+        )
+
+
+def pose(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+    """The arrays of a beam under loads. Raises `MechanicsError` where k(s) is not positive at every node."""
+    return pose_many([beam], loads, resolution)
+
+
+def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+    """The arrays of several beams, one a frame (or one for all frames), on one grid.
+
+    Raises:
+        MechanicsError: k(s) is not positive at a node; as many beams as frames are needed, or one.
+    """
+    size = max(loads.size, len(beams))
+    if len(beams) not in (1, size):
+        raise MechanicsError(f"{len(beams)} beams do not fit loads for {size} frames")
+    loads = loads.spread(size)
+    jumps = tuple(j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps)
+    grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
+    nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
+    one = len(beams) == 1
+    k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
+    _check_positive(k, nodes)
+    length = np.asarray(beams[0].length) if one else np.array([[b.length] for b in beams])
+    alpha0 = np.asarray(beams[0].clamp_angle) if one else np.array([[b.clamp_angle] for b in beams])
+    dead = np.einsum("tac,taq->tqc", loads.force, _beyond(nodes, loads.force_s))
+    if np.any(loads.gravity != 0.0):
+        line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
+        mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
+        dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
+    rows = grid.integral_to(loads.follower_s if loads.follower_s.size else np.zeros((size, 0)))
+    return Problem(
+        grid=grid,
+        weights=weights,
+        to_nodes=to_nodes,
+        length=length,
+        k=k,
+        q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
+        alpha0=alpha0,
+        dead_force=dead,
+        moment=np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s)),
+        follower=loads.follower,
+        follower_beyond=_beyond(nodes, loads.follower_s),
+        follower_rows=rows,
+    )
+
+
+def _beyond(nodes: Array, places: Array) -> Array:
+    """(T, a, Q) 1 where a place lies beyond a node."""
+    return np.asarray(nodes[..., None, :] < places[..., :, None], dtype=float)
+
+
+def _stack(values: list[Array]) -> Array:
+    """One beam's values as they are, several with a leading axis."""
+    return values[0] if len(values) == 1 else np.stack(values)
+
+
+def _check_positive(k: Array, nodes: Array) -> None:
+    if not np.all(k > 0.0):
+        bad = np.flatnonzero(~(k > 0.0))[0]
+        where = np.broadcast_to(nodes, k.shape).flat[bad]
+        raise MechanicsError(
+            f"k(s) is not positive: {k.flat[bad]:.3g} N m at s = {where:.3f}; such a beam has no stable equilibrium"
+        )
+
+
+def _grid_for(places: Array, jumps: tuple[float, ...], resolution: Resolution) -> Grid:
+    """One grid for the batch where all frames have their loads at the same places, else one a frame."""
+    if places.shape[1] == 0 or np.all(places == places[:1]):
+        fixed = tuple(float(p) for p in places[0])
+        return make_grid((*fixed, *jumps), order=resolution.order, widest=resolution.widest)
+    common = make_grid(jumps, order=resolution.order, widest=resolution.widest).edges
+    inside = np.clip(places, 1e-6, 1.0 - 1e-6)
+    edges = np.sort(np.concatenate([np.broadcast_to(common, (places.shape[0], len(common))), inside], axis=1), axis=1)
+    # Equal edges are pulled apart by an invisible amount so that every frame has the same number of panels.
+    step = 1e-7 * np.arange(edges.shape[1])
+    edges = np.maximum.accumulate(edges - step, axis=1) + step
+    edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
+    edges[:, -1] = 1.0
+    return Grid(edges, resolution.order)

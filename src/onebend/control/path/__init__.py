@@ -1,0 +1,1 @@
+"""Goals in time to forces, or poses of a gripper, in time."""

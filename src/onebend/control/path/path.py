@@ -1,0 +1,275 @@
+"""Goals in time to forces, or gripper poses, in time: at 1 kHz if asked, within limits on their rates.
+
+The beam is taken as it stands under the forces of the moment (quasi-static). Shapes are sought one after the other at
+knots along the path, each from the one before; between the knots they are interpolated and then corrected together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from onebend.beam.clamped_ends.end_pose import end_pose
+from onebend.beam.statics.problem import Rod
+from onebend.control.goals.moving_goals import Goals
+from onebend.control.goals.targets import check_metres, misses, misses_along
+from onebend.control.path.first_pass import knots_of, march
+from onebend.control.path.timing import Moving, Rates, refuse, stretched
+from onebend.control.path.track import Frames, settle
+from onebend.control.shape.descent import Descent, Found, descend
+from onebend.control.shape.grip import Grip, Hands, Push, Stand
+from onebend.control.shape.shape import ShapeSettings
+from onebend.control.shape.steps import multipliers
+from onebend.errors import ControlError
+from onebend.records import Array, IntArray
+
+_RESOLVED = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
+_FINEST = 1.0 / 16.0  # widest panel
+_ROUNDS = 8  # of stretching
+_FINER = 4  # moments a sample, at which rates are looked at
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """How a path is made."""
+
+    rate: float = 1000.0  # Hz, samples of what comes out
+    limits: Rates = field(default_factory=Rates)
+    too_fast: Literal["stretch", "refuse"] = "stretch"
+    shape: ShapeSettings = field(default_factory=ShapeSettings)
+
+
+@dataclass(frozen=True)
+class Path:
+    """T samples of what the hands do, and how close the beam comes to its goals."""
+
+    time: Array  # (T,) s, from 0 on, evenly spaced
+    goal_time: Array  # (T,) s, the time of the goals that each sample serves; other than `time` where stretched
+    goals: Goals
+    hands: Hands
+    q: Array  # (T, Q) rad
+    u: Array  # (T, m) N, N m: the pushes' forces in turn, then the gripper's wrench
+    miss: Array  # (T,) m: root of the weighted mean square distance from the goals
+    margin: Array  # (K,) of stability, at knots
+    margin_time: Array  # (K,) s, of the goals
+    warnings: tuple[str, ...]
+
+    @property
+    def forces(self) -> Array:
+        """(T, a, 2) N."""
+        return np.asarray(self.u[:, : 2 * len(self.hands.pushes)].reshape(len(self.time), -1, 2))
+
+    @property
+    def poses(self) -> Array:
+        """(T, 3) m, m, rad: of the end s = 1; with a grip, of the gripper. The angle counts full turns."""
+        return end_pose(self.hands.problem, self.q)
+
+    @property
+    def wrench(self) -> Array | None:
+        """(T, 3) N, N, N m that the gripper puts on the beam; None without one."""
+        return None if self.hands.grip is None else self.u[:, -3:]
+
+    @property
+    def stretch(self) -> float:
+        """Duration over that of the goals."""
+        return float(self.time[-1] / (self.goals.time[-1] - self.goals.time[0]))
+
+    def xy(self, s: ArrayLike) -> Array:
+        """(T, S, 2) m, the beam's positions at `s`."""
+        return self.hands.solved(self.q, self.u).xy(np.atleast_1d(np.asarray(s, dtype=float)))
+
+
+def follow_goals(
+    beam: Rod,
+    goals: Goals,
+    *,
+    pushes: tuple[Push, ...] = (),
+    grip: Grip | None = None,
+    gravity: ArrayLike | None = None,
+    settings: PathSettings = PathSettings(),
+) -> Path:
+    """What the hands have to do for the beam to follow the goals, as closely as it can at every moment.
+
+    The first sample serves the first goal: how the hands come there is not part of the path.
+
+    Raises:
+        ControlError: goals that leave a freedom of the hands open, no stable way from one goal to the next, or a limit
+            on a rate that is broken where `too_fast` is "refuse"; each says at what time.
+        MechanicsError: k(s) not positive.
+    """
+    if not settings.rate > 0.0:
+        raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")
+    check_metres(goals.xy, float(beam.length))
+    knots = knots_of(goals, float(beam.length))
+    arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
+    resolution = settings.shape.resolution
+    while True:
+        trying = replace(settings.shape, resolution=resolution)
+        found = march(beam, goals, knots, arm, pushes, grip, gravity, trying)
+        tail = max(float(one.stand.solved.problem.grid.legendre_tail(one.stand.q)) for one in found)
+        if tail < _RESOLVED or resolution.widest <= _FINEST:
+            break
+        resolution = resolution.finer()
+    return _sampled(found, goals, knots, arm, settings)
+
+
+def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, settings: PathSettings) -> Path:
+    """Samples at the asked rate, the time stretched where a limit wants it."""
+    hands, near = found[0].stand.hands, _between(found, goals, knots, arm)
+    duration = goals.time[-1] - goals.time[0]
+    goal_time = goals.time[0] + np.minimum(_even(duration, settings.rate), duration)
+    frames = _corrected(hands, _split(near(goal_time), hands), found, goals, knots, goal_time, arm, settings)
+    for trial in range(_ROUNDS):
+        time = np.arange(len(goal_time)) / settings.rate
+        moving = _moving(hands, frames, settings.limits)
+        if not moving.names or np.max(moving.excess(time)) <= 1.0 + 1e-9:
+            break
+        if settings.too_fast == "refuse":
+            refuse(moving, time)
+        goal_time, near = _slower(moving, hands, frames, time, goal_time, settings, everywhere=trial > 1)
+        frames = _corrected(hands, _split(near(goal_time), hands), found, goals, knots, goal_time, arm, settings)
+    else:
+        raise ControlError("the limits on rates could not be kept by stretching the path; are they far too low?")
+    xy, angle = goals.along(goal_time)
+    missed = misses_along(hands.solved(frames.q, frames.u), goals.targets, xy, angle, arm)
+    length = float(hands.problem.length)
+    miss = length * np.sqrt(missed.cost / np.sum(goals.targets.weight))
+    margin = np.array([one.stand.margin for one in found])
+    warnings = _warnings(miss, goal_time, margin, knots, hands, frames, settings, length)
+    return Path(time, goal_time, goals, hands, frames.q, frames.u, miss, margin, knots, warnings)
+
+
+def _slower(
+    moving: Moving,
+    hands: Hands,
+    frames: Frames,
+    time: Array,
+    goal_time: Array,
+    settings: PathSettings,
+    *,
+    everywhere: bool,
+) -> tuple[Array, CubicSpline]:
+    """Other times of the goals for the samples, so that the limits are kept; and the samples so far as a spline.
+
+    Slower only where a limit wants it, or `everywhere`, where that was tried and kinks of the path still break one.
+    """
+    inside = np.append(True, np.diff(goal_time) > 0.0)
+    values = np.concatenate([frames.q, frames.u, frames.multipliers], axis=1)[inside]
+    near = CubicSpline(goal_time[inside], values)
+    if everywhere:
+        fine, law = goal_time[inside], time[inside] * float(np.max(moving.excess(time))) * 1.001
+    else:
+        fine = np.linspace(goal_time[0], goal_time[-1], _FINER * len(goal_time))
+        law = np.interp(fine, goal_time[inside], time[inside])
+        law = stretched(_moving(hands, _split(near(fine), hands), settings.limits), law)
+    return np.interp(_even(law[-1], settings.rate), law, fine), near
+
+
+def _even(duration: float, rate: float) -> Array:
+    """Moments at the rate, from 0 to the first at or after the duration."""
+    return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
+
+
+def _between(found: list[Found], goals: Goals, knots: Array, arm: float) -> CubicSpline:
+    """Shapes, controls and multipliers between the knots."""
+    rows = []
+    for time, one in zip(knots, found, strict=True):
+        missed = misses(one.stand.solved, goals.at(float(time)), arm)
+        rows.append(np.concatenate([one.stand.q, one.stand.u, multipliers(one.stand, missed)]))
+    return CubicSpline(knots, np.array(rows))
+
+
+def _split(values: Array, hands: Hands) -> Frames:
+    """Interpolated values as what they stand for."""
+    count = len(hands.problem.weights)
+    return Frames(values[:, :count], values[:, count : count + hands.count], values[:, count + hands.count :])
+
+
+def _corrected(
+    hands: Hands,
+    start: Frames,
+    found: list[Found],
+    goals: Goals,
+    knots: Array,
+    goal_time: Array,
+    arm: float,
+    settings: PathSettings,
+) -> Frames:
+    """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
+    xy, angle = goals.along(goal_time)
+    frames, ok = settle(hands, start, goals.targets, xy, angle, arm)
+    bound = np.array([bool(np.any(one.multipliers > 0.0)) for one in found])
+    after = np.clip(np.searchsorted(knots, goal_time), 1, len(knots) - 1)
+    held = bound[after] | bound[after - 1]
+    for one in hands.bounds:
+        held |= np.linalg.norm(frames.u[:, one.columns], axis=1) > one.most
+    warm = replace(settings.shape.descent, damping=0.0)
+    for i in np.flatnonzero(~ok | held):
+        frames.q[i], frames.u[i] = _alone(found, after, frames, int(i), goals, float(goal_time[i]), arm, warm)
+    return frames
+
+
+def _alone(
+    found: list[Found],
+    after: IntArray,
+    frames: Frames,
+    i: int,
+    goals: Goals,
+    time: float,
+    arm: float,
+    warm: Descent,
+) -> tuple[Array, Array]:
+    """One sample, from the one before it."""
+    first = found[after[i] - 1].stand
+    begin = first if i == 0 else Stand(first.hands, frames.q[i - 1], frames.u[i - 1])
+    one = descend(begin, goals.at(time), arm, warm)
+    if not one.converged:
+        raise ControlError(
+            f"at {time:.4g} s no stable shape closest to the goal was found on the way from the last one"
+        )
+    return one.stand.q, one.stand.u
+
+
+def _moving(hands: Hands, frames: Frames, limits: Rates) -> Moving:
+    """What has a finite limit."""
+    rows: list[tuple[str, str, Array, float]] = [
+        (f"the force at s = {one.at_s:g}", "N/s", frames.u[:, 2 * i : 2 * i + 2], limits.force)
+        for i, one in enumerate(hands.pushes)
+    ]
+    if hands.grip is not None:
+        poses = end_pose(hands.problem, frames.q)
+        rows.append(("the gripper's place", "m/s", poses[:, :2], limits.speed))
+        rows.append(("the gripper's angle", "rad/s", poses[:, 2:], limits.turning))
+    rows = [row for row in rows if np.isfinite(row[3])]
+    names, units, values, most = (tuple(row[i] for row in rows) for i in range(4))
+    return Moving(names, units, values, most)  # type: ignore[arg-type]
+
+
+def _warnings(
+    miss: Array,
+    goal_time: Array,
+    margin: Array,
+    knots: Array,
+    hands: Hands,
+    frames: Frames,
+    settings: PathSettings,
+    length: float,
+) -> tuple[str, ...]:
+    out = []
+    if np.max(miss) > 1e-6 * length:
+        worst = goal_time[np.argmax(miss)]
+        out.append(f"the goals cannot all be met: at worst {1e3 * np.max(miss):.3g} mm are missing, at {worst:.4g} s")
+    if np.min(margin) < settings.shape.warn_margin:
+        out.append(
+            f"close to buckling at {knots[np.argmin(margin)]:.4g} s: the tangent's smallest eigenvalue is "
+            f"{np.min(margin):.3f} of that without loads"
+        )
+    for one in hands.bounds:
+        size = np.linalg.norm(frames.u[:, one.columns], axis=1)
+        if np.max(size) > (1.0 - 1e-6) * one.most:
+            out.append(f"{one.name} is at its limit from {goal_time[np.argmax(size > (1.0 - 1e-6) * one.most)]:.4g} s")
+    return tuple(out)

@@ -1,0 +1,113 @@
+"""Equilibria one after another: while a load grows in proportion, or while a goal moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.newton import TOLERANCE, solve_goal
+from onebend.records import Array
+
+_STRIDE, _TRUST, _SURPRISE, _LEAST = 0.7, 0.25, 0.5, 1e-3  # as `continuation.Search`
+_LEAD, _SHORTEST_LEAD = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
+_SHORTEST = 1e-6  # share of the load: a shorter step has met the end of the branch
+_SAME = 1e-6  # rad: shapes nearer than this are one
+
+
+@dataclass(frozen=True)
+class Trail:
+    """Equilibria under a load that grows in proportion, each reached from the one before."""
+
+    states: tuple[State, ...]  # the first at rest
+    share: tuple[float, ...]  # of the load
+    arrived: bool  # at the full load, stable all the way
+
+
+def trace(
+    on: PushedBeam, load: Array, *, start: State | None = None, widest: float = 1.0, shortest: float = _SHORTEST
+) -> Trail:
+    """Shapes while the load grows from that of `start` (default: rest) straight to `load` (3,), stable all the way.
+
+    `widest`, `shortest`: the largest step, and the step that counts as none, as shares of the way.
+
+    As in `beam/statics/continuation.py`, a step counts only where the corrector moved the shape little and it is
+    stable.
+    """
+    at = start or on.start
+    begin, way = at.load, load - at.load
+    states, shares = [at], [0.0]
+    share, step = 0.0, 1.0
+    q = at.q
+    _, tangent, cos, sin = on.balance(q, begin)
+    while share < 1.0:
+        _, slope, info = dposv(tangent, on.of_load(cos, sin) @ way, lower=1)
+        if info != 0:
+            return Trail(tuple(states), tuple(shares), False)
+        turn = float(np.max(np.abs(on.b @ slope)))
+        step = min(step, 1.0 - share, widest, _STRIDE / max(turn, 1e-300))
+        found = None
+        while found is None:
+            if step < shortest:
+                return Trail(tuple(states), tuple(shares), False)
+            now = 1.0 if share + step > 1.0 - 1e-12 else share + step
+            trust = min(_TRUST, _LEAST + _SURPRISE * step * turn)
+            found = _correct(on, q + step * slope, begin + now * way, trust)
+            step = step * (2.0 if found is not None else 0.25)
+        q, tangent, cos, sin = found
+        share = now
+        states.append(State(q, begin + share * way))
+        shares.append(share)
+    return Trail(tuple(states), tuple(shares), True)
+
+
+def lead(on: PushedBeam, start: State, goal: Array, loads: int = 2) -> Trail:
+    """Equilibria while the goal moves straight from where `start` has the point to `goal`, stable all the way.
+
+    The loads follow the goal; `share` is of the way. It ends early where no force leads on (the edge of what can be
+    reached, or of stability).
+    """
+    begin = on.pose(start.q)[: len(goal)]
+    states, shares, step = [start], [0.0], 1.0
+    while shares[-1] < 1.0 and step > _SHORTEST_LEAD:
+        now = min(1.0, shares[-1] + step)
+        found = solve_goal(on, states[-1], begin + now * (goal - begin), loads, most=8, trust=_LEAD)
+        if found.converged and on.stable(found.state):
+            states.append(found.state)
+            shares.append(now)
+            step *= 2.0
+        else:
+            step *= 0.25
+    return Trail(tuple(states), tuple(shares), shares[-1] == 1.0)
+
+
+def _correct(on: PushedBeam, q: Array, load: Array, trust: float) -> tuple[Array, Array, Array, Array] | None:
+    """Newton at a fixed load, proved stable by Cholesky's factor at every iteration."""
+    moved: Array | float = 0.0
+    for _ in range(8):
+        unbalanced, tangent, cos, sin = on.balance(q, load)
+        _, update, info = dposv(tangent, unbalanced, lower=1)
+        if info != 0:
+            return None
+        q = q - update
+        turn = on.b @ update
+        moved = moved + turn
+        if not float(np.max(np.abs(moved))) < trust:
+            return None
+        if float(np.max(np.abs(turn))) < TOLERANCE:
+            return q, tangent, cos, sin
+    return None
+
+
+def densified(on: PushedBeam, states: tuple[State, ...], steps: int) -> tuple[State, ...]:
+    """A way of equilibria with at least `steps` steps: more of them between those that are known, where loads allow."""
+    between = -(-steps // max(len(states) - 1, 1))
+    out = [states[0]]
+    for begin, end in pairwise(states):
+        finer = trace(on, end.load, start=begin, widest=1.0 / between)
+        same = finer.arrived and float(np.max(np.abs(on.b @ (finer.states[-1].q - end.q)))) < _SAME
+        out += [*(finer.states[1:-1] if same else ()), end]
+    return tuple(out)

@@ -1,0 +1,127 @@
+"""One goal after another, for control loops: the force for each found from the one before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.model import Beam
+from onebend.beam.statics.problem import Resolution
+from onebend.control.reach.continuation import lead
+from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.newton import Landing, solve_goal
+from onebend.control.reach.search import from_rest, sampled, search, solutions
+from onebend.control.reach.settings import ReachSettings, broken_bound, checked_goal
+from onebend.control.reach.starts import starts_of
+from onebend.errors import ControlError
+from onebend.records import Array
+
+_TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """The load that holds a point on its goal."""
+
+    force: Array  # (2,) N
+    moment: float  # N m
+    route: Literal["warm", "led", "rest"]  # Newton from the last load, small steps of the goal, or a search from rest
+    iterations: int  # of Newton's method; 0 where the search did not count them
+
+
+class WarmReach:
+    """A beam whose point is led from goal to goal by the load at one place; it remembers where it stands.
+
+    It stays on the branch of stable equilibria on which it stands; a goal to which that does not lead is searched for
+    from rest, which a real beam may not follow without a jump (`route` says so). Not for two threads at once.
+    """
+
+    def __init__(
+        self,
+        beam: Beam,
+        *,
+        push_s: float = 1.0,
+        point_s: float = 1.0,
+        settings: ReachSettings = ReachSettings(),
+        resolution: Resolution = Resolution(),
+    ) -> None:
+        """The beam at rest.
+
+        Raises:
+            ControlError: a place without meaning, or settings that only `reach` knows (paper, one direction).
+        """
+        if settings.method != "newton" or settings.direction is not None:
+            raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
+        self._settings = settings
+        self._on = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
+        self._starts = starts_of(self._on)
+        self._at: State | None = None
+        self._last: Landing | None = None
+
+    @property
+    def jacobian(self) -> Array:
+        """(2, 2) or (2, 3) m/N: how the point goes with the load, where the last `solve` ended. Equation (25)."""
+        if self._at is None:
+            raise ControlError("no goal has been reached yet: there is nothing to take derivatives of")
+        return self._on.response(self._at)[:2, : self._settings.loads]
+
+    @property
+    def point(self) -> Array:
+        """(3,) m, m, rad: where the point stands, and the tangent's angle there."""
+        return self._on.pose((self._at or self._on.start).q)
+
+    def reset(self) -> None:
+        """Back to rest."""
+        self._at = self._last = None
+
+    def solve(self, goal: ArrayLike) -> Hold:
+        """The load for `goal` (2,) m, or (3,) with an angle [rad].
+
+        Raises:
+            ControlError: a goal without meaning, or one that cannot be reached (the beam stays where it is).
+        """
+        wanted = checked_goal(goal, self._settings)
+        if self._at is not None:
+            found = solve_goal(self._on, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_TRUST)
+            if found.converged and found.positive:
+                return self._take(found.state, "warm", found.iterations, found)
+            led = lead(self._on, self._at, wanted, self._settings.loads)
+            if led.arrived:
+                return self._take(led.states[-1], "led", 0, None)
+        for state, iterations in solutions(self._on, self._starts, wanted, self._settings.loads):
+            if from_rest(self._on, state) is not None:
+                return self._take(state, "rest", iterations, None)
+        settled = search(self._on, wanted, self._settings, None, partial(sampled, self._on, self._settings))
+        if settled is None:
+            raise ControlError(
+                f"the point s = {self._on.point_s:.4g} cannot be put on {np.round(1e3 * wanted[:2], 3).tolist()} mm: "
+                "no stable shape there to which the beam comes from rest. `reach` names the nearest point"
+            )
+        return self._take(settled.states[-1], "rest", settled.iterations, None)
+
+    def _predicted(self, goal: Array) -> State:
+        """The state one step ahead, by the derivatives at hand: they cost nothing more."""
+        assert self._at is not None
+        at, last = self._at, self._last
+        if last is None or last.curved is None or last.seen is None or last.seen.shape[0] != last.seen.shape[1]:
+            return at
+        if len(goal) != last.seen.shape[0]:
+            return at
+        change = np.linalg.solve(last.seen, goal - self._on.pose(at.q)[: len(goal)])
+        curve = last.curved @ change
+        if not np.max(np.abs(self._on.b @ curve)) < 0.5 * _TRUST:
+            return at
+        load = at.load.copy()
+        load[: len(change)] += change
+        return State(at.q + curve, load)
+
+    def _take(self, state: State, route: Literal["warm", "led", "rest"], count: int, last: Landing | None) -> Hold:
+        wrong = broken_bound(self._on, state, self._settings)
+        if wrong:
+            raise ControlError(f"the goal is out of bounds: {wrong}. Give another goal, or wider bounds")
+        self._at, self._last = state, last
+        return Hold(state.load[:2].copy(), float(state.load[2]), route, count)

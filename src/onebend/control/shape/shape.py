@@ -1,0 +1,212 @@
+"""Forces, or a gripper's pose, that bring a beam as close as it can be to a wanted shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.problem import Resolution, Rod
+from onebend.control.goals.targets import Targets, check_metres, misses
+from onebend.control.shape.descent import Descent, Found, descend
+from onebend.control.shape.grip import Grip, Hands, Push, Stand, refined, rest
+from onebend.control.shape.spread import Spread, spread
+from onebend.control.shape.steps import model_of
+from onebend.records import Array
+
+_FINEST = 1.0 / 16.0  # widest panel at the end of refinement
+_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
+_TIGHT = 1e-6  # share of a bound within which it is active
+_OPEN = 1e-9  # share of the largest curvature of the cost below which a freedom is open
+_LIKE_AT_REST = 1.5  # size of the further starts' controls, in units of mean k over L
+
+
+@dataclass(frozen=True)
+class ShapeSettings:
+    """How a shape is sought."""
+
+    arm: float | None = None  # m: an error of one radian counts as one of so many metres; None: the beam's length
+    starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
+    seed: int = 0  # of those shapes
+    warn_margin: float = 0.1  # of stability, below which is warned
+    descent: Descent = field(default_factory=Descent)
+    # To begin with; it is refined at the end.
+    resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """A shape as close to the targets as was found, and what holds the beam in it."""
+
+    targets: Targets
+    stand: Stand
+    xy_error: Array  # (N, 2) m: where the shape is less where it is wanted; NaN where of no concern
+    angle_error: Array  # (N,) rad
+    rms: float  # m: root of the weighted mean square, angles times the arm: as close as physics and the limits allow
+    spread: Spread | None  # what the band on k(s) makes of the shape; None where no band was given
+    limits: tuple[str, ...]  # the limits that hold the shape back
+    open_freedoms: int  # directions in which the controls may change without a change of the sum of squares
+    converged: bool  # no stable shape nearby is closer
+    starts: int  # searches made
+    warnings: tuple[str, ...]
+
+    @property
+    def forces(self) -> Array:
+        """(a, 2) N: the pushes' forces on the beam."""
+        return np.asarray(self.stand.u[: 2 * len(self.stand.hands.pushes)].reshape(-1, 2))
+
+    @property
+    def wrench(self) -> Array | None:
+        """(3,) N, N, N m: what the gripper puts on the beam; None without one."""
+        return None if self.stand.hands.grip is None else self.stand.u[-3:]
+
+    @property
+    def pose(self) -> Array:
+        """(3,) m, m, rad: the end s = 1; with a grip, where the gripper is to be."""
+        return self.stand.end
+
+    @property
+    def margin(self) -> float:
+        """Smallest eigenvalue of the tangent over that without loads: 1 far from buckling, 0 where it buckles."""
+        return self.stand.margin
+
+    @property
+    def load_left(self) -> float:
+        """By what factor all loads could grow, the shape as it is, before the beam buckles; infinite if by any."""
+        return float(1.0 / (1.0 - self.margin)) if self.margin < 1.0 else np.inf
+
+    def xy(self, s: ArrayLike) -> Array:
+        """(S, 2) m, positions at `s`."""
+        return np.asarray(self.stand.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))[0])
+
+    def angle(self, s: ArrayLike) -> Array:
+        """(S,) rad, the tangent's angle at `s`."""
+        return np.asarray(self.stand.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
+
+
+def shape(
+    beam: Rod,
+    targets: Targets,
+    *,
+    pushes: Sequence[Push] = (),
+    grip: Grip | None = None,
+    gravity: ArrayLike | None = None,
+    uncertain: UncertainStiffness | None = None,
+    start: Stand | None = None,
+    settings: ShapeSettings = ShapeSettings(),
+) -> Shaped:
+    """The stable shape under these hands that is closest to the targets, weighted least squares.
+
+    The search goes over stable equilibria alone, from rest or from `start` (`Shaped.stand` of a shape before, under the
+    same hands); where it does not meet the targets, also from other bent shapes, and the best is taken. It is a local
+    optimum with an exact second derivative; that no other is better is not proved.
+
+    Args:
+        beam: length, stiffness, rest curvature, clamp's angle, mass.
+        targets: what is wanted, see `targets`.
+        pushes: hands that push at a place each.
+        grip: a hand that holds the end.
+        gravity: (2,) m/s^2 in the beam's frame.
+        uncertain: k(s) with its band, for the errors to expect.
+
+    Raises:
+        ControlError: no hand, bad targets, or a beam that buckles under its own weight.
+        MechanicsError: k(s) not positive.
+    """
+    arm = float(beam.length) if settings.arm is None else settings.arm
+    check_metres(targets.xy, float(beam.length))
+    resting = rest(beam, tuple(pushes), grip, gravity, settings.resolution)
+    begin = resting if start is None else start
+    found = descend(begin, targets, arm, settings.descent)
+    tried = 1
+    enough = _MET**2 * float(np.sum(targets.weight))
+    for other in _bent(resting, settings) if start is None else ():
+        if found.converged and found.cost < enough:
+            break
+        again, tried = descend(other, targets, arm, settings.descent), tried + 1
+        found = again if again.cost < found.cost * (1.0 - 1e-6) else found
+    found = _resolved(found, beam, gravity, targets, arm, settings)
+    return _result(found, targets, arm, tried, uncertain, settings)
+
+
+def _bent(resting: Stand, settings: ShapeSettings) -> list[Stand]:
+    """Stable shapes under controls drawn at random, within the bounds."""
+    hands, rng, out = resting.hands, np.random.default_rng(settings.seed), []
+    for _ in range(settings.starts):
+        u = _LIKE_AT_REST * hands.scale * rng.standard_normal(hands.count)
+        for one in hands.bounds:
+            u[one.columns] *= min(1.0, 0.9 * one.most / float(np.linalg.norm(u[one.columns])))
+        solved = follow(hands.loaded(u[None]))
+        if solved.stable[0]:
+            out.append(Stand(hands, solved.q[0], u))
+    return out
+
+
+def _resolved(
+    found: Found, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
+) -> Found:
+    """The same on a grid that carries the curvature, as far as `_FINEST` goes."""
+    resolution = settings.resolution
+    while not found.stand.solved.resolved[0] and resolution.widest > _FINEST:
+        resolution = resolution.finer()
+        start = refined(found.stand, beam, gravity, resolution)
+        if start is None:
+            break
+        found = descend(start, targets, arm, settings.descent)
+    return found
+
+
+def _result(
+    found: Found,
+    targets: Targets,
+    arm: float,
+    tried: int,
+    uncertain: UncertainStiffness | None,
+    settings: ShapeSettings,
+) -> Shaped:
+    stand = found.stand
+    seen = misses(stand.solved, targets, arm)
+    values = np.abs(np.linalg.eigvalsh(model_of(stand, seen).hessian))
+    limits = tuple(
+        one.name
+        for one, price in zip(stand.hands.bounds, found.multipliers, strict=True)
+        if price > 0.0 and np.linalg.norm(stand.u[one.columns]) > (1.0 - _TIGHT) * one.most
+    )
+    open_freedoms = int(np.sum(values < _OPEN * np.max(values))) if not limits else 0
+    return Shaped(
+        targets=targets,
+        stand=stand,
+        xy_error=stand.solved.xy(targets.s)[0] - targets.xy,
+        angle_error=stand.solved.angle(targets.s)[0] - targets.angle,
+        rms=float(stand.hands.problem.length) * float(np.sqrt(found.cost / np.sum(targets.weight))),
+        spread=None if uncertain is None else spread(stand, targets.s, uncertain),
+        limits=(*limits, *(("stability",) if found.near_buckling else ())),
+        open_freedoms=open_freedoms,
+        converged=found.converged,
+        starts=tried,
+        warnings=_warnings(found, stand.hands, open_freedoms, settings),
+    )
+
+
+def _warnings(found: Found, hands: Hands, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
+    out, margin = [], found.stand.margin
+    if found.near_buckling:
+        out.append("nearer to the targets the beam loses its stability; this is as close as it stands")
+    elif not found.converged:
+        out.append("the search ended before its optimum; what was found is stable, but may not be the closest")
+    if margin < settings.warn_margin:
+        left = 1.0 / (1.0 - margin)
+        out.append(
+            f"close to buckling: the tangent's smallest eigenvalue is {margin:.3f} of that without loads; "
+            f"{left:.3f} times these loads would buckle the beam"
+        )
+    if open_freedoms:
+        out.append(
+            f"the targets leave {open_freedoms} of {hands.count} freedoms of the forces and the gripper open: others "
+            "do as well; give more targets, or leave out a force or the gripper"
+        )
+    return tuple(out)

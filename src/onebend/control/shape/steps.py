@@ -1,0 +1,105 @@
+"""One step of the search: Newton's on the surface of equilibria, within the bounds on forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.statics.equilibrium import pulls
+from onebend.control.goals.targets import Misses
+from onebend.control.shape.grip import Bound, Hands, Stand
+from onebend.records import Array
+
+_DUAL = 60  # iterations for the multipliers
+_WITHIN = 1e-12  # share of a bound to which it is kept
+_FLATTEST = 1e-11  # share of the largest curvature of the cost below which it counts as flat
+
+
+@dataclass(frozen=True)
+class Model:
+    """The cost near an equilibrium, in coordinates z of its tangent plane: `slope . z + z H z / 2`."""
+
+    slope: Array  # (m,)
+    hessian: Array  # (m, m), exact: with the curvature of the surface itself
+
+
+def model_of(stand: Stand, missed: Misses) -> Model:
+    """The cost half the sum of squares, to second order along the surface.
+
+    With the multipliers l of equilibrium, `T l = -r_q^T r` (and with a grip `A l = 0`, both as nearly as can be), the
+    Hessian of `|r|^2 / 2 + l . g` is taken on the tangent plane.
+    """
+    dq, du = stand.plane
+    b, solved = stand.hands.problem.to_nodes, stand.solved
+    turned = b @ multipliers(stand, missed)
+    _, across = pulls(solved.problem, solved.q)
+    flow, seen = b @ dq, missed.rows[0] @ dq  # (Q, m) turn of the nodes
+    bent = flow.T @ ((missed.bent[0] + across[0] * turned)[:, None] * flow)
+    coupled = du.T @ mixed(stand.hands, solved.alpha, turned[None])[0] @ flow
+    return Model(seen.T @ missed.value[0], seen.T @ seen + bent + coupled + coupled.T)
+
+
+def multipliers(stand: Stand, missed: Misses) -> Array:
+    """(Q,) l of `model_of`, 1/(N m)."""
+    rows, right = stand.tangent, -(missed.value[0] @ missed.rows[0]) * stand.unbend
+    if stand.hands.grip is not None:
+        unit = stand.hands.scale / np.sqrt(stand.hands.mean_stiffness)
+        rows = np.concatenate([rows, -stand.actions * unit[:, None]])
+        right = np.append(right, np.zeros(stand.hands.count))
+    return np.asarray(stand.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])
+
+
+def mixed(hands: Hands, alpha: Array, turned: Array) -> Array:
+    """(T, m, Q) derivative of `-u . A l` with the controls and the nodes' angles; `turned` (T, Q) is B l."""
+    problem, forces = hands.problem, hands.count - (0 if hands.grip is None else 1)
+    out = problem.length * problem.weights * hands.beyond * turned[:, None]
+    out[:, 0:forces:2] *= np.cos(alpha)[:, None]
+    out[:, 1:forces:2] *= np.sin(alpha)[:, None]
+    out[:, forces:] = 0.0
+    return np.asarray(out)
+
+
+def convex(hessian: Array, damping: float) -> Array:
+    """The Hessian with its negative curvatures turned positive, and `damping` added: steps lead away from saddles."""
+    values, vectors = np.linalg.eigh(hessian)
+    size = np.maximum(np.abs(values), _FLATTEST * np.max(np.abs(values)) + 1e-300) + damping
+    return np.asarray((vectors * size) @ vectors.T)
+
+
+def bounded_step(slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[Bound, ...]) -> tuple[Array, Array]:
+    """(m,) minimum of `slope . z + z H z / 2` with every bounded part of `u + du z` within its bound; (n,) multipliers.
+
+    Newton's method on the multipliers of the bounds that bind, in the form in which it hardly overshoots: the
+    reciprocal size of a bounded part is nearly linear in its multiplier.
+    """
+    prices = np.zeros(len(bounds))
+    parts = [(u[one.columns], du[one.columns], one.most) for one in bounds]
+    for _ in range(_DUAL):
+        h, g = hessian.copy(), slope.copy()
+        for value, (at, along, _) in zip(prices, parts, strict=True):
+            h += value * along.T @ along
+            g += value * along.T @ at
+        z = np.asarray(-np.linalg.solve(h, g), dtype=float)
+        ends = [at + along @ z for at, along, _ in parts]
+        sizes = np.maximum([float(np.linalg.norm(y)) for y in ends], 1e-300)
+        room = np.array([one.most for one in bounds]) / sizes - 1.0
+        binding = (room < 0.0) | (prices > 0.0)
+        if np.all(np.abs(room[binding]) < _WITHIN):
+            break
+        pulls_back = np.array([along.T @ y for y, (_, along, _) in zip(ends, parts, strict=True)])[binding]
+        steep = ((1.0 + room) / sizes**2)[binding]
+        jacobian = steep[:, None] * (pulls_back @ np.linalg.solve(h, pulls_back.T))
+        change = np.linalg.lstsq(jacobian, -room[binding], rcond=1e-14)[0]
+        prices[binding] = np.maximum(prices[binding] + change, 0.0)
+    return np.asarray(z * _share(z, parts)), prices
+
+
+def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
+    """The share of a step that stays within all bounds to rounding, where the multipliers did not settle."""
+    share = 1.0
+    for _ in range(60):
+        if all(np.linalg.norm(at + share * along @ z) <= (1.0 + 2.0 * _WITHIN) * most for at, along, most in parts):
+            break
+        share *= 0.9
+    return share

@@ -1,0 +1,1 @@
+"""What is made for the bench: moulds, clamps, and printed sheets of tags."""

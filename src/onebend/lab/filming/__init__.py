@@ -1,0 +1,1 @@
+"""The virtual film: scene, camera, rendering, and the recording folder with its truth."""

@@ -1,0 +1,174 @@
+"""Frames of the scene: what moves is drawn over the table for moments of the exposure, and their mean is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from onebend.lab.filming.raster import Box, Image, box_around, coverage
+from onebend.lab.filming.scene import Colour, Picture, Scene, backdrop, blend, lamp, light_at, yuv
+from onebend.recording.camera.lens import project
+from onebend.records import Array, View
+
+Bytes = NDArray[np.uint8]
+BLURRED = 4  # px: how far beyond what moves the lens blurs
+BLACK, RANGE = 16.0, 219.0  # luma of a video
+GREY, COLOUR_RANGE = 128.0, 224.0  # of its colour differences
+COLOUR_NOISE = 0.5  # of the brightness's
+GRAIN = 96  # px: the field of noise is so much larger than a picture
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Polygons of one colour, neighbours on the table: their boxes together are hardly larger than they are."""
+
+    loops: Array  # (..., corners, 2) m
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """What polygons (..., corners, 2) [m] keep from the light."""
+
+    loops: Array
+    density: float = 0.35
+    soft: float = 5.0  # px, sd of its edge
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is drawn of one moment, the nearest to the camera last."""
+
+    shadows: list[Shadow]
+    layers: list[Layer]
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """A frame as a video holds it: luma (H, W) and the two chroma planes at half the size."""
+
+    y: Bytes
+    u: Bytes
+    v: Bytes
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What does not change over a film."""
+
+    scene: Scene
+    view: View
+    table: Picture
+    light: Image  # (H, W)
+    half_light: Image
+    scope: Box  # holds whatever moves
+    grain: Image  # (H + GRAIN, W + GRAIN) of unit sd
+
+
+def stage(scene: Scene, view: View, size: tuple[int, int], still: Moment, moving: Array, seed: int) -> Stage:
+    """The table with what stands `still`, seen in `size` (width, height); all that moves is within `moving` (N, 2) m.
+
+    Two stages of one seed look alike.
+    """
+    width, height = size
+    table = backdrop(scene, view, (height, width), np.random.default_rng([seed, 10]))
+    full = Box(0, 0, width, height)
+    darken(table, still.shadows, view, full)
+    draw(table, still.layers, view, full)
+    light = lamp(scene, (height, width))
+    scope = box_around(project(view, moving), width, height, margin=4.0 * BLURRED)
+    rng = np.random.default_rng([seed, 11])
+    grain = rng.standard_normal((height + GRAIN, width + GRAIN), dtype=np.float32)
+    return Stage(scene, view, table, light, light[::2, ::2], scope, grain)
+
+
+def draw(picture: Picture, layers: list[Layer], view: View, scope: Box) -> None:
+    """Draw layers over `picture`, which shows the box `scope` of the whole, in place."""
+    for layer in layers:
+        px = project(view, layer.loops)
+        box = clipped(box_around(px, scope.right, scope.bottom), scope)
+        if 0 not in box.shape:
+            blend(picture, coverage(px, box), yuv(layer.colour), box.within(scope), box.halved.within(scope.halved))
+
+
+def darken(picture: Picture, shadows: list[Shadow], view: View, scope: Box) -> None:
+    """Lay shadows over `picture` in place. They are soft: half the resolution is enough."""
+    for shadow in shadows:
+        px = project(view, shadow.loops)
+        box = clipped(box_around(px, scope.right, scope.bottom, margin=3.0 * shadow.soft), scope)
+        if 0 in box.shape:
+            continue
+        cover = gaussian_filter(coverage(0.5 * px - 0.25, box.halved), 0.5 * shadow.soft, truncate=2.5)
+        left = np.float32(1.0) - np.float32(shadow.density) * cover
+        full, half = box.within(scope), box.halved.within(scope.halved)
+        picture.y[full] *= np.repeat(np.repeat(left, 2, axis=0), 2, axis=1)
+        picture.u[half] *= left
+        picture.v[half] *= left
+
+
+def clipped(box: Box, scope: Box) -> Box:
+    """The part of a box that is inside another; without area where none is."""
+    left, top = max(box.left, scope.left), max(box.top, scope.top)
+    return Box(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
+
+
+def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.Generator) -> Exposed:
+    """The frame around `time` [s] as 8 bit planes: the mean over `moments` of its exposure, light, blur and noise.
+
+    Shadows are those of the middle moment.
+    """
+    scope = staged.scope
+    full, half = scope.slices, scope.halved.slices
+    seen = Picture(staged.table.y.copy(), staged.table.u.copy(), staged.table.v.copy())
+    under = Picture(seen.y[full], seen.u[half], seen.v[half])
+    darken(under, moments[len(moments) // 2].shadows, staged.view, scope)
+    mean = Picture(np.zeros_like(under.y), np.zeros_like(under.u), np.zeros_like(under.v))
+    for moment in moments:
+        now = Picture(under.y.copy(), under.u.copy(), under.v.copy())
+        draw(now, moment.layers, staged.view, scope)
+        mean.y[:] += now.y
+        mean.u[:] += now.u
+        mean.v[:] += now.v
+    share = np.float32(1.0 / len(moments))
+    rows, columns = (slice(BLURRED, side - BLURRED) for side in scope.shape)
+    under.y[rows, columns] = gaussian_filter(mean.y * share, staged.scene.blur, truncate=3.5)[rows, columns]
+    under.u[:], under.v[:] = mean.u * share, mean.v * share
+    return exposed(staged, seen, np.float32(light_at(staged.scene, time)), rng)
+
+
+def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.Generator) -> Exposed:
+    """Light, noise and rounding: planes of 8 bit; `seen` is used up. The noise is a part of one large field."""
+    scene = staged.scene
+    size = np.float32(scene.noise / 255.0)
+    out = []
+    for plane, light, low, span, share in (
+        (seen.y, staged.light, BLACK, RANGE, 1.0),
+        (seen.u, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
+        (seen.v, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
+    ):
+        level = np.multiply(plane, light, out=plane)  # in place: fresh memory costs more than the sums
+        level *= strength
+        noise = np.multiply(grain_of(staged.grain, level.shape, rng), size * np.float32(share))
+        if share == 1.0:
+            spread = np.abs(level)
+            spread *= np.float32(1.2)
+            spread += np.float32(0.4)
+            noise *= np.sqrt(spread, out=spread)
+        level += noise
+        level *= np.float32(span)
+        level += np.float32(low + 0.5)
+        out.append(np.clip(level, 0.0, 255.0, out=level).astype(np.uint8))
+    return Exposed(out[0], out[1], out[2])
+
+
+def grain_of(field: Image, shape: tuple[int, int], rng: np.random.Generator) -> Image:
+    """A part (rows, columns) of a field of noise from a random place, mirrored at random."""
+    down, across = rng.integers(0, GRAIN, 2).tolist()
+    part = field[down : down + shape[0], across : across + shape[1]]
+    turn = int(rng.integers(0, 4))
+    part = part[::-1] if turn & 1 else part
+    part = part[:, ::-1] if turn & 2 else part
+    return -part if rng.random() < 0.5 else part

@@ -1,0 +1,1 @@
+"""Does the fit's own model hold? Score tests against alternatives."""

@@ -1,0 +1,221 @@
+"""What the tests of the model say, in plain words: what does not fit, by how much, why, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from onebend.learning.criticism.criticism import ALARM_WRITTEN, Criticism, Finding
+from onebend.learning.posterior import Posterior
+from onebend.records import Array, Remark
+
+_SLIP = 1e-3  # m, by which the push may act beside where it is said to
+_OUT = 1.2  # s: a push farther out than that is no place
+_LINEAR = 1.0  # change of log k: what the tests say of it is to first order, and says nothing beyond
+_Words = tuple[str, str]  # what it would be, and what to do
+
+
+def criticism_remarks(posterior: Posterior) -> tuple[Remark, ...]:
+    """A warning where the model does not hold; a note on what stands out but hardly moves k(s)."""
+    critic = posterior.criticism
+    small = [f for f in critic.striking if f not in critic.alarms]
+    odd = [
+        Remark(
+            "note",
+            f"{supposed_words(f, posterior)}: more than chance explains, but too little to count: k(s) would change by "
+            "less than half of its sd",
+        )
+        for f in small
+    ]
+    return tuple(odd) if critic.trusted else (_verdict(posterior), *odd)
+
+
+def _verdict(posterior: Posterior) -> Remark:
+    critic = posterior.criticism
+    parts = ["the band of k(s) is not to be trusted: the recording contradicts the model"]
+    if critic.symptoms:
+        parts.append("What does not fit: " + "; ".join(symptom_words(f, posterior) for f in critic.symptoms))
+    if critic.causes:
+        first, *others = (cause_words(f, posterior) for f in critic.causes)
+        parts.append(f"Likeliest cause: {first[0]}. {first[1]}")
+        if others:
+            parts.append("About as likely: " + "; ".join(what for what, _ in others))
+        parts.append(_effect(critic))
+    else:
+        parts.append("No single cause that is known of explains it. Look at the residuals, and at the film")
+    return Remark("warning", ". ".join(parts))
+
+
+def _effect(critic: Criticism) -> str:
+    best = critic.causes[0]
+    if best.shift > _LINEAR:
+        return "With the likeliest one taken into account k(s) would be another altogether"
+    change = 100.0 * float(np.expm1(best.shift))
+    return (
+        f"With the likeliest one taken into account k(s) would change by up to {change:.2g} %; a band "
+        f"{critic.widening:.2g} times as wide would hold that k(s), and no other mistake"
+    )
+
+
+def symptom_words(finding: Finding, posterior: Posterior) -> str:
+    """Which coordinate of which tag, and how much."""
+    suspect = finding.score.suspect
+    whose = f"{suspect.recording}: " if len(posterior.films) > 1 else ""
+    return f"{whose}tag {suspect.tag} {suspect.name}, {_millimetres(finding.score.size)} RMS that follows the load"
+
+
+def cause_words(finding: Finding, posterior: Posterior) -> _Words:
+    """What it would be, and what to do about it."""
+    suspect, value = finding.score.suspect, finding.score.value
+    whose = f"{suspect.recording}: " if suspect.recording and len(posterior.films) > 1 else ""
+    if suspect.kind == "mechanics":
+        what, do = _MECHANICS[suspect.name](value, posterior)
+    elif suspect.kind == "prior":
+        what, do = _PRIORS[suspect.name](value, suspect.tag)
+    elif suspect.kind == "change":
+        what, do = _CHANGES[suspect.name](finding.score.size, suspect.tag)
+    else:
+        what, do = symptom_words(finding, posterior), "Look at the film"
+    return whose + what, do
+
+
+def unseen_words(posterior: Posterior) -> str:
+    """What a wrong place of the push would do, which hardly shows in the tags; empty where nothing was pushed."""
+    for one in posterior.criticism.findings:
+        value = one.score.value
+        if one.score.suspect.name == "push place" and np.all(np.isfinite(value)) and np.all(value != 0.0):
+            share = _SLIP / posterior.films[0].observations.length / abs(float(value[0]))
+            seen = -ALARM_WRITTEN * float(one.score.sd[0])  # about 3 sd
+            change = 100.0 * float(np.expm1(share * one.shift))
+            said = _millimetres(max(f.observations.place_sd for f in posterior.films))
+            return (
+                f"A push {_millimetres(_SLIP)} from where at_s says it acts would change k(s) by up to {change:.2g} % "
+                f"({share * one.sds:.1f} sd). The band allows for {said} (at_sd_m); more would be noticed only if it "
+                f"were off by more than about {_millimetres(seen * posterior.films[0].observations.length)}"
+            )
+    return ""
+
+
+def supposed_words(finding: Finding, posterior: Posterior) -> str:
+    """What was tested."""
+    if finding.score.suspect.kind == "trend":
+        suspect = finding.score.suspect
+        whose = f"{suspect.recording}: " if len(posterior.films) > 1 else ""
+        return f"{whose}tag {suspect.tag} {suspect.name} follows the load in a way that the model does not"
+    if not np.all(np.isfinite(finding.score.value)):
+        return f"{finding.score.suspect.name}: nothing in the data tells"
+    return cause_words(finding, posterior)[0]
+
+
+def _stretch(value: Array, _: Posterior) -> _Words:
+    do = "Push less far, or more across the beam; a beam that stretches is beyond this model"
+    if value[0] <= 0.0:
+        return "the beam gets shorter where it is pulled", "Check the force's sign, the tags' places and the length"
+    return f"the beam stretches (E A about {_two_digits(1.0 / value[0])} N)", do
+
+
+def _shear(value: Array, _: Posterior) -> _Words:
+    size = f" (G A about {_two_digits(1.0 / value[0])} N)" if value[0] > 0.0 else ""
+    return f"the beam shears{size}", "A beam as thick as that, or as soft across, is beyond this model"
+
+
+def _length(value: Array, posterior: Posterior) -> _Words:
+    said = posterior.films[0].observations.length
+    side = "longer" if value[0] > 0.0 else "shorter"
+    words = f"the beam is about {_millimetres(said * abs(value[0]))} {side} than the {1000 * said:.4g} mm written down"
+    return words, "Measure length_m from the clamp's edge to the tip, the tags' s, and the size of the tags' squares"
+
+
+def _place(value: Array, posterior: Posterior) -> _Words:
+    said = float(np.median(posterior.films[0].push_s))
+    where = f"at about s = {said + value[0]:.3g}, " if 0.0 < said + value[0] < _OUT else ""
+    words = f"the push acts {where}not at {said:.3g}"
+    return words, "Check [push] at_s; if it is not known, state at_sd_m, and the fit finds it within that"
+
+
+def _beside(value: Array, _: Posterior) -> _Words:
+    words = f"the push acts {_millimetres(abs(value[0]))} beside the beam's axis"
+    return words, "Push on the axis, with a tool that does not hold the beam"
+
+
+def _direction(value: Array, _: Posterior) -> _Words:
+    if abs(value[0]) > 1.0:  # rad, beyond what a straight line tells
+        return "the force's direction is wrong", "Check columns and rotation_deg in [force]"
+    words = f"the force's direction is off by {_degrees(value[0])}"
+    return words, f"Check columns in [force], and whether rotation_deg is {np.rad2deg(value[0]):+.2g} from what it says"
+
+
+def _weight(value: Array, _: Posterior) -> _Words:
+    words = f"a weight of about {float(np.linalg.norm(value)):.2g} N bends the beam"
+    return words, "Check [gravity] and mass_kg, and that nothing hangs from the beam"
+
+
+def _viscous(_: Array, __: Posterior) -> _Words:
+    return (
+        "the shape lags behind the force",
+        "Push more slowly; check the clocks; a beam that flows is beyond this model",
+    )
+
+
+def _pliant(_: Array, __: Posterior) -> _Words:
+    return "the clamp gives way under the load", "Hold the beam more firmly, or see --clamp-sd-deg"
+
+
+def _rest(_: Array, __: Posterior) -> _Words:
+    return "the beam is not straight at rest", 'Write rest = "unknown" in [beam]'
+
+
+_MECHANICS: dict[str, Callable[[Array, Posterior], _Words]] = {
+    "stretch": _stretch,
+    "shear": _shear,
+    "length": _length,
+    "push place": _place,
+    "push beside": _beside,
+    "force direction": _direction,
+    "weight": _weight,
+    "viscous": _viscous,
+    "clamp gives": _pliant,
+    "rest shape": _rest,
+}
+_PLACES = "Measure where it sits and correct its s, or state a wider placement_sd_m"
+_PRIORS: dict[str, Callable[[Array, int], _Words]] = {
+    "along": lambda v, tag: (
+        f"tag {tag} sits {_millimetres(abs(v[0]))} along the beam from its written place",
+        _PLACES,
+    ),
+    "across": lambda v, tag: (f"tag {tag} sits {_millimetres(abs(v[0]))} beside its written place", _PLACES),
+    "turn": lambda v, tag: (f"tag {tag} is turned by {_degrees(v[0])}", _PLACES),
+    "clamp": lambda v, _: (f"the clamp is turned by {_degrees(v[0])}", "Check the base tag, or see --clamp-sd-deg"),
+    "origin": lambda v, _: (
+        f"the clamp is {_millimetres(float(np.linalg.norm(v)))} from where the base tag puts it",
+        "Check the base tag's place, length_m and the tags' s",
+    ),
+    "scale": lambda v, _: (
+        f"lengths in the picture are off by {100 * v[0]:.2g} %",
+        "Calibrate the camera; check size_m",
+    ),
+    "clock": lambda v, _: (f"the clocks are off by {1000 * abs(v[0]):.0f} ms", "Check start_s and the frame times"),
+    "mass": lambda _, __: ("the mass, or how it is spread, is not as written", "Check mass_kg and [gravity]"),
+    "curvature": lambda _, __: ("the beam at rest is bent more than expected", "Check the tags' places and the rest"),
+}
+_CHANGES: dict[str, Callable[[float, int], _Words]] = {
+    "creep": lambda size, _: (
+        f"the beam's own shape changed by {_millimetres(size)} on the way (it creeps, or yields)",
+        "Push less far, or faster; let the beam rest between pushes",
+    ),
+    "slip": lambda size, _: (f"the clamp slipped (tags move by {_millimetres(size)})", "Hold the beam more firmly"),
+    "loose": lambda size, tag: (f"tag {tag} moved on the beam by {_millimetres(size)}", "Glue it, and record anew"),
+}
+
+
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):.9g}"  # 550, not 5.5e+02
+
+
+def _millimetres(metres: float) -> str:
+    return f"{_two_digits(1000.0 * metres)} mm"
+
+
+def _degrees(radians: float) -> str:
+    return f"{abs(float(np.rad2deg(radians))):.2g} deg"

@@ -1,0 +1,245 @@
+"""What the experimenter has: tags, camera and force sensor as good as the recordings so far showed them to be."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from onebend.errors import LearningError
+from onebend.learning.inference.linear_gaussian import Scales
+from onebend.learning.model.fit_data import Film
+from onebend.learning.model.force_error import expected_noise, filtered
+from onebend.learning.model.frames import typical
+from onebend.learning.model.parameters import Layout
+from onebend.learning.posterior import Posterior
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+
+SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force at one place and in one direction that grows evenly from nothing."""
+
+    at_s: float
+    direction: float  # rad, of the force ON the beam in the beam's frame: pi / 2 is to the beam's left
+    largest: float  # N
+
+
+@dataclass(frozen=True)
+class ForceDoubt:
+    """One sd of what is wrong with the force of a push, each axis alike; the parts of `records.ForceNoise`."""
+
+    level: float  # N, what a tare may miss altogether
+    coloured: float  # N, before the low-pass
+    tau: float  # s, its correlation time
+    cutoff: float | None  # Hz, of the zero-phase low-pass; None: none
+    walk: float  # N / sqrt(s)
+    frame: float  # N, of each frame on its own
+    load: float = 0.0  # N, what comes with the load; no rest shows it
+
+    def times(self, factor: float) -> ForceDoubt:
+        """Of a sensor whose every error is `factor` times as large."""
+        sizes = {name: factor * float(getattr(self, name)) for name in ("level", "coloured", "walk", "frame", "load")}
+        return replace(self, **sizes)
+
+    def covariance(self, lag: Array) -> Array:
+        """N^2 of the coloured part at `lag` [s], behind the low-pass."""
+        size: Array = np.round(np.abs(lag), 9).astype(np.float64)
+        different, back = np.unique(size, return_inverse=True)
+        behind = filtered(different, np.inf if self.cutoff is None else self.cutoff)
+        return np.asarray(behind.covariance(self.coloured, self.tau)[back].reshape(np.shape(lag)))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All that decides what one more push would tell. m tags, p coefficients of log k, N shared nuisances."""
+
+    length: float  # m
+    tags: tuple[float, ...]  # (m,) places along the beam
+    tag_sd: Array  # (m, 3) m, m, rad: x, y, angle of one frame, widened for the noise's correlation in time
+    frames: int  # of a push
+    seconds: float  # that a push takes
+    rest_before: float  # s of force log without a force, before the push
+    rest_after: float  # s, after it
+    placement_sd: float  # m, a tag's place along and across the beam, before any data
+    turn_sd: float  # rad, a tag's turn on the beam
+    curvature_sd: float  # rad, states of the rest shape; 0 where the beam is straight
+    mass_sd: float  # of the mass; 0 where nothing weighs
+    mass_spread_sd: float  # of the mass: parts of an uneven mass per metre
+    clamp_sd: float  # rad, the clamp's direction, anew in every push
+    origin_sd: float  # m, the clamp's place against the base tag
+    scale_sd: float  # of lengths in the picture; 0 with a calibrated camera
+    clock_sd: float  # s
+    force: ForceDoubt
+    gain_sd: float  # of the force's common scale
+    gravity: tuple[float, float]  # m/s^2 in the beam's frame
+    curvature: float  # rad, the largest |q - q0| so far
+    pushes: tuple[Push, ...]  # made so far
+    shared: tuple[str, ...]  # which of `SHARED` are unknown, in that order
+    shared_slope: Array  # (N, p) of their mean with the coefficients
+    shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known
+    place_sd: float = PLACE_SD  # m, a push's place along the beam, anew in every push
+    direction_sd: float = DIRECTION_SD  # rad, the force log's axes against the beam's, likewise
+
+    def __post_init__(self) -> None:
+        m, count = len(self.tags), self.shared_size
+        shapes = (self.tag_sd.shape, self.shared_covariance.shape, self.shared_slope.shape[:1])
+        if m == 0 or shapes != ((m, 3), (count, count), (count,)):
+            raise LearningError(f"a bench of {m} tags and {count} shared nuisances cannot hold arrays of {shapes}")
+        if not (self.frames > 0 and self.seconds > 0.0 and np.all(self.tag_sd > 0.0) and self.force.tau > 0.0):
+            raise LearningError("a bench needs frames, seconds, the tags' sd and the force's tau above zero")
+
+    @property
+    def shared_size(self) -> int:
+        """N."""
+        return sum({"curvature": 3, "mass": 4}.get(name, len(self.tags)) for name in self.shared)
+
+    def joint(self, covariance: Array) -> Array:
+        """(p + N, p + N) covariance of coefficients and shared nuisances, from that of the coefficients (p, p)."""
+        across = self.shared_slope @ covariance
+        return np.block([[covariance, across.T], [across, across @ self.shared_slope.T + self.shared_covariance]])
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(self).items()}
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> Bench:
+        """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
+        try:
+            entries = {**data, "force": ForceDoubt(**data["force"])}
+            for name in ("tags", "gravity", "shared"):
+                entries[name] = tuple(data[name])
+            for name in ("tag_sd", "shared_slope", "shared_covariance"):
+                entries[name] = np.asarray(data[name], dtype=float)
+            entries["shared_slope"] = entries["shared_slope"].reshape(len(data["shared_slope"]), -1)
+            entries["shared_covariance"] = entries["shared_covariance"].reshape(2 * (len(data["shared_slope"]),))
+            entries["pushes"] = tuple(Push(**{k: float(v) for k, v in one.items()}) for one in data["pushes"])
+            bench = Bench(**entries)
+            _check_finite(bench)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise LearningError(f"describes no bench ({error})") from error
+        return bench
+
+
+def bench_of(posterior: Posterior) -> Bench:
+    """The bench on which the recordings of a fit were made; what differs between them by its median.
+
+    Raises:
+        LearningError: no recording has a force log with a push.
+    """
+    at, films, scales = posterior.at, posterior.films, posterior.optimum.scales
+    seen = [f.observations for f in films]
+    names = tuple(name for name in SHARED if at.index[name, -1].start >= 0)
+    slope, left = _given_coefficients(posterior, names)
+    tag_sd = [n.marker * _tag_sd(f.observations) for f, n in zip(films, scales.films, strict=True)]
+    bent = [np.max(np.abs(p.solved.q - p.solved.problem.q0)) for p in posterior.optimum.predictions]
+    gravity = np.mean([np.mean(o.gravity, axis=0) for o in seen], axis=0)
+    rests = np.median([_rests(o) for o in seen], axis=0)
+    return Bench(
+        length=seen[0].length,
+        tags=tuple(float(s) for s in seen[0].marker_s),
+        tag_sd=typical(np.asarray(tag_sd)),
+        frames=round(float(np.median([np.sum(f.frames) for f in films]))),
+        seconds=float(np.median([np.ptp(f.observations.time[f.frames]) for f in films])),
+        rest_before=float(rests[0]),
+        rest_after=float(rests[1]),
+        placement_sd=_prior_sd(at, films, "along", shared=True),
+        turn_sd=_prior_sd(at, films, "turn", shared=True),
+        curvature_sd=_prior_sd(at, films, "curvature", shared=True),
+        mass_sd=_prior_sd(at, films, "mass", shared=True, part=0),
+        mass_spread_sd=_prior_sd(at, films, "mass", shared=True, part=-1),
+        clamp_sd=_prior_sd(at, films, "clamp"),
+        origin_sd=_prior_sd(at, films, "origin"),
+        scale_sd=_prior_sd(at, films, "scale"),
+        clock_sd=_prior_sd(at, films, "clock"),
+        force=_force_doubt(films, scales),
+        gain_sd=posterior.gain_sd,
+        gravity=(float(gravity[0]), float(gravity[1])),
+        curvature=float(max(bent)),
+        pushes=tuple(push_of(o) for o in seen),
+        shared=names,
+        shared_slope=slope,
+        shared_covariance=left,
+        place_sd=_prior_sd(at, films, "place"),
+        direction_sd=_prior_sd(at, films, "direction"),
+    )
+
+
+def bench_if_pushed(posterior: Posterior) -> Bench | None:
+    """`bench_of`, or None where no recording has a force log with a push."""
+    return bench_of(posterior) if any(len(f.error.knots) for f in posterior.films) else None
+
+
+def push_of(observations: Observations) -> Push:
+    """The push of a recording: its largest force, and the mean direction of what often turns with the beam."""
+    size = np.where(observations.loaded, np.linalg.norm(observations.force, axis=1), np.nan)
+    if not np.any(np.isfinite(size)):
+        return Push(1.0, 0.0, 0.0)
+    top = int(np.nanargmax(size))
+    x, y = np.mean(observations.force[np.isfinite(size)], axis=0)
+    place = float(observations.push_s[top])
+    return Push(place if np.isfinite(place) else 1.0, float(np.arctan2(y, x)), float(size[top]))
+
+
+def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """Slope (N, f) and left covariance (N, N) of the shared nuisances, given the f coefficients of log k's band."""
+    index = posterior.at.index
+    first = np.arange(posterior.at.size)[index["stiffness", -1].where]
+    rest = [np.arange(posterior.at.size)[index[name, -1].where] for name in names]
+    others = np.concatenate([np.zeros(0, dtype=np.int64), *rest])
+    across = posterior.covariance[np.ix_(others, first)] @ posterior.at.spline.on_finer.T
+    slope = across @ np.linalg.pinv(posterior.stiffness.covariance, rcond=1e-11, hermitian=True)
+    left = posterior.covariance[np.ix_(others, others)] - slope @ across.T
+    return slope, np.asarray(0.5 * (left + left.T))
+
+
+def _force_doubt(films: tuple[Film, ...], scales: Scales) -> ForceDoubt:
+    """The expected noise of the force logs, as large as the fit found it."""
+    pushed = [(f, n) for f, n in zip(films, scales.films, strict=True) if len(f.error.knots)]
+    if not pushed:
+        raise LearningError("no recording has a force log with a push, so nothing says how well a force can be known")
+    noises = [expected_noise(f.observations, push_of(f.observations).largest) for f, _ in pushed]
+    logs = [f.observations.clean_force for f, _ in pushed]
+    cutoffs = [log.cutoff for log in logs if log is not None and np.isfinite(log.cutoff)]
+    return ForceDoubt(
+        level=float(np.median([f.error.level for f, _ in pushed])),
+        coloured=scales.coloured * float(np.median([n.coloured for n in noises])),
+        tau=scales.memory * float(np.median([n.tau for n in noises])),
+        cutoff=float(np.median(cutoffs)) if cutoffs else None,
+        walk=scales.walk * float(np.median([n.walk for n in noises])),
+        frame=float(np.median([n.force for _, n in pushed])),
+        load=scales.load * float(np.median([f.error.load for f, _ in pushed])),
+    )
+
+
+def _prior_sd(at: Layout, films: tuple[Film, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
+    """One sd of a kind of nuisance before the data; 0 where it is frozen."""
+    blocks = [at.index[name, number] for number in ([-1] if shared else [f.number for f in films])]
+    return float(np.median([b.prior_sd[part] if b.start >= 0 else 0.0 for b in blocks]))
+
+
+def _tag_sd(observations: Observations) -> Array:
+    """(m, 3) of x, y, angle in a typical frame."""
+    return np.sqrt(typical(np.diagonal(observations.covariance, axis1=2, axis2=3)))
+
+
+def _rests(observations: Observations) -> tuple[float, float]:
+    """Seconds of force log before and after the push."""
+    clean, loaded = observations.clean_force, observations.time[observations.loaded]
+    if clean is None or len(loaded) == 0:
+        return 0.0, 0.0
+    before = 0.0 if observations.loaded[0] else max(float(loaded[0] - clean.time[0]), 0.0)
+    after = 0.0 if observations.loaded[-1] else max(float(clean.time[-1] - loaded[-1]), 0.0)
+    return before, after
+
+
+def _check_finite(bench: Bench) -> None:
+    for record in (bench, bench.force):
+        for item in fields(record):
+            value = getattr(record, item.name)
+            if isinstance(value, float | int | np.ndarray) and not np.all(np.isfinite(value)):
+                raise ValueError(f"{item.name} is not finite")

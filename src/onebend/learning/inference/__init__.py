@@ -1,0 +1,1 @@
+"""How the parameters are inferred: linear algebra, optimizer, hyperparameters, and the prior of k(s)."""

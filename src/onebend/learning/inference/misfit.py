@@ -1,0 +1,67 @@
+"""How far a marker-space fit stays from the tags, and whether that is too far to explain the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.learning.model.fit_data import Film
+from onebend.learning.model.forward import Prediction
+from onebend.learning.model.frames import distances, marker_rms
+from onebend.records import Array
+
+MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
+HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
+_SEEN = 3.0  # times the tags' own noise: less is no miss, however little they move
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A recording that the fit cannot explain."""
+
+    name: str
+    tag: int  # the worst
+    rms: float  # m
+    motion: float  # m, of the tag
+    share: float  # of the motion of all tags together, missed
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether nothing that was fitted means anything."""
+        return self.share > HOPELESS
+
+    @property
+    def words(self) -> str:
+        """What is wrong."""
+        return (
+            f"the fit misses tag {self.tag} by {1000 * self.rms:.3g} mm RMS where it moves by "
+            f"{1000 * self.motion:.3g} mm"
+        )
+
+
+def film_rms(film: Film, fitted: Prediction) -> Array:
+    """(m,) m: distance of the tags from the fit; NaN for a tag that was never seen."""
+    return marker_rms((film.measured - fitted.pose)[..., :2])
+
+
+def misses(films: Sequence[Film], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:
+    """The recordings that the fit cannot explain, its nuisances applied (`fitted`); empty as a rule."""
+    found = [_miss(film, film_rms(film, one)) for film, one in zip(films, fitted, strict=True)]
+    return tuple(one for one in found if one is not None)
+
+
+def _miss(film: Film, rms: Array) -> Miss | None:
+    o, xy = film.observations, film.measured[..., :2]
+    motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
+    if o.static:  # points near the clamp hardly move, and a ruler reads them no better
+        straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+        motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
+    variance = np.trace(o.covariance[..., :2, :2], axis1=2, axis2=3)
+    missing = np.where(rms > _SEEN * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
+    worst = int(np.argmax(missing))
+    if not missing[worst] > MISS:
+        return None
+    share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
+    return Miss(o.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)

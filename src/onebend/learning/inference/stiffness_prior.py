@@ -1,0 +1,221 @@
+"""What data say of log k where the sizes in its prior are not known: their posterior, sampled.
+
+Given the sizes of the smooth part (`tau`), of the steps and bumps (`rho`) and of every single one beside the others,
+log k is normal. The sizes are not: a beam may be even but for one glued joint, and several answers may fit. So they are
+drawn: `tau` and `rho` by Metropolis steps with log k integrated out, the own size of every step and bump given itself
+(Student's t with one degree of freedom: most are small, a few are large; its scale goes with the distance that it
+stands for, so that finer splines add up to the same process). Mean, covariance and quantiles of log k are those of the
+mixture of normals given the sizes, so that few draws are enough. Chains run side by side, and every run is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dpotrs, dtrtrs
+from scipy.special import ndtri
+
+from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
+from onebend.learning.model.spline import Spline
+from onebend.records import Array
+
+TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per unit of s
+SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
+JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
+_TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
+WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
+MIX = 0.3  # share of wide proposals
+_STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is known of log k's coefficients beside their prior: `-2 log p = c' H c - 2 b' c`."""
+
+    information: Array  # (p, p)
+    b: Array  # (p,)
+    weight: float = 1.0  # of this among others, their sum being one
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """log k's coefficients, its scales averaged over."""
+
+    mean: Array  # (p,)
+    covariance: Array  # (p, p)
+    steps: Array  # (p - 1,) means of the steps
+    shape: Array  # (levels, S) how wide its bands are over those of a normal, see `UncertainStiffness`
+
+
+@dataclass(frozen=True)
+class _Chains:
+    """Where B chains stand."""
+
+    logs: Array  # (B, 2) of tau and rho
+    own: Array  # (B, 2 p - 1) variance of every step and bump beside the others
+    variance: Array  # (B, n) of the parts
+    root: Array  # (B, r, r) Cholesky factors of the data's covariance
+    value: Array  # (B,) log density of the sizes, log k integrated out
+
+    @property
+    def stand(self) -> Array:
+        """(B, 2 p + 1) the sizes, from which other chains can go on."""
+        return np.concatenate([self.logs, self.own], axis=1)
+
+
+def part_variances(spline: Spline, logs: Array, own: Array) -> tuple[Array, Array]:
+    """(B, n) of the parts of log k at sizes (B, 2) and (B, 2 p - 1), and how far each step and bump is over JUMP."""
+    out = spline.variances(*np.exp(logs.T))
+    free = (np.exp(logs[:, 1:]) * spline.share) ** 2 * own
+    capped = free / JUMP**2
+    out[:, spline.count :] = free / (1.0 + capped)
+    return out, capped
+
+
+def drawn_sizes(spline: Spline, logs: Array, local: Array, rng: np.random.Generator) -> Array:
+    """(B, 2 p - 1) own variances of steps and bumps, given these (B, 2 p - 1) and tau and rho."""
+    scale = np.exp(logs[:, 1:]) * spline.share
+    return np.asarray((0.5 + 0.5 * (local / scale) ** 2) / rng.standard_exponential(local.shape))
+
+
+class _Target:
+    """The density that the chains draw from."""
+
+    def __init__(self, spline: Spline, told: Sequence[Told], level: float, each: int) -> None:
+        self.spline, self.weights = spline, spline.parts
+        rows, seen = [], []
+        for one in told:
+            e, u = np.linalg.eigh(one.information)
+            root = np.sqrt(np.maximum(e, _TOLD))
+            rows.append(root[:, None] * u.T)
+            seen.append((u.T @ one.b) / root - rows[-1] @ np.full(spline.count, level))
+        kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.information) > _TOLD for t in told], axis=1))), 1)
+        self.seen = np.repeat(np.stack(seen)[:, -kept:], each, axis=0)  # (B, r)
+        self.on_parts = np.repeat(np.stack(rows)[:, -kept:], each, axis=0) @ self.weights  # (B, r, n)
+        line, smooth, local = np.split(self.on_parts, [2, spline.count], axis=-1)
+        self.line = (line * spline.variances(TAU, RHO)[:2]) @ np.swapaxes(line, 1, 2) + np.eye(kept)
+        self.smooth = smooth @ np.swapaxes(smooth, 1, 2)
+        self.on_local = np.ascontiguousarray(local)
+        self.share = np.repeat([t.weight for t in told], each) / each
+        self.local = slice(spline.count, self.weights.shape[1])  # steps and bumps
+
+    def at(self, logs: Array, own: Array) -> _Chains:
+        """The chains with these sizes."""
+        variance, capped = part_variances(self.spline, logs, own)
+        local = (self.on_local * variance[:, None, self.local]) @ np.swapaxes(self.on_local, 1, 2)
+        spread = self.line + np.exp(2.0 * logs[:, :1, None]) * self.smooth + local
+        root = np.asarray(np.linalg.cholesky(spread), dtype=float)
+        white = _each(dtrtrs, root, self.seen)
+        value = -np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1) - 0.5 * np.sum(white**2, axis=1)
+        value -= 0.5 * np.sum(np.log1p(capped), axis=1)
+        value -= 0.5 * np.sum(((logs - np.log([TAU, RHO])) / SPREAD) ** 2, axis=1)
+        return _Chains(logs, own, variance, root, value)
+
+    def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
+        """One step of every chain."""
+        count = len(now.logs)
+        stride = np.where(rng.random((count, 1)) < MIX, 1.5, 0.5) * SPREAD
+        ways = WAYS[rng.integers(0, 3, count)]
+        tried = self.at(now.logs + ways * stride * rng.standard_normal((count, 2)), now.own)
+        taken = np.log(rng.random(count)) < tried.value - now.value
+        logs = np.where(taken[:, None], tried.logs, now.logs)
+        variance = np.where(taken[:, None], tried.variance, now.variance)
+        root = np.where(taken[:, None, None], tried.root, now.root)
+        drawn = self._drawn(variance, root, rng)
+        return self.at(logs, drawn_sizes(self.spline, logs, drawn, rng))
+
+    def _drawn(self, variance: Array, root: Array, rng: np.random.Generator) -> Array:
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
+        misses."""
+        drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
+        missed = self.seen - (self.on_parts @ drawn[..., None])[..., 0] - rng.standard_normal(self.seen.shape)
+        local = np.einsum("brn,br->bn", self.on_local, _each(dpotrs, root, missed))
+        return np.asarray(drawn[:, self.local] + variance[:, self.local] * local)
+
+
+def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
+    """Lower factors (B, r, r) into (B, r) or (B, r, n), by a solver of LAPACK: for sizes like these its call is most of
+    the work."""
+    return np.stack([solver(root, one, lower=1)[0] for root, one in zip(roots, right, strict=True)])
+
+
+@dataclass(frozen=True)
+class Draws:
+    """How many draws: `chains` for each of what is told, `kept` of each after `burn` that are left out."""
+
+    chains: int
+    burn: int
+    kept: int
+
+
+def drawn_parts(
+    spline: Spline, told: Told, level: float, draws: Draws, start: Array | None = None
+) -> tuple[Array, Array]:
+    """(n,) mean variances of the parts of log k, and (B, 2 p + 1) where the chains stand.
+
+    A sharp joint is found late by chains that begin anywhere; they begin where others ended (`start`) if given.
+    """
+    chains = list(_drawn_chains(_Target(spline, [told], level, draws.chains), draws, start))
+    return np.mean([one.variance.mean(axis=0) for one in chains], axis=0), chains[-1].stand
+
+
+def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, start: Array | None = None) -> Mixed:
+    """What is known of log k around `level`; `start` as for `drawn_parts`."""
+    target, p = _Target(spline, told, level, draws.chains), spline.count
+    mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
+    parts = np.zeros(target.weights.shape[1])
+    basis = spline.basis(SHAPE_PLACES)  # (S, p)
+    squares = (basis @ target.weights).T ** 2  # (n, S)
+    for now in _drawn_chains(target, draws, start):
+        of_parts = now.variance * np.einsum("brn,br->bn", target.on_parts, _each(dpotrs, now.root, target.seen))
+        means = of_parts @ target.weights.T
+        away = _each(dtrtrs, now.root, (target.on_parts * now.variance[:, None]) @ target.weights.T)  # (B, r, p)
+        told_away = np.sqrt(target.share)[:, None, None] * away
+        second += (target.weights * (target.share @ now.variance)) @ target.weights.T
+        second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
+        mean += target.share @ means
+        parts += target.share @ of_parts
+        left = now.variance @ squares - np.sum((away @ basis.T) ** 2, axis=1)
+        marginals.append(np.stack([means @ basis.T, np.sqrt(np.maximum(left, 0.0))]))
+    mean, second, parts = mean / draws.kept, second / draws.kept, parts / draws.kept
+    covariance = second - np.outer(mean, mean)
+    means, sds = np.concatenate(marginals, axis=1)
+    shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
+    return Mixed(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape)
+
+
+def _drawn_chains(target: _Target, draws: Draws, start: Array | None) -> Iterator[_Chains]:
+    """The kept draws; every run is the same."""
+    rng, count = np.random.default_rng(0), len(target.share)
+    begin = _anywhere(count, target.spline.count, rng) if start is None else start[np.arange(count) % len(start)]
+    now = target.at(begin[:, :2], begin[:, 2:])
+    for i in range(draws.burn + draws.kept):
+        now = target.moved(now, rng)
+        if i >= draws.burn:
+            yield now
+
+
+def _anywhere(count: int, p: int, rng: np.random.Generator) -> Array:
+    """(B, 2 p + 1) chains before any data."""
+    logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
+    return np.concatenate([logs, np.ones((count, 2 * p - 1))], axis=1)
+
+
+def _shape(means: Array, sds: Array, weight: Array) -> Array:
+    """(levels, S) half the distance between quantiles of mixtures of normals (N, S) of weights (N,), over that between
+    those of one normal of the same sd."""
+    middle = weight @ means
+    sd = np.sqrt(weight @ (sds**2 + (means - middle) ** 2))
+    values = (means.T[:, None] + sds.T[:, None] * ndtri(_STRATA)[:, None]).reshape(means.shape[1], -1)
+    weights = np.tile(weight / len(_STRATA), len(_STRATA))
+    asked = 0.5 + 0.5 * np.stack([-SHAPE_LEVELS, SHAPE_LEVELS])
+    ends = []
+    for one in values:
+        order = np.argsort(one)
+        each = weights[order]
+        ends.append(np.interp(asked, np.cumsum(each) - 0.5 * each, one[order]))
+    low, high = np.stack(ends, axis=-1)
+    return np.asarray((high - low) / (2.0 * ndtri(asked[1])[:, None] * sd))

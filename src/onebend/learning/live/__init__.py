@@ -1,0 +1,1 @@
+"""k(s) while the beam is being pushed: the posterior, renewed with every frame."""

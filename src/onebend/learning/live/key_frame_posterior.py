@@ -1,0 +1,254 @@
+"""The posterior over key frames: parameters x and each key frame's force error e, jointly normal once linearised.
+
+    -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e  +  the past  + logs
+
+C is the force error's covariance over the key frames' times. The unknowns are few (some 35 + 2 a key frame), so all of
+them are solved for at once, from Cholesky factors of matrices that are sums of squares: nothing is carried from frame
+to frame that could lose its definiteness. Log k comes last: what is known of it with all else integrated out is there
+before its prior is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
+
+from onebend.learning.live.force_process import ForceProcess, Spans, covariance, with_one_more
+from onebend.learning.live.key_frames import AT_REST, KeyFrames
+from onebend.learning.live.marginalised import Past
+from onebend.learning.live.stiffness_hyperparameters import OfK
+from onebend.learning.model.parameters import Layout
+from onebend.records import Array
+
+_ROUNDING = 1e-11  # of the information: what rounding may take from what is folded and subtracted
+
+
+@dataclass(frozen=True)
+class LiveScales:
+    """Sizes that the data choose; those of log k's prior are drawn (`stiffness_hyperparameters.py`)."""
+
+    marker: float  # noise of the tags over what their covariances say
+    white: float  # N, force error of every frame
+    coloured: float  # N, Ornstein-Uhlenbeck part
+    memory: float  # s, its correlation time
+    walk: float  # N per root second
+    load: float  # of what was expected to come with the load
+
+
+@dataclass(frozen=True)
+class Start:
+    """What is known of the parameters before the data."""
+
+    at: Layout
+    mean: Array  # (n,)
+    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: by the sizes of its parts
+
+    @cached_property
+    def others(self) -> Array:
+        """(n - p,) precisions of all parameters but log k's coefficients; their means are zero."""
+        return np.asarray(1.0 / np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0][1:]) ** 2)
+
+    def of_k(self, parts: Array) -> OfK:
+        """The prior of log k's coefficients, its parts having these variances (n,)."""
+        precision, spline = self.fixed, self.at.spline
+        if precision is None:
+            precision, _ = _inverse((spline.parts * parts) @ spline.parts.T)
+        return OfK(precision, precision @ self.mean[: spline.count])
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What the key frames say, at unit noise; slot 0 is the past's where there is one."""
+
+    spans: Spans
+    xx: Array  # (n, n)
+    xe: Array  # (n, 2 slots)
+    ee: Array  # (slots, 2, 2)
+    bx: Array  # (n,)
+    be: Array  # (slots, 2)
+    c: float
+    rows: float  # numbers measured
+    rest: Array  # (slots,) 1 where the log shows its error
+    log: Array  # (slots, 2) N, the log there
+    past: Past
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The normal posterior of all e and x: of the e and all parameters but log k's first, then of log k's.
+
+    `factor` and `lower` are Cholesky factors of the information, `across` what is between the two parts:
+    `[[factor, 0], [across', lower]]` is that of all.
+    """
+
+    x: Array  # (n,)
+    e: Array  # (slots, 2) N
+    spans: Spans
+    process: ForceProcess
+    inverse: Array  # (slots, slots) of the force error's covariance
+    factor: Array
+    across: Array
+    lower: Array
+    right: Array  # the right side of the first part, behind its factor
+    told: OfK
+    minus_log: float  # -2 log evidence, but for what depends on the prior of log k
+
+    def spread(self, errors: Array, j: Array) -> Array:
+        """(R, R) covariance of rows (R, 2 slots) times the e and (R, n) times the parameters."""
+        p = len(self.lower)
+        first, _ = dtrtrs(self.factor, np.concatenate([errors.T, j[:, p:].T]), lower=1)
+        last, _ = dtrtrs(self.lower, j[:, :p].T - self.across.T @ first, lower=1)
+        return np.asarray(first.T @ first + last.T @ last)
+
+    def distance(self, errors: Array, x: Array) -> float:
+        """Of e (slots, 2) and x (n,) from zero, in sd of all that is unknown."""
+        p = len(self.lower)
+        first = np.concatenate([errors.ravel(), x[p:]])
+        ahead = self.factor.T @ first + self.across @ x[:p]
+        behind = self.lower.T @ x[:p]
+        return float(np.sqrt(ahead @ ahead + behind @ behind))
+
+    def with_k(self, k: Array, covariance: Array) -> tuple[Array, Array]:
+        """(n,) and (n, n): parameters and their covariance where those of log k's coefficients are these."""
+        p, m = len(k), len(self.x) - len(k)
+        root, across, right = self.factor[-m:, -m:], self.across[-m:], self.right[-m:]
+        follow = -np.asarray(dtrtrs(root, across, lower=1, trans=1)[0])
+        alone, _ = dpotri(root, lower=1)
+        x, out = np.empty(p + m), np.empty((p + m, p + m))
+        x[:p], x[p:] = k, dtrtrs(root, right - across @ k, lower=1, trans=1)[0]
+        out[:p, :p] = covariance
+        out[p:, :p] = follow @ covariance
+        out[:p, p:] = out[p:, :p].T
+        out[p:, p:] = _symmetric(alone) + out[p:, :p] @ follow.T
+        return x, out
+
+    def covariance(self) -> Array:
+        """(n, n) of the parameters."""
+        inverse, _ = dpotri(self.lower, lower=1)
+        return self.with_k(self.x[: len(self.lower)], _symmetric(inverse))[1]
+
+    def settled(self, start: Start, of_k: OfK) -> float:
+        """How many parameters the data have settled."""
+        p, c = len(self.lower), self.covariance()
+        held = float(np.sum(c[:p, :p] * of_k.information)) + float(start.others @ np.diag(c)[p:])
+        return len(self.x) - held
+
+    def error_at(self, time: float, own: float) -> tuple[Array, Array, float]:
+        """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
+        with_others, alone = with_one_more(self.process, self.spans, time, own)
+        rows = self.inverse @ with_others
+        return rows @ self.e, rows, alone - float(rows @ with_others)
+
+
+def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.zeros_like) -> Sums:
+    """Sums over the key frames, robust weights included; `lately`: what the load's last changes add to its own time."""
+    used = keys.used
+    rows, weight = keys.rows[:used], keys.weight[:used]
+    if np.any((weight != 1.0) & (weight != 0.0)):
+        rows = np.repeat(np.sqrt(weight), 3, axis=1)[..., None] * rows
+    flat = rows.reshape(-1, rows.shape[-1])
+    every = flat.T @ flat  # (n + 3, n + 3)
+    each = np.ascontiguousarray(rows[..., -3:-1].swapaxes(1, 2)) @ rows  # (K, 2, n + 3)
+    xe, ee, be = -each[..., :-3], each[..., -3:-1], -each[..., -1]
+    rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))
+    log = keys.force[:used] * rest[:, None]
+    if np.isfinite(past.time):
+        spans = spans.after(past.time, past.own + float(lately(np.array([past.time]))[0]))
+        xe, ee, be, log = (np.concatenate([np.zeros((1, *v.shape[1:])), v]) for v in (xe, ee, be, log))
+        rest = np.concatenate([[0.0], rest])
+    count = 3.0 * float(np.count_nonzero(weight))
+    xe = xe.reshape(-1, xe.shape[-1]).T
+    return Sums(spans, every[:-3, :-3], xe, ee, every[:-3, -1], be, float(every[-1, -1]), count, rest, log, past)
+
+
+def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: ForceProcess) -> Solution:
+    """The posterior under given scales; `of_k`: the prior of log k.
+
+    Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite.
+    """
+    p, slots = start.at.spline.count, len(sums.spans.begin)
+    m, weight, known = len(sums.bx) - p, 1.0 / scales.marker**2, 2 * slots
+    inverse, log_process, certain = np.zeros((0, 0)), 0.0, np.zeros(0)
+    h = np.zeros((known + m, known + m), order="F")  # the lower triangle
+    side = np.empty((known + m, p + 1), order="F")  # behind it the right side
+    h[known:, known:], side[known:, :p], side[known:, p] = (
+        weight * sums.xx[p:, p:],
+        weight * sums.xx[p:, :p],
+        weight * sums.bx[p:],
+    )
+    h.ravel(order="K")[known * (known + m + 1) :: known + m + 1] += start.others
+    information, right = weight * sums.xx[:p, :p], weight * sums.bx[:p]
+    if slots:
+        inverse, log_process = _inverse(covariance(process, sums.spans))
+        certain = sums.rest * sums.spans.frames / (AT_REST * process.white) ** 2
+        h[known:, :known], side[:known, :p] = weight * sums.xe[p:], weight * sums.xe[:p].T
+        _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
+        side[:known, p] = (weight * sums.be + certain[:, None] * sums.log).ravel()
+        _put_past(sums.past, known, (h, side[:, :p], side[:, p]), (information, right))
+    h.ravel(order="K")[:: known + m + 1] *= 1.0 + _ROUNDING
+    factor, info = dpotrf(h, lower=1, overwrite_a=1)
+    if info:
+        raise np.linalg.LinAlgError("the information is not positive definite")
+    both, _ = dtrtrs(factor, side, lower=1, overwrite_b=1)
+    across, ahead = both[:, :p], both[:, p]
+    information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
+    told = OfK(information - across.T @ across, right - across.T @ ahead)
+    lower, info = dpotrf(told.information + of_k.information, lower=1)
+    if info:
+        raise np.linalg.LinAlgError("the information on log k is not positive definite")
+    of_all = told.b + of_k.b
+    k, _ = dpotrs(lower, of_all, lower=1)
+    rest, _ = dtrtrs(factor, ahead - across @ k, lower=1, trans=1)
+    total = weight * sums.c + float(certain @ np.sum(sums.log**2, axis=1)) - float(ahead @ ahead) - float(of_all @ k)
+    logs = 2.0 * float(np.sum(np.log(np.diag(factor)))) + 2.0 * float(np.sum(np.log(np.diag(lower)))) + log_process
+    logs += log_process + 2.0 * sums.rows * np.log(scales.marker) - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
+    x = np.concatenate([k, rest[known:]])
+    e = rest[:known].reshape(-1, 2)
+    return Solution(x, e, sums.spans, process, inverse, factor, across, lower, ahead, told, total + logs)
+
+
+def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: tuple[Array, Array]) -> None:
+    """Add what the folded frames say of the first two e, of log k and of the other parameters."""
+    if not np.isfinite(past.time):
+        return
+    (h, side, b), (information, right), told = first, of_k, past.information
+    p, n = len(right), len(told) - 2
+    said = past.b
+    h[known:, known:] += told[p:n, p:n]
+    h[known:, :2] += told[p:n, n:]
+    h[:2, :2] += told[n:, n:]
+    side[known:] += told[p:n, :p]
+    side[:2] += told[n:, :p]
+    b[known:] += said[p:n]
+    b[:2] += said[n:]
+    information += told[:p, :p]
+    right += said[:p]
+
+
+def _inverse(c: Array) -> tuple[Array, float]:
+    """Of a covariance, and its log determinant."""
+    factor, info = dpotrf(c, lower=1)
+    if info:
+        raise np.linalg.LinAlgError("a prior's covariance is not positive definite")
+    inverse, _ = dpotri(factor, lower=1)
+    return _symmetric(inverse), 2.0 * float(np.sum(np.log(np.diag(factor))))
+
+
+def _symmetric(lower: Array) -> Array:
+    """From the lower triangle, zero above it."""
+    out = lower + lower.T
+    out.ravel()[:: len(out) + 1] *= 0.5
+    return np.asarray(out)
+
+
+def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
+    """Fill the force errors' information: `C^-1` on each axis, and what each key frame says of its own."""
+    out[0::2, 0::2] = out[1::2, 1::2] = inverse
+    at = 2 * np.arange(len(inverse))
+    out[at, at] += ee[:, 0, 0] + certain
+    out[at + 1, at + 1] += ee[:, 1, 1] + certain
+    out[at + 1, at] += ee[:, 1, 0]

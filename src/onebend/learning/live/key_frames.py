@@ -1,0 +1,294 @@
+"""A bounded set of frames that stand for all that was seen: averaged where alike, folded away where old.
+
+A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
+measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
+present estimate leaves of both, put on its prediction under the mean force, is as if measured there. Where none can be
+averaged the oldest is folded away (`marginalised.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.learning.live.force_process import Spans
+from onebend.records import Array, BoolArray, IntArray
+
+_SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
+_SAME_GRAVITY = 0.5  # m/s^2
+_SAME_FORCE = 0.15  # of the largest force
+_SAME_STAGE = 0.5  # of the load's own time
+AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
+_EYE = np.eye(3)
+_REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
+
+
+@dataclass
+class KeyFrames:
+    """K places, `used` of them taken, in order of time. Few arrays: frames are moved and averaged all the time."""
+
+    used: int
+    numbers: Array  # (K, 14): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, `gravity`, `error`
+    flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
+    measured: Array  # (K, m, 3)
+    information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
+    root: Array  # (K, m, 3, 3) R with R' R = information
+    weight: Array  # (K, m) robust
+    left: Array  # (K, m, 3) measured less predicted, where it was linearised
+    linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
+    rows: Array  # (K, 3 m, n + 3): the same, whitened
+    shape: Array  # (K, Q, 3): `q`, `by_force`
+
+    @property
+    def begin(self) -> Array:
+        """(K,) s."""
+        return self.numbers[:, 0]
+
+    @property
+    def end(self) -> Array:
+        """(K,) s."""
+        return self.numbers[:, 1]
+
+    @property
+    def own(self) -> Array:
+        """(K,) the load's own time there, but for its last changes."""
+        return self.numbers[:, 2]
+
+    @property
+    def frames(self) -> Array:
+        """(K,) how many were averaged."""
+        return self.numbers[:, 3]
+
+    @property
+    def push_s(self) -> Array:
+        """(K,)."""
+        return self.numbers[:, 4]
+
+    @property
+    def grid(self) -> Array:
+        """(K,) place of the push whose grid `q` is on; 0: there is none yet."""
+        return self.numbers[:, 5]
+
+    @property
+    def force(self) -> Array:
+        """(K, 2) N, as logged."""
+        return self.numbers[:, 6:8]
+
+    @property
+    def rate(self) -> Array:
+        """(K, 2) N/s."""
+        return self.numbers[:, 8:10]
+
+    @property
+    def gravity(self) -> Array:
+        """(K, 2) m/s^2."""
+        return self.numbers[:, 10:12]
+
+    @property
+    def error(self) -> Array:
+        """(K, 2) N, the force's, at which it was linearised."""
+        return self.numbers[:, 12:]
+
+    @property
+    def rest(self) -> BoolArray:
+        """(K,) nothing pushes."""
+        return self.flags[:, 0]
+
+    @property
+    def stale(self) -> BoolArray:
+        """(K,) linearised at other parameters than the frames that came last, and to follow them."""
+        return self.flags[:, 1]
+
+    @property
+    def lost(self) -> BoolArray:
+        """(K,) has no equilibrium at those parameters: stays as it was linearised before."""
+        return self.flags[:, 2]
+
+    @property
+    def j(self) -> Array:
+        """(K, m, 3, n) derivatives with the parameters."""
+        return self.linear[..., :-3]
+
+    @property
+    def a(self) -> Array:
+        """(K, m, 3, 2) derivatives with the force."""
+        return self.linear[..., -3:-1]
+
+    @property
+    def zeta(self) -> Array:
+        """(K, m, 3)."""
+        return self.linear[..., -1]
+
+    @property
+    def rows_j(self) -> Array:
+        """(K, 3 m, n) whitened."""
+        return self.rows[..., :-3]
+
+    @property
+    def rows_a(self) -> Array:
+        """(K, 3 m, 2) whitened."""
+        return self.rows[..., -3:-1]
+
+    @property
+    def rows_z(self) -> Array:
+        """(K, 3 m) whitened."""
+        return self.rows[..., -1]
+
+    @property
+    def q(self) -> Array:
+        """(K, Q) rad, the shape to start from."""
+        return self.shape[..., 0]
+
+    @property
+    def by_force(self) -> Array:
+        """(K, Q, 2) of it with the logged force."""
+        return self.shape[..., 1:]
+
+    @property
+    def centre(self) -> Array:
+        """(used,) s, in the middle of each frame's stretch of time."""
+        return 0.5 * (self.begin[: self.used] + self.end[: self.used])
+
+    def spans(self, more: Array) -> Spans:
+        """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
+        begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
+        return Spans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
+
+    def arrays(self) -> list[Array | BoolArray]:
+        """All that is kept of every frame."""
+        shapes = [self.left, self.linear, self.rows, self.shape]
+        return [self.numbers, self.flags, self.measured, self.information, self.root, self.weight, *shapes]
+
+    def drop(self, i: int) -> None:
+        """Take frame i out."""
+        for values in self.arrays():
+            values[i : self.used - 1] = values[i + 1 : self.used]
+        self.used -= 1
+
+    def set_linear(self, i: IntArray, x: Array, pose: Array, j: Array, a: Array) -> None:
+        """Linearise B frames at parameters x and their force errors.
+
+        `pose` (B, m, 3) and its derivatives: `j` (B, m, 3, n) with x, `a` (B, m, 3, 2) with the force.
+        """
+        measured, error, linear = self.measured[i], self.error[i], np.empty((len(i), *self.linear.shape[1:]))
+        measured[..., 2] -= 2.0 * np.pi * np.round((measured[..., 2] - pose[..., 2]) / (2.0 * np.pi))
+        left = measured - pose
+        linear[..., :-3] = j
+        linear[..., -3:-1] = a * ~self.rest[i][:, None, None, None]
+        linear[..., -1] = left + j @ x - (linear[..., -3:-1] @ error[:, None, :, None])[..., 0]
+        self.measured[i], self.left[i], self.linear[i], self.flags[i, 1:] = measured, left, linear, False
+        self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
+
+    def said(self, i: int, marker: float, white: float) -> Array:
+        """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
+        noise, and two of the log itself where nothing pushes.
+        """
+        root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
+        rows = root * self.rows[i]
+        rows[:, -3:-1] *= -1.0
+        if not self.rest[i]:
+            return np.asarray(rows)
+        certain = np.sqrt(self.frames[i]) / (AT_REST * white)
+        log = np.zeros((2, rows.shape[1]))
+        log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
+        return np.concatenate([rows, log])
+
+    def whiten(self, i: int) -> None:
+        """Renew the whitened rows of frame i."""
+        self.rows[i] = (self.root[i] @ self.linear[i]).reshape(self.rows.shape[1:])
+
+
+def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
+    """Room for `most` key frames, two that have come since, and two averages that are being made."""
+    count = most + 4
+
+    def room(*shape: int) -> Array:
+        return np.zeros((count, *shape))
+
+    return KeyFrames(
+        used=0,
+        numbers=room(14),
+        flags=np.zeros((count, 3), dtype=bool),
+        measured=room(tags, 3),
+        information=room(tags, 3, 3),
+        root=room(tags, 3, 3),
+        weight=room(tags),
+        left=room(tags, 3),
+        linear=room(tags, 3, parameters + 3),
+        rows=room(3 * tags, parameters + 3),
+        shape=room(nodes, 3),
+    )
+
+
+def _roots(information: Array) -> Array:
+    """R (m, 3, 3) with R' R = information; zero where that is zero."""
+    seen = information[:, 0, 0] > 0.0
+    safe = np.where(seen[:, None, None], information, _EYE)
+    return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
+
+
+def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most: int) -> list[int]:
+    """Neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares), none in two of
+    them; at most so many, and those that are alike. `own` (used,): the load's own time.
+    """
+    if count < 2 or most < 1:
+        return []
+    part, rear = slice(0, count - 1), slice(1, count)
+    away = keys.force[rear] - keys.force[part]
+    rest, n = keys.rest[part], keys.frames
+    force = np.where(rest, 0.0, np.sqrt(np.sum(away * away, axis=1)) / max(largest, 1e-300))
+    centre = 0.5 * (keys.begin + keys.end)
+    time = (centre[rear] - centre[part]) / max(keys.end[count - 1] - keys.begin[0], 1e-300)
+    alike = (rest == keys.rest[rear]) & (force <= _SAME_FORCE)
+    alike &= ~(keys.lost[part] | keys.lost[rear])
+    alike &= np.abs(own[1:count] - own[: count - 1]) <= _SAME_STAGE
+    alike &= (np.abs(keys.push_s[rear] - keys.push_s[part]) <= _SAME_PLACE) | rest
+    alike &= np.abs(keys.gravity[rear] - keys.gravity[part]).max(axis=1) <= _SAME_GRAVITY
+    cost = n[part] * n[rear] / (n[part] + n[rear]) * (force**2 + time**2) * np.where(rest, _REST_SHARE, 1.0)
+    cost = np.where(alike, cost, np.inf)
+    out: list[int] = []
+    while len(out) < most:
+        i = int(np.argmin(cost))
+        if cost[i] == np.inf:
+            break
+        out.append(i)
+        cost[max(i - 1, 0) : i + 2] = np.inf
+    return out
+
+
+def propose_average(keys: KeyFrames, i: int, at: int) -> None:
+    """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
+    k = i + 1
+    first, second = keys.numbers[i], keys.numbers[k]
+    share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
+    keys.numbers[at] = (1.0 - share) * first + share * second
+    keys.shape[at] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
+    keys.begin[at], keys.end[at], keys.frames[at] = first[0], second[1], first[3] + second[3]
+    keys.rest[at], keys.lost[at] = keys.rest[i], False
+    keys.grid[at] = keys.grid[i]
+    if keys.grid[k] != keys.grid[i]:
+        keys.shape[at] = keys.shape[i]
+    keys.measured[at], keys.root[at] = 0.0, 0.0
+
+
+def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
+    """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
+    k = i + 1
+    share = keys.frames[k] / keys.frames[at]
+    # At rest all frames are alike, and tags are read wrong in the same way: an average of them counts as one.
+    counts = (1.0 - share, share) if keys.rest[i] else (1.0, 1.0)
+    says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)]
+    total = says[0] + says[1]
+    seen = total[:, 0, 0] > 0.0
+    both = says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]
+    left = np.linalg.solve(np.where(seen[:, None, None], total, _EYE), both)[..., 0] * seen[:, None]
+    keys.information[at], keys.root[at], keys.weight[at] = total, _roots(total), seen
+    keys.measured[at] += left - keys.left[at]
+    keys.left[at] = left
+    linear = keys.linear[at]
+    linear[..., -1] = left + linear[..., :-3] @ x - linear[..., -3:-1] @ keys.error[at]
+    keys.whiten(at)
+    for values in keys.arrays():
+        values[i] = values[at]
+    keys.drop(k)

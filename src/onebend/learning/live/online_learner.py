@@ -1,0 +1,241 @@
+"""k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
+
+A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
+linearised anew at the present estimate, and the posterior over all of them is solved for at once
+(`key_frame_posterior.py`): a poor start does not stay in the answer as it would in an extended Kalman filter. The
+sizes of noise and force error climb the evidence, one trial in two updates; those in log k's prior are drawn. Memory
+and time per update do not grow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.modal import Modes
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.errors import LearningError
+from onebend.learning.live.frame_input import checked_frame
+from onebend.learning.live.key_frame_posterior import LiveScales, Start
+from onebend.learning.live.session import Setting, live_layout
+from onebend.learning.live.settings import OnlineSettings
+from onebend.learning.live.smoother import Smoother
+from onebend.learning.model.parameters import Layout
+from onebend.learning.model.spline import Spline
+from onebend.learning.posterior import Nuisance
+from onebend.records import Array, BoolArray
+
+_EXACT = 1e-12  # of the largest variance of a start: none is smaller, in rounding
+_STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one frame did."""
+
+    innovation: Array  # (m, 3) m, m, rad: measured minus expected; NaN where a tag was not seen
+    distance: Array  # (m,) the same in sd of what was expected (root of chi-square with 3 degrees); NaN likewise
+    accepted: BoolArray  # (m,) tags that were used
+    solved: bool  # False: the estimate has no equilibrium under this force, nothing was learned from the frame
+    doubts: tuple[str, ...]  # why k(s) is not to be relied on after this frame; empty as a rule
+
+
+class OnlineLearner:
+    """Learns one beam from one frame after another. Not for two threads at once."""
+
+    def __init__(
+        self,
+        length: float,
+        marker_s: ArrayLike,
+        start: Profile | float | UncertainStiffness,
+        *,
+        mass: float = 0.0,
+        gain_sd: float = 0.0,
+        settings: OnlineSettings = OnlineSettings(),
+    ) -> None:
+        """A learner that has seen nothing.
+
+        Args:
+            length: m.
+            marker_s: (m,) the tags' places along the beam.
+            start: stiffness to begin with [N m], a poor guess will do; or what a fit has found, to go on from there.
+            mass: kg, needed where gravity acts in the plane.
+            gain_sd: of the force sensor's common scale; it widens the band and is not learned.
+
+        Raises:
+            LearningError: a length or stiffness that is not positive, tags outside (0, 1], settings without meaning.
+        """
+        s = np.asarray(marker_s, dtype=float)
+        _check(length, s, mass)
+        settings.check()
+        at = live_layout(
+            Spline(settings.functions),
+            len(s),
+            settings.priors,
+            placement_sd=settings.placement_sd,
+            rest_unknown=settings.rest_unknown,
+            calibrated=settings.calibrated,
+            mass=mass,
+        )
+        self.settings = settings
+        self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
+        known, x = _start(at, start)
+        self._state = Smoother(self._setting, known, x, settings.scales, settings.habits)
+        self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
+        self._last: tuple[float, Array] | None = None
+        self._frames = 0
+
+    def update(
+        self,
+        time: float,
+        xy: ArrayLike,
+        angle: ArrayLike,
+        covariance: ArrayLike,
+        force: ArrayLike,
+        push_s: float = 1.0,
+        *,
+        loaded: bool = True,
+        gravity: ArrayLike = (0.0, 0.0),
+    ) -> Update:
+        """One frame.
+
+        Args:
+            time: s, later than the frame before.
+            xy: (m, 2) m, the tags in the beam's frame; NaN where not seen.
+            angle: (m,) rad, whole turns do not matter; NaN where not seen.
+            covariance: (m, 3, 3) of (x, y, angle) of every tag.
+            force: (2,) N on the beam, in its frame, as logged.
+            push_s: place of the force.
+            loaded: False where nothing touches the beam: the frame then shows the rest shape and the log's zero. Leave
+                out frames in which that is not sure.
+            gravity: (2,) m/s^2 in the beam's frame.
+
+        Raises:
+            LearningError: shapes that do not fit, numbers that are not finite (missing tags apart), a covariance that
+                is not positive definite, time that does not go on, a place outside (0, 1], gravity without mass. The
+                learner stays as it was.
+        """
+        tags = len(self._setting.marker_s)
+        frame = checked_frame(tags, time, xy, angle, covariance, force, push_s, loaded, gravity)
+        if self._last is not None and not time > self._last[0]:
+            raise LearningError(f"frames must come in order of time: {time:g} s after {self._last[0]:g} s")
+        if np.any(frame.gravity != 0.0) and self._setting.mass <= 0.0:
+            raise LearningError("gravity acts in the plane, so the beam's mass must be given")
+        rate = np.zeros(2) if self._last is None else (frame.force - self._last[1]) / (time - self._last[0])
+        self._last = (time, frame.force)
+        nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
+        state = self._state
+        if loaded and not np.any(frame.seen):
+            return Update(*nothing, solved=True, doubts=self._doubts + state.last_doubts)
+        if not state.enter(frame, rate):
+            state.stiffen(_STIFFER)
+            return Update(*nothing, solved=False, doubts=self._doubts + state.last_doubts)
+        found = state.gate(frame)
+        state.advance()
+        self._frames += 1
+        return Update(*found, solved=True, doubts=self._doubts + state.last_doubts)
+
+    def settle(self, rounds: int = 10) -> None:
+        """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
+        self._state.settle(rounds)
+
+    @property
+    def frames(self) -> int:
+        """Count of the frames learned from."""
+        return self._frames
+
+    @property
+    def scales(self) -> LiveScales:
+        """Noise, force error and roughness as they are now."""
+        return self._state.scales
+
+    @property
+    def parameters(self) -> tuple[Array, Array]:
+        """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
+        self._state.catch_up()
+        mean, covariance, _ = self._state.posterior()
+        return mean, covariance
+
+    @property
+    def stiffness(self) -> UncertainStiffness:
+        """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
+        self._state.catch_up()
+        spline, (mean, covariance, steps) = self._setting.at.spline, self._state.posterior()
+        fine, onto, p = spline.finer, spline.on_finer, spline.count
+        spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
+        coefficients, spread = onto @ mean[:p], 0.5 * (spread + spread.T)
+        return UncertainStiffness(
+            fine.knots, coefficients, spread, self._gain_sd, doubts=self._doubts + self._state.doubts
+        )
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why `stiffness` is not to be relied on as it is now; empty as a rule."""
+        self._state.catch_up()
+        return self._doubts + self._state.doubts
+
+    @property
+    def force_error(self) -> Array:
+        """(2,) N: the log's error at the last frame, as far as it is known."""
+        self._state.catch_up()
+        e = self._state.solution.e
+        return e[-1].copy() if len(e) else np.zeros(2)
+
+    def nuisances(self) -> list[Nuisance]:
+        """Every parameter but k's, before and after the frames so far."""
+        mean, covariance = self.parameters
+        sd = np.sqrt(np.diag(covariance))
+        out = []
+        for block in self._setting.at.blocks:
+            if block.start >= 0 and block.name != "stiffness":
+                values = zip(block.labels, mean[block.where], sd[block.where], block.prior_sd, strict=True)
+                out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
+        return out
+
+    @property
+    def beam(self) -> Beam:
+        """The beam as it is now."""
+        self._state.catch_up()
+        theta0 = self._setting.at.get(self._state.x, "curvature")
+        rest: Profile = Uniform(0.0)
+        if np.any(theta0 != 0.0):
+            rest = Powers(tuple(np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0).tolist()))
+        length = self._setting.length
+        mass = Uniform(self._setting.mass / length)
+        return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)
+
+
+def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Start, Array]:
+    """What is known before the data, and the parameters to begin with."""
+    x, mean, p = np.zeros(at.size), np.zeros(at.size), at.spline.count
+    if isinstance(start, UncertainStiffness):
+        if len(start.mean) < p:
+            raise LearningError(
+                f"the stiffness to go on from has {len(start.mean)} functions, fewer than the {p} of the settings: "
+                "fit it with more, or go on with fewer"
+            )
+        s = np.linspace(0.0, 1.0, 8 * len(start.mean))
+        onto = np.linalg.lstsq(at.spline.basis(s), start.basis(s), rcond=None)[0]
+        x[:p] = mean[:p] = onto @ start.mean
+        size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
+        return Start(at, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
+    s = np.linspace(0.0, 1.0, 8 * p)
+    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
+    if not np.all(k > 0.0):
+        raise LearningError("the start stiffness must be positive everywhere")
+    x[:p] = np.linalg.lstsq(at.spline.basis(s), np.log(k), rcond=None)[0]
+    mean[:p] = np.mean(np.log(k))
+    return Start(at, mean, None), x
+
+
+def _check(length: float, marker_s: Array, mass: float) -> None:
+    if not (np.isfinite(length) and length > 0.0):
+        raise LearningError(f"a beam's length must be positive, got {length} m")
+    if marker_s.ndim != 1 or len(marker_s) == 0 or not np.all((marker_s > 0.0) & (marker_s <= 1.0)):
+        raise LearningError(f"tags are at s in (0, 1], got {marker_s.tolist()}")
+    if not mass >= 0.0:
+        raise LearningError(f"a beam's mass cannot be negative, got {mass} kg")

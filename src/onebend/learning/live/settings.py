@@ -1,0 +1,88 @@
+"""Settings of the live learner, and what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from onebend.errors import LearningError
+from onebend.learning.inference.stiffness_prior import RHO, TAU
+from onebend.learning.live.force_hyperparameters import MEMORY_DOUBT
+from onebend.learning.live.key_frame_posterior import LiveScales
+from onebend.learning.live.session import Habits
+from onebend.learning.model.parameters import Priors
+
+_WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
+
+
+@dataclass(frozen=True)
+class OnlineSettings:
+    """How the live learner runs. Noise sizes are where it begins; it finds its own."""
+
+    functions: int = 45  # of the spline of log k
+    key_frames: int = 30
+    renewed: int = 5  # key frames linearised anew with every other update; one with those between
+    priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
+    placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
+    rest_unknown: bool = True  # the beam may be curved when free
+    calibrated: bool = True  # False: all lengths have a common unknown scale
+    marker_noise: float = 1.5  # over what the tags' covariances say
+    force_noise: float = 0.01  # N, sd of the log's coloured error
+    force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
+    force_walk: float | None = None  # N per root second, of its drift; None: 0.3 of the coloured one a second
+    force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
+    force_memory: float = 0.3  # s, correlation time of the log's coloured error
+    memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
+    force_load: float | None = None  # N, sd of its error that comes with the load; None: 3 % of the largest force
+    roughness: float = TAU  # of log k
+    steps: float = RHO  # of log k
+    adapt: bool = True  # False: the sizes stay as they begin
+    bulk: float = 3.0  # sd: a tag that fits worse gets less weight; infinite: plain least squares
+    gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
+    patience: int = 8  # unless it stays away for so many frames
+    step: float = 0.7  # of log k: the most that one update moves it
+
+    @property
+    def habits(self) -> Habits:
+        """What of it the smoother needs."""
+        return Habits(
+            key_frames=self.key_frames,
+            renewed=self.renewed,
+            zero=self.force_zero,
+            least_zero=self.force_noise,
+            load=self.force_load,
+            roughness=self.roughness,
+            steps=self.steps,
+            memory_doubt=self.memory_doubt,
+            adapt=self.adapt,
+            bulk=self.bulk,
+            gate=self.gate,
+            patience=self.patience,
+            step=self.step,
+        )
+
+    @property
+    def scales(self) -> LiveScales:
+        """Where they begin."""
+        return LiveScales(
+            marker=self.marker_noise,
+            white=self.force_noise if self.force_white is None else self.force_white,
+            coloured=self.force_noise,
+            memory=self.force_memory,
+            walk=_WALK * self.force_noise if self.force_walk is None else self.force_walk,
+            load=1.0,
+        )
+
+    def check(self) -> None:
+        """Raises `LearningError` for settings without meaning."""
+        sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
+        for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise LearningError(f"{name} must be positive, got {value}")
+        for name in ("force_zero", "force_load", "placement_sd"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0.0:
+                raise LearningError(f"{name} cannot be negative, got {value}")
+        for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
+            if getattr(self, name) < least:
+                raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")

@@ -1,0 +1,298 @@
+"""The moving parts of the live learner: key frames, their posterior, and the search for the sizes of noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.learning.live.doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit, missed_tag
+from onebend.learning.live.force_hyperparameters import ScaleSearch
+from onebend.learning.live.force_process import ForceProcess
+from onebend.learning.live.frame_input import Frame
+from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, gather, solve
+from onebend.learning.live.key_frames import accept_average, closest_pairs, empty, propose_average
+from onebend.learning.live.linearised_frames import Linearizer
+from onebend.learning.live.live_entry import expect_shape, surprise, write_frame
+from onebend.learning.live.live_stages import LoadStages
+from onebend.learning.live.marginalised import fold_oldest, nothing_folded
+from onebend.learning.live.session import ORDER, Habits, Setting
+from onebend.learning.live.stiffness_hyperparameters import Sizes
+from onebend.learning.live.tag_noise import left_of, robust_weights, tags_noise
+from onebend.learning.model.force_error import LOAD
+from onebend.records import Array, BoolArray
+
+_MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
+_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
+_MANY = 6  # key frames linearised at once: then nothing else is done
+_MISSED_EVERY = 8  # turns between two solutions, in one of which missed tags are sought
+_WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
+_LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
+
+
+class Smoother:
+    """All state of a live learner; its size is fixed when it is made."""
+
+    def __init__(self, setting: Setting, start: Start, x: Array, scales: LiveScales, habits: Habits) -> None:
+        tags, n = len(setting.marker_s), setting.at.size
+        self.x = x  # (n,) the estimate
+        self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
+        self.scales = scales
+        self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
+        self.past = nothing_folded(n)
+        self._setting, self._start, self._habits = setting, start, habits
+        self._search = ScaleSearch(scales, ("coloured", "memory", "walk", "load", "white"), habits.memory_doubt)
+        spline, level = setting.at.spline, float(start.mean[0])
+        begin = spline.variances(habits.roughness, habits.steps)
+        self._of_k = start.of_k(begin)
+        drawn = habits.adapt and start.fixed is None
+        self._sizes = Sizes(spline, level, habits.roughness, habits.steps) if drawn else None
+        self._stages = LoadStages(setting.length, tags)
+        self._before = 0.0  # the load's own time by changes that are not looked at any more
+        self._guess, self._spent = scales.marker, 0.0
+        self._looks, self._turns = 0, 0
+        self._linearised = 0  # key frames, with the last frame
+        self._coarse = 0.0
+        self._failed = False  # the last attempt to solve
+        self._missed = ""  # the tag that was missed when that was last looked at
+        self._too_soft = False  # the last frame had no equilibrium
+        self.pending = True  # a frame has come since the posterior was solved for
+        self._linear = Linearizer(setting)
+        self._away = np.zeros(tags, dtype=np.int64)
+        self._largest = 0.0
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
+        self._sums: Sums = gather(self.keys, self.past)
+        self.solution: Solution = solve(self._sums, start, self._of_k, scales, self._process(scales))
+
+    def enter(self, frame: Frame, rate: Array) -> bool:
+        """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
+
+        In the same stroke the key frames that have waited longest are linearised anew, and room is made.
+        """
+        keys = self.keys
+        self._stages.see(frame.time, frame.measured[:, :2], frame.seen, frame.loaded)
+        i = self._write(frame, rate)
+        over = 0 if self.pending else keys.used - self._habits.key_frames  # less is done where it is solved too
+        own = keys.own[: keys.used] + self._stages.own(keys.centre)
+        pairs = closest_pairs(keys, i, self._largest, own, over)
+        fresh = [i]
+        for at, pair in enumerate(pairs, keys.used):
+            propose_average(keys, pair, at)
+            fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._habits.key_frames + 1:
+            fresh.append(0)  # it will be folded, and stays as it is linearised then
+        room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
+        solved = self._linearise([*fresh, *self._linear.near(keys, waiting, i)])
+        self._too_soft = i not in solved
+        if self._too_soft:
+            keys.used -= 1
+            return False
+        if frame.loaded:
+            self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
+        missed = set(fresh) - solved
+        for pair, at in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+            if missed.isdisjoint((pair, pair + 1, at)):
+                accept_average(keys, pair, at, self.point)
+        while keys.used > self._habits.key_frames + 1:
+            marker = max(self.scales.marker, self._coarse)
+            fold_oldest(keys, self.past, self._process(self.scales), marker, self._stages.own)
+        return True
+
+    def _linearise(self, chosen: list[int]) -> set[int]:
+        """Those of the chosen key frames that have an equilibrium at the point; the others are not waited for."""
+        self._linearised = len(chosen)
+        solved = self._linear.renew(self.keys, chosen, self.point)
+        gone = [k for k in chosen if k not in solved]
+        self.keys.lost[gone], self.keys.stale[gone] = True, False
+        return solved
+
+    def _write(self, frame: Frame, rate: Array) -> int:
+        """The frame in the place behind the key frames in use, which is returned."""
+        keys, i = self.keys, write_frame(self.keys, frame, rate)
+        if frame.loaded:
+            self._linear.pushed_at(frame.push_s)
+        self._forget_changes(i)
+        now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
+        self._expected = self.solution.error_at(frame.time, now)
+        expect_shape(keys, i, self._expected[0])
+        return i
+
+    def _forget_changes(self, i: int) -> None:
+        """Keep what changes of the load that are not looked at any more did to the own time of what came before them;
+        i: the frame that has just come."""
+        keys = self.keys
+        keys.own[i] = self._before
+        added, after = self._stages.forgotten(np.append(keys.centre, self.past.time))
+        keys.own[: keys.used] += added[:-1]
+        self.past.own += float(added[-1])
+        self._before += after
+
+    def gate(self, frame: Frame) -> tuple[Array, Array, BoolArray]:
+        """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
+
+        Tags too far from where they were expected get no weight, unless they stay away.
+        """
+        keys, i = self.keys, self.keys.used - 1
+        innovation, distance = surprise(keys, frame, self.solution, self.x, self.scales.marker, self._expected[1:])
+        far = frame.seen & (distance > self._habits.gate)
+        self._away = np.where(far, self._away + 1, np.where(frame.seen, 0, self._away))
+        used = np.asarray(frame.seen & (~far | (self._away >= self._habits.patience)))
+        keys.weight[i] = used
+        if not np.array_equal(used, frame.seen):
+            keys.information[i] *= used[:, None, None]
+            keys.root[i] *= used[:, None, None]
+            keys.whiten(i)
+        unseen = ~frame.seen
+        innovation[unseen], distance[unseen] = np.nan, np.nan
+        return innovation, distance, used
+
+    def advance(self) -> None:
+        """After a frame: every other time the posterior is solved for; in between log k's sizes make a step and other
+        scales are tried on it in turn, unless many frames were linearised: no frame shall cost much more than others.
+        """
+        if self.pending or self._failed:
+            self.pending = False
+            self.renew()
+            return
+        self.pending = True
+        if self._linearised > _MANY:
+            return
+        self._turns += 1
+        if self._turns % _MISSED_EVERY == 0:
+            self._missed = missed_tag(self.keys)
+        elif self._turns % 2 and self._sizes is not None:
+            if self._coarse == 0.0:
+                self._sizes.step(self.solution.told)
+        elif self._habits.adapt:
+            self.look_about()
+
+    def look_about(self) -> None:
+        """Other scales on what the last solution was made from, or a count of what the data have settled."""
+        self._looks += 1
+        if self._looks % _NOISE_EVERY == 0:
+            self._spent = self.solution.settled(self._start, self._of_k)
+        else:
+            self._try_scale()
+
+    def renew(self) -> bool:
+        """Solve with what is linearised now, move the estimate, weigh the tags anew. False where that fails: what was
+        known before stands, which `doubts` says, until a later frame's attempt."""
+        keys, habits = self.keys, self._habits
+        self._sums = gather(keys, self.past, self._stages.own)
+        if self._sizes is not None:
+            self._of_k = self._start.of_k(self._sizes.parts)
+        self._coarse = misfit(keys, self.scales.marker)
+        try:
+            self.solution = solution = self._solve(self.scales)
+        except np.linalg.LinAlgError:
+            self._failed = True
+            return False
+        self._failed = False
+        step = solution.x - self.x
+        largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
+        self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
+        left = left_of(keys, solution)
+        if habits.adapt:
+            self.scales = replace(self.scales, marker=tags_noise(keys, left, self._spent, self._guess))
+        marker = max(self.scales.marker, self._coarse)
+        keys.weight[: keys.used] = robust_weights(keys, left, marker, habits.bulk)
+        moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
+        if moved > _MOVED:
+            self.move()
+        return True
+
+    def _solve(self, scales: LiveScales) -> Solution:
+        """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
+        coarse = replace(scales, marker=max(scales.marker, self._coarse))
+        return solve(self._sums, self._start, self._of_k, coarse, self._process(scales))
+
+    def catch_up(self) -> None:
+        """Solve now if a frame has come since the last time."""
+        if self.pending and self.keys.used:
+            self.renew()
+            self.pending = False
+
+    def settle(self, rounds: int) -> None:
+        """Linearise everything anew and solve, several times; then look about the scales once more."""
+        self.catch_up()
+        if self._failed and not self.renew():  # where it would be linearised is of other key frames
+            return
+        for _ in range(rounds):
+            self.move()
+            self._linearise(list(range(self.keys.used)))
+            if not self.renew():
+                return
+        if self._habits.adapt:
+            for _ in range(2 * self._search.round):
+                self.look_about()
+                if self._sizes is not None:
+                    self._sizes.step(self.solution.told)
+
+    def move(self) -> None:
+        """Linearise at the present estimate from now on."""
+        keys = self.keys
+        self.point = self.x
+        keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
+        keys.stale[: keys.used] = True
+
+    def stiffen(self, amount: float) -> None:
+        """Raise log k by so much, and linearise there from now on: the beam stood where the estimate cannot."""
+        self.x = self.x.copy()
+        self.x[: self._setting.at.spline.count] += amount
+        self.point = self.x
+        self.keys.stale[: self.keys.used] = True
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the posterior is not to be relied on at the moment; empty as a rule."""
+        self._missed = missed_tag(self.keys)
+        return self.last_doubts
+
+    @property
+    def last_doubts(self) -> tuple[str, ...]:
+        """The same; whether a tag is missed is looked at every now and then only."""
+        found = {FAILED: self._failed, TOO_SOFT: self._too_soft}
+        said = tuple(words for words, holds in found.items() if holds)
+        return said + live_doubts(self.keys, self.scales.marker, self._coarse, self._missed)
+
+    def _moved(self) -> float:
+        """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
+        keys, solution = self.keys, self.solution
+        away = np.zeros_like(solution.e)
+        away[len(away) - keys.used :] = solution.e[len(away) - keys.used :] - keys.error[: keys.used]
+        return solution.distance(away, self.x - self.point)
+
+    def _try_scale(self) -> None:
+        """One trial of other scales on what the last solution was made from."""
+        search, here, now = self._search, self.solution, self.scales
+        tried = search.proposal(now)
+        try:
+            there = self._solve(tried)
+        except np.linalg.LinAlgError:
+            search.failed()
+            return
+        worse = there.minus_log + search.cost(tried) - here.minus_log - search.cost(now)
+        if not search.climbs:
+            search.looked(worse, there, here)
+            return
+        search.climbed(worse < 0.0)
+        if worse < 0.0:
+            self.scales, self.solution = tried, there
+
+    def posterior(self) -> tuple[Array, Array, Array]:
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
+        solution, p = self.solution, len(self._of_k.b)
+        if self._sizes is None:
+            k, of_k, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
+        else:
+            k, of_k, steps = self._sizes.mixed(solution.told)
+        return *solution.with_k(*self._search.averaged(k, of_k)), steps
+
+    def _process(self, scales: LiveScales) -> ForceProcess:
+        """The force's error under these scales."""
+        level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
+        load = scales.load * (LOAD * self._largest if self._habits.load is None else self._habits.load)
+        if self._coarse > FAR_OFF * scales.marker:  # then the force may be wrong by more than is thought, too
+            load *= _WRONG
+        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white, load)

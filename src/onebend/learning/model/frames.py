@@ -1,0 +1,173 @@
+"""Which frames of a recording can be learned from, and what acts on the beam in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.profiles.stiffness import Profile, Table, Uniform
+from onebend.errors import LearningError
+from onebend.recording.signals import low_pass
+from onebend.records import Array, BoolArray, IntArray, Observations
+
+_BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
+_SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
+_MEMORY = 0.5  # of a period of the cut-off: so far a change reaches through the filter
+_STILL = 4.0  # times a tag's noise from its place: farther than this, or than the next, it moves
+_NO_PUSH = 3e-3  # of the length
+_LEAST_LEFT = 0.5  # of the usable frames: where fewer would be left, all are used
+_FEWEST = 5  # frames of a recording
+
+
+def usable_frames(observations: Observations) -> BoolArray:
+    """(T,) frames under load whose force is known and that show at least one tag."""
+    seen = np.any(np.isfinite(observations.xy), axis=(1, 2))
+    forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(push_places(observations))
+    weighed = np.any(observations.gravity != 0.0, axis=1)
+    return np.asarray(seen & forced & (observations.loaded | weighed))
+
+
+def nothing_moves(observations: Observations) -> str:
+    """What is wrong with a film of a beam at rest; empty where a tag leaves its place by more than noise.
+
+    The place is that at rest, or, where no rest was seen, that on a straight beam.
+    """
+    o = observations
+    if o.static or o.held is not None or np.any(o.gravity != 0.0):
+        return ""
+    straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+    away = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight))
+    seen = np.any(np.isfinite(away), axis=0)
+    if not seen.any():
+        return ""
+    usual = np.sqrt(np.trace(typical(o.covariance[:, seen, :2, :2]), axis1=1, axis2=2))
+    farthest = np.nanpercentile(away[:, seen], 95.0, axis=0)
+    if np.any(farthest > _STILL * usual) or np.any(farthest > _NO_PUSH * o.length):
+        return ""
+    return f"nothing moves in the film: the tags stay within {1e3 * float(np.max(farthest)):.2g} mm of where they rest"
+
+
+def learnable_frames(observations: Observations) -> BoolArray:
+    """(T,) usable frames whose force the low-pass has not bent: a sudden release is smeared over what it remembers.
+
+    The tags are not filtered. Frames beside a change that is faster than the filter would make every force look too
+    large or too small there. What the filter takes off a second time tells where that is.
+    """
+    usable, clean = usable_frames(observations), observations.clean_force
+    if clean is None or not np.isfinite(clean.cutoff) or not usable.any():
+        return usable
+    known = np.all(np.isfinite(clean.force), axis=1)
+    time, force = clean.time[known], clean.force[known]
+    bent = distances(low_pass(time, force, clean.cutoff, longest_gap=np.inf) - force)
+    used = observations.time[usable]
+    inside = (time >= used[0]) & (time <= used[-1])
+    usual = float(np.median(bent[inside])) if inside.any() else 0.0
+    largest = float(np.max(distances(observations.force[usable])))
+    wrong = time[bent > max(_BENT * usual, _SLIGHT * largest)]
+    reach = _MEMORY / clean.cutoff
+    after = np.searchsorted(wrong, observations.time)
+    padded = np.concatenate([[-np.inf], wrong, [np.inf]])
+    near = np.minimum(observations.time - padded[after], padded[after + 1] - observations.time) < reach
+    kept = usable & ~near
+    return np.asarray(kept if kept.sum() >= _LEAST_LEFT * usable.sum() else usable)
+
+
+def chosen_frames(o: Observations, most: int) -> BoolArray:
+    """(T,) at most `most` learnable frames, evenly spread.
+
+    Raises:
+        LearningError: fewer than can be learned from.
+    """
+    usable = np.flatnonzero(learnable_frames(o)).astype(np.int64)
+    least = 1 if o.static else _FEWEST
+    if len(usable) < least:
+        raise LearningError(
+            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. Push "
+            "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
+        )
+    return evenly_spread(usable, most, len(o.time))
+
+
+def evenly_spread(rows: IntArray, most: int, count: int) -> BoolArray:
+    """(count,) at most `most` of the `rows`, evenly spread among them."""
+    out = np.zeros(count, dtype=bool)
+    out[rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]] = True
+    return out
+
+
+def check_same_beam(recordings: Sequence[Observations]) -> None:
+    """Raises `LearningError` where the recordings are not of one beam, or there is none."""
+    if not recordings:
+        raise LearningError("no recording was given")
+    first = recordings[0]
+    for o in recordings[1:]:
+        if o.length != first.length or not np.array_equal(o.tag_id, first.tag_id):
+            raise LearningError(
+                f"{o.name} is not of the beam of {first.name}: length {o.length} m against {first.length} m, "
+                f"tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
+            )
+
+
+def push_places(observations: Observations) -> Array:
+    """(T,) where the force acts; the tip in frames without any force, where the place does not matter."""
+    forceless = np.all(observations.force == 0.0, axis=1)
+    return np.where(forceless & np.isnan(observations.push_s), 1.0, observations.push_s)
+
+
+def loads_of(observations: Observations, frames: BoolArray) -> Loads:
+    """The measured loads in those frames, weight included."""
+    gravity = observations.gravity[frames]
+    loads = push(observations.force[frames], push_places(observations)[frames]) + known_loads(observations, frames)
+    return loads + weight(gravity) if np.any(gravity != 0.0) else loads
+
+
+def known_loads(observations: Observations, frames: BoolArray) -> Loads:
+    """What acts in those frames besides the logged force and the weight."""
+    known = observations.known
+    if known is None:
+        return Loads()
+    return Loads(known.force[frames], known.force_s[frames], known.moment[frames], known.moment_s[frames])
+
+
+def mass_profile(observations: Observations) -> Profile:
+    """kg/m along the beam, as written down; zero where no mass is known."""
+    line, mass = observations.mass_line, observations.mass
+    if line is not None:
+        return Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
+    return Uniform(mass / observations.length if np.isfinite(mass) else 0.0)
+
+
+def whitening(measured: Array, covariance: Array) -> Array:
+    """(..., 3, 3) inverse Cholesky factors of the covariances (..., 3, 3) of poses; zero where a number is missing.
+
+    A pose may lack its angle, or one coordinate: the rest of it counts by its own part of the covariance.
+    """
+    whole = np.all(np.isfinite(covariance), axis=(-1, -2))
+    there = np.isfinite(measured) & whole[..., None]
+    both = there[..., :, None] & there[..., None, :]
+    factors = np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(3))))
+    return np.asarray(np.where(both, factors, 0.0))
+
+
+def distances(difference: Array) -> Array:
+    """(...) m, lengths of differences (..., 2) over the coordinates that are there; NaN where none is."""
+    there = np.isfinite(difference)
+    length = np.sqrt(np.sum(np.where(there, difference, 0.0) ** 2, axis=-1))
+    return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
+
+
+def marker_rms(difference: Array) -> Array:
+    """(m,) m, root mean square length of differences (T, m, 2) over the frames in which a tag was seen; NaN where in
+    none."""
+    squared = distances(difference) ** 2
+    seen = np.isfinite(squared)
+    count, total = np.sum(seen, axis=0), np.sum(np.where(seen, squared, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+
+
+def typical(values: Array) -> Array:
+    """Median over the first axis of what is known there; NaN where nothing is."""
+    known = np.any(np.isfinite(values), axis=0)
+    return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)

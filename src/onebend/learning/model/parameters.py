@@ -1,0 +1,198 @@
+"""The parameters of a fit in one vector: k(s), what all recordings of the beam share, and what each has of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from onebend.learning.model.mass import weighs
+from onebend.learning.model.spline import Spline
+from onebend.recording.beam_frame import MOUNTING_SD
+from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
+
+END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
+_EVEN = 0.01  # of k: what is left of its variation where it is one number
+_STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
+_CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
+
+
+@dataclass(frozen=True)
+class Priors:
+    """One sd of each nuisance before the data; 0 freezes it."""
+
+    curvature: float | None = None  # rad, Legendre states of q0; frozen where rest = "straight"; None: as turns
+    mounting: float | None = None  # rad, a tag's turn on the beam; None: as the recording says
+    placement: float | None = None  # m, a tag's place along and across; None: as the recording says
+    clamp: float | None = None  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
+    origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
+    scale: float | None = None  # of lengths in the picture, where the camera is not calibrated; see `scale_sd`
+    mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
+    mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
+    mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
+    clock: float | None = None  # s; None: as the clock's own estimate says
+    place: float | None = None  # m, along the beam, from where the push is said to act; None: as the recording says
+    direction: float | None = None  # rad, of the force log's axes; None: as the recording says
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some parameters that belong together."""
+
+    name: str
+    recording: int  # -1: shared
+    unit: str
+    prior_sd: Array
+    labels: tuple[str, ...]
+    start: int
+
+    @property
+    def where(self) -> slice:
+        return slice(self.start, self.start + len(self.prior_sd))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each block stands. The spline's coefficients come first; their prior is not diagonal."""
+
+    spline: Spline
+    blocks: tuple[Block, ...]
+    size: int
+    index: dict[tuple[str, int], Block] = field(default_factory=dict)
+    even: bool = False  # k is one number, as somebody knows
+
+    @property
+    def evenness(self) -> Array:
+        """(p, p) precision of the differences between the coefficients of log k; zero unless `even`."""
+        count = self.spline.count
+        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN**2 if self.even else 0.0))
+
+    def get(self, x: Array, name: str, recording: int = -1) -> Array:
+        """Values of a block; zeros (of the right length) where it is frozen."""
+        block = self.index[name, recording]
+        return x[block.where] if block.start >= 0 else np.zeros(len(block.labels))
+
+    def columns(self, name: str, recording: int = -1) -> slice | None:
+        """Where a block's derivatives go among those that its recording knows (`known_to`); None where frozen."""
+        block = self.index[name, recording]
+        if block.start < 0:
+            return None
+        shift = 0 if recording < 0 else self._own(recording)[0] - self.shared
+        return slice(block.where.start - shift, block.where.stop - shift)
+
+    @property
+    def shared(self) -> int:
+        """Count of the parameters that all recordings share; they come first."""
+        return sum(len(b.prior_sd) for b in self.blocks if b.recording < 0 and b.start >= 0)
+
+    def known_to(self, recording: int) -> IntArray:
+        """Indices of the parameters that one recording depends on: the shared ones and its own."""
+        begin, end = self._own(recording)
+        return np.concatenate([np.arange(self.shared), np.arange(begin, end)])
+
+    def _own(self, recording: int) -> tuple[int, int]:
+        own = [b for b in self.blocks if b.recording == recording and b.start >= 0]
+        return (own[0].start, own[-1].where.stop) if own else (self.shared, self.shared)
+
+
+def layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
+    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each."""
+    first = recordings[0]
+    tags = [f"tag {i}" for i in first.tag_id]
+    placement = first.placement_sd if priors.placement is None else priors.placement
+    mounting = first.turn_sd if priors.mounting is None else priors.mounting
+    curvature = max(curvature_sd(r, priors) for r in recordings)
+    heavy = any(weighs(r) for r in recordings)
+    mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
+    wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
+        ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
+        ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
+        ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
+        ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
+        ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),
+    ]
+    for r, one in enumerate(recordings):
+        origin = one.placement_sd if priors.origin is None else priors.origin
+        wanted += [
+            ("clamp", r, "rad", clamp_sd(one, priors), (f"{one.name}: clamp angle",)),
+            ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
+            ("scale", r, "1", scale_sd(one, priors), (f"{one.name}: camera scale",)),
+            ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
+            ("place", r, "m", _pushed(one, one.place_sd, priors.place), (f"{one.name}: push place",)),
+            ("direction", r, "rad", _pushed(one, one.direction_sd, priors.direction), (f"{one.name}: force axes",)),
+            ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
+            ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
+            ("force", r, "N", 1.0, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+        ]
+    blocks, start = [], 0
+    for name, r, unit, sd, labels in wanted:
+        free = sd > 0.0 and len(labels) > 0
+        sds = np.full(len(labels), sd)
+        if name == "mass":
+            sds[1:] = _mass_spread(recordings, priors)
+        blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
+        start += len(labels) if free else 0
+    even = any(r.stiffness_along == "even" for r in recordings)
+    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, even)
+
+
+def clamp_sd(one: Observations, priors: Priors) -> float:
+    """rad, of the clamp's direction in the recording's frame before the data.
+
+    The frame's x axis is the line through the tags at rest: it is off by what their places are, and the fit knows those
+    from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
+    no more is known than how well a base tag is put on. Of poses the stated sd is all. 0 freezes it.
+    """
+    stated = one.clamp_sd if priors.clamp is None else priors.clamp
+    if stated == 0.0 or (one.static and np.isfinite(stated)):
+        return stated
+    own = stated if np.isfinite(stated) else CLAMP_SD
+    reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
+    if curvature_sd(one, priors) > 0.0 or not np.any(reach > 0.0):
+        return float(np.hypot(own, MOUNTING_SD))
+    placement = one.placement_sd if priors.placement is None else priors.placement
+    return float(np.hypot(own, 2.0 * placement / np.linalg.norm(reach)))
+
+
+def curvature_sd(one: Observations, priors: Priors) -> float:
+    """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
+    if one.rest == "straight":
+        return 0.0
+    return one.curvature_sd if priors.curvature is None else priors.curvature
+
+
+def scale_sd(one: Observations, priors: Priors) -> float:
+    """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
+    if one.view is None:
+        return 0.0
+    usual = 0.0 if one.view.calibrated else SCALE_SD
+    stated = one.scale_sd if np.isfinite(one.scale_sd) else usual
+    return stated if priors.scale is None or one.view.calibrated else priors.scale
+
+
+def _ends(one: Observations, *what: str) -> tuple[str, ...]:
+    """Labels of the ends that an unknown wrench holds, pose by pose."""
+    held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
+    return tuple(f"{one.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
+
+
+def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
+    if any(r.mass_along != "unknown" for r in recordings):
+        return _STATED
+    return priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
+
+
+def _clock_sd(one: Observations, priors: Priors) -> float:
+    if priors.clock is not None:
+        return priors.clock
+    if one.clock is None:
+        return 0.0
+    return _CLOCK_DOUBT * float(one.clock.sd) if np.isfinite(one.clock.sd) else 1.0
+
+
+def _pushed(one: Observations, said: float, wanted: float | None) -> float:
+    """One sd of what a push may be off by; 0 where nothing pushed, or where loads were hung on at marks."""
+    if one.static or not np.any(one.force != 0.0):
+        return 0.0
+    return said if wanted is None else wanted

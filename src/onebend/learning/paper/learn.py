@@ -1,0 +1,50 @@
+"""From observations to a learned beam: states (22), regression (18), selection (20), in the paper's order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.blas import one_blas_thread
+from onebend.learning.model.rest import AtRest, at_rest
+from onebend.learning.outcome import Learned
+from onebend.learning.paper.selection import Settings, choose, table
+from onebend.progress import Progress, Silent
+from onebend.records import Observations, Remark
+
+
+@one_blas_thread
+def learn(observations: Observations, settings: Settings = Settings(), *, progress: Progress = Silent()) -> Learned:
+    """The stiffness distribution of the observed beam.
+
+    Raises:
+        LearningError: too few loaded frames, or no (n, m) gives a beam that can be simulated.
+    """
+    rest = at_rest(observations)
+    candidates = table(observations, rest, settings, progress)
+    chosen = choose(candidates)
+    best = candidates[chosen]
+    assert best.beam is not None
+    assert best.comparison is not None
+    return Learned(
+        beam=best.beam,
+        method=settings.method,
+        family=settings.family,
+        trials=tuple(c.trial for c in candidates),
+        chosen=chosen,
+        training=best.comparison,
+        remarks=_remarks(rest, observations) + best.comparison.remarks,
+    )
+
+
+def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
+    """What was assumed about the beam at rest."""
+    if not rest.seen:
+        return (
+            Remark("warning", "no frame shows the beam at rest: it is taken as straight, its tags as perfectly placed"),
+        )
+    shift = float(np.max(np.linalg.norm(rest.offset, axis=1)))
+    turn = float(np.rad2deg(np.max(np.abs(rest.turn))))
+    text = f"at rest the tags sit up to {1e3 * shift:.2f} mm and {turn:.2f} deg off their places; taken off every frame"
+    if shift > 4.0 * observations.placement_sd:
+        return (Remark("warning", text + ". That is more than the placement tolerance allows: check the tags' s"),)
+    return (Remark("note", text),)

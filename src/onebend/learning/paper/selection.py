@@ -1,0 +1,162 @@
+"""The (n, m) table and the choice by BIC (19), (20)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from onebend.beam.modal import Modes
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
+from onebend.errors import LearningError, MechanicsError
+from onebend.learning.model.frames import nothing_moves, usable_frames
+from onebend.learning.model.rest import AtRest
+from onebend.learning.outcome import Comparison, Trial
+from onebend.learning.paper import regression
+from onebend.learning.paper.inverse_kinematics import States, solve_states
+from onebend.learning.paper.regression import Family
+from onebend.learning.validation import validate
+from onebend.progress import Progress, track
+from onebend.records import Array, BoolArray, Observations
+
+Method = Literal["regression", "paper"]
+Bic = Literal["textbook", "paper"]
+_FINE = np.linspace(0.0, 1.0, 401)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How k(s) is learned from states and forces."""
+
+    method: Method = "regression"  # "paper": the literal rows of (17), tags' positions only
+    family: Family = "gaussians"
+    width: float | None = None  # sigma of the Gaussians in units of s; None: the distance of their centres
+    bic: Bic = "textbook"
+    n: int | None = None  # fix the number of modes
+    m: int | None = None  # fix the number of stiffness functions
+    most_n: int | None = None  # the paper's z; None: all that the tags can tell, at most 8
+
+    @property
+    def with_angles(self) -> bool:
+        """Whether the tags' angles are used; the paper had positions only."""
+        return self.method != "paper"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One trial with what it takes to go on from it."""
+
+    trial: Trial
+    beam: Beam | None
+    comparison: Comparison | None
+
+
+def pairs(settings: Settings, tags: int) -> list[tuple[int, int]]:
+    """All (n, m) to try (20): n in 2..z, m in 2..n. Raises `LearningError` on a fixed n or m that cannot be."""
+    limit = (3 if settings.with_angles else 2) * tags
+    z = min(limit, 8) if settings.most_n is None else settings.most_n
+    if z > limit:
+        raise LearningError(f"most_n = {z}, but {tags} tags can tell at most {limit} modes")
+    if settings.n is not None and not 2 <= settings.n <= limit:
+        raise LearningError(f"n = {settings.n}, but {tags} tags can tell 2 to {limit} modes")
+    found = [
+        (n, m)
+        for n in ([settings.n] if settings.n else range(2, z + 1))
+        for m in ([settings.m] if settings.m else range(2, n + 1))
+        if m <= n
+    ]
+    if not found:
+        raise LearningError(f"m = {settings.m} stiffness functions need at least as many modes; raise n or lower m")
+    return found
+
+
+def information_criterion(rms: Array, observed: int, parameters: int, kind: Bic) -> float:
+    """BIC of a model with markers' `rms` (m,) over `observed` numbers (19).
+
+    textbook: `N ln(RSS / N) + k ln N` with RSS the sum of squares. paper: `ln(sqrt(sum M_i^2)) + 10`, which is what its
+    printed Table II follows to rounding (its complexity term is below what the table can show).
+    """
+    norm = float(np.sqrt(np.sum(rms**2)))
+    if kind == "paper":
+        return float(np.log(norm) + 10.0)
+    mean_square = norm**2 / (2 * len(rms))
+    return float(observed * np.log(mean_square) + parameters * np.log(observed))
+
+
+def table(observations: Observations, rest: AtRest, settings: Settings, progress: Progress) -> list[Candidate]:
+    """Every (n, m): learned, simulated, compared. Raises `LearningError` where the frames are too few for any."""
+    frames = usable_frames(observations)
+    wanted = pairs(settings, len(observations.marker_s))
+    needed = max(n + m for n, m in wanted)
+    if still := nothing_moves(observations):
+        raise LearningError(f"{observations.name}: {still}. Film a push, and let the force log cover it")
+    if np.sum(frames) < needed:
+        raise LearningError(
+            f"{observations.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be found; "
+            "film a longer push, or fix smaller n and m"
+        )
+    out: list[Candidate] = []
+    states: States | None = None
+    for n, m in track(progress, "trying (n, m)", wanted, len(wanted)):
+        if states is None or states.modes.n != n:
+            states = solve_states(observations, n, with_angles=settings.with_angles, rest=rest)
+            rows = regression.assemble(observations, states)
+        out.append(_try(observations, rows, frames & states.converged & (states.data >= n), m, settings))
+    return out
+
+
+def choose(candidates: list[Candidate]) -> int:
+    """Index of the lowest BIC. Raises `LearningError` where no trial gave a beam that can stand."""
+    bic = np.array([c.trial.bic for c in candidates])
+    if not np.any(np.isfinite(bic)):
+        worst = "; ".join(f"n={c.trial.n}, m={c.trial.m}: {c.trial.why_out}" for c in candidates[:3])
+        raise LearningError(
+            f"no (n, m) gave a beam that can be simulated ({worst}; ...). The force or the tags contradict the bending "
+            "of a beam: check the force's sign and axes, the clock and the tags' places"
+        )
+    return int(np.argmin(bic))
+
+
+def _try(observations: Observations, rows: regression.Rows, use: BoolArray, m: int, settings: Settings) -> Candidate:
+    """Learn one (n, m), simulate it, compare."""
+    n = rows.states.modes.n
+    pi, sigma = regression.basis(settings.family, m, settings.width)
+    trial = Trial(n, m, np.full(m, np.nan), np.full(len(observations.marker_s), np.nan), np.inf, np.nan, np.inf)
+    if np.sum(use) < n + m:
+        return Candidate(replace(trial, why_out=f"only {np.sum(use)} frames show enough tags"), None, None)
+    if settings.method == "paper":
+        gamma, condition = regression.literal(rows, use, pi)
+    else:
+        gamma, condition = regression.weighted(rows, use, pi, force_sd=observations.force_sd)
+    stiffness = regression.profile(settings.family, gamma, sigma)
+    lowest = float(np.min(stiffness(_FINE)))
+    trial = replace(trial, coefficients=gamma, lowest_k=lowest, condition=condition)
+    if not lowest > 0.0:
+        where = float(_FINE[np.argmin(stiffness(_FINE))])
+        return Candidate(replace(trial, why_out=f"k is {lowest:.2g} N m at s = {where:.2f}"), None, None)
+    beam = make_beam(observations, rows.states, stiffness)
+    try:
+        comparison = validate(beam, observations, rest=rows.states.rest)
+    except MechanicsError as error:
+        return Candidate(replace(trial, why_out=str(error)), None, None)
+    snapped = not np.all(np.isfinite(comparison.predicted))
+    observed = int(np.sum(np.isfinite(comparison.measured)))
+    seen = np.isfinite(comparison.rms)
+    bic = np.inf if snapped else information_criterion(comparison.rms[seen], observed, n + m, settings.bic)
+    why = "the learned beam snaps through under the measured forces" if snapped else ""
+    return Candidate(replace(trial, rms=comparison.rms, bic=bic, why_out=why), beam, comparison)
+
+
+def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:
+    """The learned beam: stiffness, rest curvature and an even mass."""
+    mass = observations.mass if np.isfinite(observations.mass) else 0.0
+    theta0 = states.theta0
+    curvature: Profile = Uniform(0.0)
+    if np.any(theta0 != 0.0):
+        powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
+        curvature = Powers(tuple(float(c) for c in powers))
+    return Beam(
+        observations.length, stiffness, rest_curvature=curvature, mass_per_length=Uniform(mass / observations.length)
+    )

@@ -1,0 +1,1 @@
+"""Damping, and k over mass, from a film of the beam swinging freely."""

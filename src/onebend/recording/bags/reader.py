@@ -1,0 +1,242 @@
+"""Robot logs (ROS 1 and ROS 2 bags) without a ROS installation: their topics and their messages."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Ros2Reader
+
+from onebend.errors import RecordingError
+from onebend.recording.bags.items import BrokenOffError, Channel
+from onebend.recording.bags.message_types import decoder
+from onebend.recording.bags.sequential_scan import scan
+from onebend.recording.bags.sqlite_pages import lacking
+
+ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
+METADATA = "metadata.yaml"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a bag."""
+
+    channel: Channel
+    count: int  # messages
+
+
+@dataclass(frozen=True)
+class Bag:
+    """A bag as it was found; messages are read from its files as they are asked for."""
+
+    path: Path
+    parts: tuple[Path, ...]  # its files in order; the folder itself where its metadata list them
+    scanned: bool  # whether it is read without its index
+    topics: dict[str, Topic]
+    fault: str = ""  # where it breaks off; empty: it does not
+
+    @property
+    def count(self) -> int:
+        return sum(topic.count for topic in self.topics.values())
+
+
+def is_bag(path: Path) -> bool:
+    """Whether the path looks like a bag: a file by its ending, a folder by what it holds."""
+    return path.suffix in ENDINGS if path.is_file() else path.is_dir() and bool(files_of(path))
+
+
+def files_of(path: Path) -> tuple[Path, ...]:
+    """The files with messages, in order; none where a folder holds none."""
+    if path.is_file():
+        return (path,)
+    found = [file for file in path.iterdir() if file.name.endswith((*ENDINGS, ".mcap.zstd", ".db3.zstd"))]
+    return tuple(sorted(found, key=lambda file: natural(file.name)))
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts run_2 before run_10."""
+    words: list[tuple[int, str]] = []
+    for letter in name:
+        if letter.isdigit() and words and words[-1][1] == "":
+            words[-1] = (10 * words[-1][0] + int(letter), "")
+        else:
+            words.append((int(letter), "") if letter.isdigit() else (0, letter))
+    return words
+
+
+def open_bag(path: Path, *, keep: bool = False) -> Bag:
+    """Topics and counts of the bag at `path`: a file, or a folder with or without its metadata.
+
+    A bag that was not closed is read without its index. With `keep` one that is damaged is, too, up to the damage.
+
+    Raises:
+        RecordingError: there is none, or it is damaged and `keep` is false; with the place and how many messages come
+            before it.
+    """
+    files = files_of(path) if path.exists() else ()
+    if not files:
+        raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
+    refuse_journals(files)
+    packed = any(file.suffix == ".zstd" for file in files)  # as a whole: there is no way in but the usual one
+    if packed or (not keep and not any(lacking(file) for file in files)):
+        parts = (path,) if path.is_dir() and (path / METADATA).is_file() else files
+        try:
+            return Bag(path, parts, scanned=False, topics=together(connections(part) for part in parts))
+        except Exception as wrong:  # the readers' own, or what numbers that make no sense lead to
+            why = str(wrong).rstrip(".")
+    else:
+        why = ""
+    found = scan_bag(path, files)
+    if found.fault and (not keep or not found.count):
+        raise damaged(found, found.fault)
+    if not found.count and why:
+        raise RecordingError(f"{path} cannot be read: {why}.")
+    return found
+
+
+def refuse_journals(files: Sequence[Path]) -> None:
+    """An error where a database has messages beside it that were not written into it yet."""
+    for file in files:
+        journal = file.with_name(f"{file.name}-wal")
+        if journal.is_file() and journal.stat().st_size:
+            raise RecordingError(
+                f"{file} was not closed: {journal.name} beside it holds messages that are not in it. Take them in with "
+                f'`sqlite3 {file.name} "PRAGMA wal_checkpoint(TRUNCATE)"`, or remove that file to do without them.'
+            )
+
+
+def scan_bag(path: Path, files: Sequence[Path]) -> Bag:
+    """The bag as a reading from front to back finds it, and where that ended."""
+    channels: dict[str, Channel] = {}
+    counts: Counter[str] = Counter()
+    faults = []
+    for file in files:
+        try:
+            for item in scan(file):
+                channel = item if isinstance(item, Channel) else item[0]
+                channels.setdefault(channel.topic, channel)
+                counts[channel.topic] += not isinstance(item, Channel)
+        except BrokenOffError as wrong:
+            faults.append(f"{file.name}: {wrong}")
+    topics = {name: Topic(channel, counts[name]) for name, channel in channels.items()}
+    return Bag(path, tuple(files), scanned=True, topics=topics, fault="; ".join(faults))
+
+
+def damaged(bag: Bag, fault: str) -> RecordingError:
+    """The error for a bag that breaks off."""
+    good = ", ".join(f"{topic.count} of {name}" for name, topic in bag.topics.items() if topic.count)
+    text = f"{bag.path} is damaged: {fault}."
+    if not good:
+        return RecordingError(f"{text} No message can be read before that. Copy it again.")
+    return RecordingError(
+        f"{text} {bag.count} messages can be read before that ({good}). Copy it again, or write "
+        'damaged = "keep" to use what is there.'
+    )
+
+
+def connections(part: Path) -> list[tuple[Channel, int]]:
+    """Topics and counts of one sound part, by its index."""
+    with reader_of(part) as reader:
+        found = []
+        for one in reader.connections:
+            kind = one.msgdef.format
+            text = "" if kind == MessageDefinitionFormat.NONE else one.msgdef.data
+            idl = kind == MessageDefinitionFormat.IDL
+            found.append((Channel(one.topic, one.msgtype, encoding_of(one), text, idl), one.msgcount))
+        return found
+
+
+def encoding_of(connection: Connection) -> str:
+    """How the messages are packed: "cdr" or "ros1"."""
+    return connection.ext.serialization_format if isinstance(connection.ext, ConnectionExtRosbag2) else "ros1"
+
+
+def reader_of(part: Path) -> Ros1Reader | Ros2Reader:
+    """The reader for one file, or for a folder with metadata."""
+    return Ros1Reader(part) if part.suffix in (".bag", ".active") else Ros2Reader(part)
+
+
+def together(parts: Iterator[list[tuple[Channel, int]]]) -> dict[str, Topic]:
+    """Topics by name; publishers and parts of one topic are added up."""
+    found: dict[str, Topic] = {}
+    for part in parts:
+        for channel, count in part:
+            before = found.get(channel.topic)
+            found[channel.topic] = (
+                Topic(channel, count) if before is None else replace(before, count=before.count + count)
+            )
+    return found
+
+
+def topic_of(bag: Bag, name: str, where: str) -> Topic:
+    """The topic `name`; `where` says who asks for it.
+
+    Raises:
+        RecordingError: no such topic, or no message of it; those there are listed.
+    """
+    found = bag.topics.get(name) or bag.topics.get(f"/{name}")
+    if found is not None and found.count:
+        return found
+    if found is not None:
+        raise RecordingError(f"{where}: {bag.path} holds no message of {name}. It holds {listed(bag)}.")
+    near = difflib.get_close_matches(name, bag.topics, n=1)
+    hint = f" Did you mean {near[0]}?" if near else ""
+    raise RecordingError(f"{where}: {bag.path} has no topic {name}. It holds {listed(bag)}.{hint}")
+
+
+def listed(bag: Bag) -> str:
+    """The topics with types and counts, in words."""
+    rows = [f"{name} ({topic.channel.type}, {topic.count} messages)" for name, topic in sorted(bag.topics.items())]
+    return "; ".join(rows) or "no topic"
+
+
+def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
+    """When each message of the topic was received, ns, and its bytes, in the bag's order.
+
+    Raises:
+        RecordingError: the bag is damaged within, though its index is good.
+    """
+    name = topic.channel.topic
+    if bag.scanned:
+        for part in bag.parts:
+            try:
+                for item in scan(part):
+                    if not isinstance(item, Channel) and item[0].topic == name:
+                        yield item[1], item[2]
+            except BrokenOffError:
+                continue  # `bag.fault` says so
+        return
+    for part in bag.parts:
+        try:
+            with reader_of(part) as reader:
+                wanted = [one for one in reader.connections if one.topic == name]
+                if wanted:
+                    for _, received, data in reader.messages(wanted):
+                        yield received, data
+        except Exception as wrong:  # the readers' own, the unpackers', or what senseless numbers lead to
+            found = scan_bag(bag.path, files_of(bag.path))
+            raise damaged(found, found.fault or str(wrong).rstrip(".")) from None
+
+
+def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterator[tuple[int, Any]]:
+    """When each message of the topic was received, ns, and the message as an object.
+
+    Raises:
+        RecordingError: its type is not known, a message does not fit it, or the bag is damaged.
+    """
+    decode = decoder(bag.path, topic.channel, definitions)
+    for count, (received, data) in enumerate(raw_messages(bag, topic)):
+        try:
+            yield received, decode(data)
+        except GeneratorExit:
+            raise
+        except Exception as wrong:  # numpy, struct and the decoder's own, each in its way
+            raise RecordingError(
+                f"{bag.path}: message {count} of {topic.channel.topic} is no {topic.channel.type} ({wrong})."
+            ) from None

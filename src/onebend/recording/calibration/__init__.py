@@ -1,0 +1,1 @@
+"""A camera's intrinsic parameters from a film of a calibration board."""

@@ -1,0 +1,112 @@
+"""The base's pose from the tags on it: one place where it stands still, one a frame where it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onebend.recording.camera.tag_poses import Poses, relative_to, unwrap
+from onebend.recording.toml.entries import TagEntry
+from onebend.records import Array, Remark
+
+MOVED = 5.0  # sd: a base further from its middle place, after a running median, moves
+RUNNING = 5  # frames of that running median
+
+
+def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
+    """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
+
+    The frame is that of the first tag, which sits at its own s on the frame's x axis. Where the base stands still it
+    is the middle of all frames, with the uncertainty of a single one: the detector's error at one place of the pixel
+    grid is the same in every frame and does not average out.
+    """
+    pose = together(poses, [tag.s * length for tag in tags])
+    state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
+    known = np.isfinite(state).all(axis=1)
+    middle, typical = np.median(state[known], axis=0), np.median(pose.covariance[known, 0], axis=0)
+    away = running_median(state[known], RUNNING) - middle
+    chi2 = np.einsum("ti,ij,tj->t", away, np.linalg.inv(typical), away)
+    if (chi2 > MOVED**2).any():
+        return pose, True
+    frames = len(state)
+    return Poses(
+        np.broadcast_to(middle[:2], (frames, 1, 2)),
+        np.broadcast_to(middle[2:], (frames, 1)),
+        np.broadcast_to(typical, (frames, 1, 3, 3)),
+    ), False
+
+
+def together(poses: Poses, along: Sequence[float]) -> Poses:
+    """The base's pose (T, 1) from all its tags, `along` [m] on its x axis.
+
+    Tags after the first are brought to it by where they are seen beside it, not by where they should sit.
+    """
+    first = behind(column(poses, 0), along[0])
+    others = [behind(column(poses, i), place) for i, place in enumerate(along) if i > 0]
+    return average([first, *(aligned(other, first) for other in others)])
+
+
+def column(poses: Poses, i: int) -> Poses:
+    """The poses (T, 1) of one tag, its angle continuous in time."""
+    return Poses(poses.xy[:, i : i + 1], unwrap(poses.angle[:, i : i + 1]), poses.covariance[:, i : i + 1])
+
+
+def behind(pose: Poses, along: float) -> Poses:
+    """Pose (T, 1) of a frame on whose x axis the given pose sits at `along` [m]."""
+    cos, sin = np.cos(pose.angle), np.sin(pose.angle)
+    jacobian = np.broadcast_to(np.eye(3), (*pose.angle.shape, 3, 3)).copy()
+    jacobian[..., 0, 2], jacobian[..., 1, 2] = along * sin, -along * cos
+    covariance = jacobian @ pose.covariance @ np.swapaxes(jacobian, -1, -2)
+    return Poses(pose.xy - along * np.stack([cos, sin], axis=-1), pose.angle, covariance)
+
+
+def aligned(other: Poses, first: Poses) -> Poses:
+    """`other` moved by the constant pose that, in the frames that show both, brings it onto `first`."""
+    apart = relative_to(other, first)
+    both = np.isfinite(apart.angle[:, 0])
+    if not both.any():
+        return other  # never seen together: its written place must do
+    x, y = np.median(apart.xy[both, 0], axis=0)
+    turn = float(np.median(apart.angle[both, 0]))
+    cos, sin = np.cos(other.angle), np.sin(other.angle)
+    moved = other.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    return Poses(moved, other.angle + turn, other.covariance)
+
+
+def average(poses: Sequence[Poses]) -> Poses:
+    """Mean of several poses (T, 1) of one thing, weighted by their covariances; NaN only where all are."""
+    if len(poses) == 1:
+        return poses[0]
+    weights, sums = np.zeros((len(poses[0].angle), 1, 3, 3)), np.zeros((len(poses[0].angle), 1, 3))
+    for pose in poses:
+        state = np.concatenate([pose.xy, pose.angle[..., None]], axis=-1)
+        seen = np.isfinite(state).all(axis=-1)
+        weight = np.linalg.inv(np.where(seen[..., None, None], pose.covariance, np.eye(3))) * seen[..., None, None]
+        weights += weight
+        sums += (weight @ np.where(seen[..., None], state, 0.0)[..., None])[..., 0]
+    none = np.asarray(~weights.any(axis=(-1, -2)))
+    covariance = np.where(none[..., None, None], np.nan, np.linalg.inv(weights + none[..., None, None] * np.eye(3)))
+    state = (covariance @ sums[..., None])[..., 0]
+    return Poses(state[..., :2], state[..., 2], covariance)
+
+
+def running_median(values: Array, count: int) -> Array:
+    """Median over `count` rows around each row of `values` (T, n); the ends repeat."""
+    padded = np.pad(values, ((count // 2, count // 2), (0, 0)), mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, count, axis=0), axis=-1))
+
+
+def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
+    """A remark where the base moves and nothing in recording.toml says that it should."""
+    if not moving or expected:
+        return []
+    far = 1000 * float(np.nanmax(np.linalg.norm(pose.xy - np.nanmedian(pose.xy, axis=0), axis=-1)))
+    turn = float(np.degrees(np.nanmax(pose.angle) - np.nanmin(pose.angle)))
+    return [
+        Remark(
+            "warning",
+            f"The base moves in the picture, by up to {far:.2f} mm and {turn:.2f} deg: clamp or camera was not still. "
+            "It was followed from frame to frame.",
+        )
+    ]

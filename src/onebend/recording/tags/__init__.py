@@ -1,0 +1,1 @@
+"""Finding AprilTags in pictures and following them through a film."""

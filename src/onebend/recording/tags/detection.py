@@ -1,0 +1,182 @@
+"""A video --> the corners of every tag in every frame, on all cores, the same whatever the threads' timing."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
+from queue import SimpleQueue
+from typing import TypeVar
+
+import numpy as np
+
+from onebend.errors import ObservationError
+from onebend.progress import Progress, Silent, track
+from onebend.recording.tags.tracking import BlockTracks, Finder, track_block
+from onebend.recording.toml.entries import FAMILIES, TagsEntry
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import Frame, frame_count, rate_remarks, read_frames
+from onebend.records import Detections, Remark
+from onebend.workers import available_cores
+
+BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
+MOST_THREADS = 8
+FREQUENT = 0.1  # of the searched pictures: a tag that nobody expects is remarked when seen more often
+OFTEN_HIDDEN = 0.05  # of the frames: a tag missing more often is remarked
+FAMILY_FRAMES = 5  # frames searched for tags of other families when none was found
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def detect_tags(
+    video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
+) -> Detections:
+    """Find every tag of `tags` in every frame of `video`.
+
+    The video is cut into blocks of frames that do not know of each other, so that the result does not depend on the
+    number of `threads` (default: one a core) nor on their timing.
+
+    Raises:
+        RecordingError: the video cannot be read to its end.
+        ObservationError: no tag, no base tag or no beam tag was found, or one id is in the picture twice.
+    """
+    tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
+    threads = threads or min(available_cores(), MOST_THREADS)
+    finders: SimpleQueue[Finder] = SimpleQueue()
+    for _ in range(threads):
+        finders.put(Finder(tags.family))
+
+    def follow_tags(frames: Sequence[Frame]) -> BlockTracks:
+        finder = finders.get()
+        try:
+            return track_block(frames, tag_id, finder)
+        finally:
+            finders.put(finder)
+
+    blocks = []
+    with ThreadPoolExecutor(threads) as pool:
+        tracked = in_order(pool, follow_tags, in_blocks(read_frames(video), BLOCK), ahead=threads)
+        for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
+            blocks += [block] if block else []
+    return summary(video, tags, tag_id, blocks)
+
+
+def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
+    """Consecutive items, `size` at a time; the last block may be shorter."""
+    items = iter(items)
+    while block := tuple(islice(items, size)):
+        yield block
+
+
+def in_order(
+    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], *, ahead: int
+) -> Iterator[Result]:
+    """`map(work, items)` on the pool, in order, with at most `ahead` + 1 items taken but not yet given back."""
+    waiting: deque[Future[Result]] = deque()
+    for item in items:
+        waiting.append(pool.submit(work, item))
+        if len(waiting) > ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
+    """Each block once, followed by as many None as it has frames more: one item a frame, for the progress."""
+    for block in blocks:
+        yield block
+        yield from [None] * (len(block.time) - 1)
+
+
+def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks]) -> Detections:
+    """The blocks as one record; errors and remarks on what was seen."""
+    time = np.concatenate([block.time for block in blocks])
+    corners = np.concatenate([block.corners for block in blocks])
+    strangers = Counter(tag for block in blocks for tag in block.strangers)
+    doubles = [double for block in blocks for double in block.doubles]
+    share = np.isfinite(corners).all(axis=(2, 3)).mean(axis=0)
+    height, width = blocks[0].shape
+    refuse_doubles(video, doubles)
+    refuse_unseen(video, tags, share, strangers, len(time))
+    looks = sum(block.looks for block in blocks)
+    return Detections(
+        time=time,
+        tag_id=np.array(tag_id),
+        corners=corners,
+        width=width,
+        height=height,
+        remarks=(
+            *rate_remarks(video, time),
+            *hidden_remarks(tag_id, share, len(time)),
+            *stranger_remarks(strangers, looks),
+        ),
+    )
+
+
+def refuse_doubles(video: VideoEntry, doubles: Sequence[tuple[int, int]]) -> None:
+    """An error where one id is in the picture twice."""
+    if doubles:
+        tag = doubles[0][1]
+        frames = [str(frame) for frame, other in doubles if other == tag]
+        raise ObservationError(
+            f"{video.file}: tag {tag} is in the picture twice (frame {', '.join(frames[:5])}"
+            f"{', ...' if len(frames) > 5 else ''}). Cover or replace one of them and film again."
+        )
+
+
+def refuse_unseen(video: VideoEntry, tags: TagsEntry, share: np.ndarray, strangers: Counter[int], frames: int) -> None:
+    """An error where no tag, no base tag or no beam tag was found in any frame."""
+    base = len(tags.on_base)
+    if not share.any():
+        raise ObservationError(
+            f"{video.file}: no tag of recording.toml is in any of the {frames} frames. "
+            f"{what_is_there(video, tags, strangers, frames)}"
+        )
+    for what, part, entries in (("base", share[:base], tags.on_base), ("beam", share[base:], tags.on_beam)):
+        if not part.any():
+            ids = ", ".join(str(tag.id) for tag in entries)
+            raise ObservationError(
+                f"{video.file}: no {what} tag (id {ids}) is in any of the {frames} frames. Check the ids in "
+                "recording.toml and that the tag is in the picture."
+            )
+
+
+def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], frames: int) -> str:
+    """What a video without any expected tag shows instead, as advice."""
+    if strangers:
+        return f"The ids seen are {', '.join(map(str, sorted(strangers)))}: correct the ids in recording.toml."
+    wanted = set(np.linspace(0, frames - 1, FAMILY_FRAMES).astype(int).tolist())
+    pictures = [frame.luma for frame in read_frames(video) if frame.index in wanted]
+    for family in FAMILIES:
+        if family != tags.family:
+            finder = Finder(family)
+            seen = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
+            if seen:
+                ids = ", ".join(map(str, sorted(seen)))
+                return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
+    need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
+    return f"Check that the tags are {tags.family}, {need}."
+
+
+def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
+    """A remark for each tag that is missing in many frames."""
+    remarks = []
+    for tag, seen in zip(tag_id, share, strict=True):
+        if seen < 1 - OFTEN_HIDDEN:
+            text = f"Tag {tag} was not seen in {round((1 - seen) * frames)} of {frames} frames."
+            if not seen:
+                text = f"Tag {tag} is in none of the {frames} frames: correct its id in recording.toml, or take it out."
+            remarks.append(Remark("note" if seen else "warning", text))
+    return remarks
+
+
+def stranger_remarks(strangers: Counter[int], looks: int) -> list[Remark]:
+    """A remark on tags in the picture that recording.toml does not name."""
+    often = sorted(tag for tag, count in strangers.items() if count > FREQUENT * looks)
+    if not often:
+        return []
+    return [
+        Remark("note", f"The picture also shows tags that recording.toml does not name: {', '.join(map(str, often))}.")
+    ]

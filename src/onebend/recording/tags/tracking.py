@@ -1,0 +1,141 @@
+"""Finding tags in pictures, and following them through a block of frames by looking only where they must be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pyapriltags import Detector
+
+from onebend.recording.tags.pattern import CELLS, correct_still
+from onebend.recording.video import Frame, Picture
+from onebend.records import Array
+
+LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
+NEAR, WIDE = 0.4, 1.5  # margins around a tag's predicted place, in tag sizes: the first try and the second
+LEAST_MARGIN = 8  # px
+# Decimation costs accuracy or small tags; a little blur before the search takes noise off the edges. Measured in
+# benchmarks/detectors.py.
+DECIMATE, BLUR = 1.0, 0.8
+HALF_PIXEL = 0.5  # the detector puts pixel centres at halves, we at whole numbers
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One tag in one picture; `corners` as in `records.Detections`."""
+
+    tag_id: int
+    corners: Array  # (4, 2) px
+    errors: int  # bits of the code that had to be corrected
+    margin: float  # contrast of the code's bits; the larger the surer
+
+
+@dataclass(frozen=True)
+class BlockTracks:
+    """What one block of consecutive frames shows."""
+
+    time: Array  # (B,) s
+    corners: Array  # (B, m, 4, 2) px, NaN where not seen
+    shape: tuple[int, int]  # height, width, px
+    looks: int  # how often the whole picture was searched
+    strangers: tuple[int, ...]  # ids seen then that nobody expects, one entry a sighting
+    doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was surely seen at two places
+
+
+class Finder:
+    """An AprilTag detector. It owns memory outside Python: one for each thread."""
+
+    def __init__(self, family: str) -> None:
+        self.cells = CELLS.get(family)
+        self._detector = Detector(families=family, quad_decimate=DECIMATE, quad_sigma=BLUR)
+
+    def look(self, picture: Picture) -> list[Sighting]:
+        """Every tag in `picture`, the surest first."""
+        seen = [
+            Sighting(tag.tag_id, tag.corners - HALF_PIXEL, tag.hamming, tag.decision_margin)
+            for tag in self._detector.detect(np.ascontiguousarray(picture))
+        ]
+        return sorted(seen, key=lambda tag: (tag.errors, -tag.margin))
+
+
+def track_block(frames: Sequence[Frame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
+    """Follow the tags `tag_id` through consecutive frames.
+
+    The first picture is searched as a whole. From then on each tag is sought around the place its last two sightings
+    predict; every `LOOK_EVERY` frames, and in the last one, the whole picture is searched again if a tag is missing. A
+    second pass, backward in time, finds what became visible between two such searches. The result depends on nothing
+    but the frames.
+    """
+    tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
+    looks, strangers, doubles = 0, [], []
+    for t, frame in enumerate(frames):
+        follow(tracks, t, -1, frame.luma, tag_id, finder)
+        if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
+            seen = finder.look(frame.luma)
+            looks += 1
+            strangers += [tag.tag_id for tag in seen if tag.tag_id not in tag_id]
+            doubles += [(frame.index, tag) for tag in sure_doubles(seen) if tag in tag_id]
+            take(tracks[t], seen, tag_id)
+    for t in reversed(range(len(frames))):
+        follow(tracks, t, 1, frames[t].luma, tag_id, finder)
+    tracks = correct_still(frames, tracks, finder.cells)
+    height, width = frames[0].luma.shape
+    times = np.array([frame.time for frame in frames])
+    return BlockTracks(times, tracks, (height, width), looks, tuple(strangers), tuple(doubles))
+
+
+def follow(tracks: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: Finder) -> None:
+    """Seek in frame `t` every tag not yet found there, around where its sightings on the side of `step` (-1 the past,
+    1 the future) predict it. Fills `tracks[t]`."""
+    for i in np.flatnonzero(np.isnan(tracks[t]).any(axis=(1, 2))).tolist():
+        expected, move = predict(tracks[:, i], t, step)
+        if expected is None:
+            continue
+        size = float(np.ptp(expected, axis=0).max())
+        for margin in (NEAR, WIDE):
+            seen = look_around(picture, expected, max(margin * size, LEAST_MARGIN) + margin * move, finder)
+            take(tracks[t, i : i + 1], seen, tag_id[i : i + 1])
+            if not np.isnan(tracks[t, i]).any():
+                break
+
+
+def predict(track: Array, t: int, step: int) -> tuple[Array | None, float]:
+    """Corners expected in frame `t` from the nearest two sightings within `LOOK_EVERY` frames on one side, moving on
+    evenly, and how far (px) they have moved since the nearest one. None where there is no sighting."""
+    seen = [
+        k
+        for k in range(t + step, t + step * (LOOK_EVERY + 1), step)
+        if 0 <= k < len(track) and not np.isnan(track[k]).any()
+    ]
+    if not seen:
+        return None, 0.0
+    nearest = track[seen[0]]
+    if len(seen) == 1:
+        return nearest, 0.0
+    shift = (nearest - track[seen[1]]).mean(axis=0) * (t - seen[0]) / (seen[0] - seen[1])
+    return nearest + shift, float(np.abs(shift).max())
+
+
+def look_around(picture: Picture, expected: Array, margin: float, finder: Finder) -> list[Sighting]:
+    """Tags in the part of the picture within `margin` of the expected corners."""
+    height, width = picture.shape
+    left, top = np.maximum(np.floor(expected.min(axis=0) - margin), 0).astype(int)
+    right, bottom = np.minimum(np.ceil(expected.max(axis=0) + margin) + 1, (width, height)).astype(int)
+    if right - left < LEAST_MARGIN or bottom - top < LEAST_MARGIN:
+        return []
+    seen = finder.look(picture[top:bottom, left:right])
+    return [Sighting(tag.tag_id, tag.corners + np.array([left, top]), tag.errors, tag.margin) for tag in seen]
+
+
+def take(row: Array, seen: Sequence[Sighting], tag_id: Sequence[int]) -> None:
+    """Put the surest sighting of each id into `row` (m, 4, 2), where it holds none yet."""
+    for i, wanted in enumerate(tag_id):
+        if np.isnan(row[i]).any():
+            row[i] = next((tag.corners for tag in seen if tag.tag_id == wanted), np.nan)
+
+
+def sure_doubles(seen: Sequence[Sighting]) -> list[int]:
+    """Ids that were read without an error at two places of one picture."""
+    sure = [tag.tag_id for tag in seen if tag.errors == 0]
+    return sorted({tag for tag in sure if sure.count(tag) > 1})

@@ -1,0 +1,62 @@
+# ruff: noqa: RUF009  (key() returns a dataclass field, which is what a default may be)
+"""What `recording.toml` may say of the beam itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from onebend.recording.toml.schema import key, number, one_of, text
+from onebend.records import CURVATURE_SD, MassAlong, Rest, StiffnessAlong
+
+
+@dataclass(frozen=True)
+class BeamEntry:
+    """[beam]: what is known of the beam."""
+
+    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
+    mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
+    mass_file: Path | None = key(
+        "mass_file",
+        text,
+        "a table with columns s and kg_per_m: the mass per metre, where it is not even",
+        example='"mass.csv"',
+        default=None,
+    )
+    stiffness_along: StiffnessAlong = key(
+        "stiffness_along",
+        one_of("unknown", "even"),
+        'what is known of how k varies: "even" where it is one number (one section and material), or "unknown"',
+        example='"even"',
+        default="unknown",
+    )
+    mass_along: MassAlong = key(
+        "mass_along",
+        one_of("unknown", "even", "width", "thickness", "both", "table"),
+        'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
+        '"table" in mass_file, or "unknown"',
+        example='"even"',
+        default="unknown",
+    )
+    width: float = key(
+        "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
+    )
+    thickness: float = key(
+        "thickness_m", number(above=0), "the beam's size along the bending axis, m", example="0.03", default=math.nan
+    )
+    rest: Rest = key(
+        "rest",
+        one_of("straight", "unknown"),
+        'its shape with no force on it: "straight", or "unknown" if it may be curved',
+        example='"straight"',
+        default="straight",
+    )
+    curvature_sd: float = key(
+        "rest_curvature_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        'how far it may be turned from clamp to tip by its own curvature, where rest = "unknown" (one standard '
+        "deviation), degrees; 0: straight",
+        example="8.6",
+        default=CURVATURE_SD,
+    )  # rad

@@ -1,0 +1,145 @@
+"""What loads the beam in static poses: a table with one row a load, weights along gravity, forces, moments."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from onebend.errors import RecordingError
+from onebend.recording.tables import Columns, read_columns
+from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.source_entries import Axes
+from onebend.records import Array, BoolArray, KnownLoads
+
+WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
+AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
+
+
+@dataclass(frozen=True)
+class PoseLoads:
+    """P poses in the order of the table; in every one the clamp, the weight's direction and the loads."""
+
+    names: tuple[str, ...]
+    clamp: Array  # (P,) rad, the beam's x axis in the room; NaN where nothing says it
+    gravity: Array  # (P, 2) m/s^2 in the beam's frame; zeros where the beam's weight acts across the plane
+    force: Array  # (P, 2) N, the first force of each pose, beam's frame
+    push_s: Array  # (P,) where it acts; the tip where there is none
+    others: KnownLoads | None  # further forces, and moments
+    held: BoolArray  # (P,) the end s = 1 is held, nobody knows with what force and moment
+
+
+def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
+    """The loads of every pose that the table names; a row without a load names a pose of the bare beam.
+
+    Raises:
+        RecordingError: a load without a place, a weight or a room axis without the clamp's angle, angles that differ
+            within a pose.
+    """
+    columns = ("s", "clamp_deg", *AMOUNTS)
+    table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
+    held_rows = _held(table)
+    amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
+    loaded = np.any([np.nan_to_num(values) != 0.0 for values in amounts.values()], axis=0)
+    s = table.get("s")
+    table.refuse(loaded & ~((s >= 0.0) & (s <= 1.0)), "a load needs its place: s between 0 at the clamp and 1.")
+    table.refuse(np.isfinite(amounts["weight_N"]) & np.isfinite(amounts["mass_kg"]), "both weight_N and mass_kg.")
+    names = tuple(dict.fromkeys(table.labels["pose"]))
+    pose = np.array([names.index(name) for name in table.labels["pose"]])
+    clamp = _clamps(table, rec, pose, len(names))
+    hung = np.nan_to_num(amounts["weight_N"]) + np.nan_to_num(amounts["mass_kg"]) * _magnitude(rec)
+    table.refuse(
+        ((hung != 0.0) | (loaded & (axes == "room"))) & ~np.isfinite(clamp[pose]),
+        "a weight, or a force in the room's axes, needs the clamp's angle. Give clamp_deg in the table, or "
+        "base_angle_deg in [gravity].",
+    )
+    given = np.stack([np.nan_to_num(amounts["fx_N"]), np.nan_to_num(amounts["fy_N"])], axis=1)
+    force = turned(given, clamp[pose]) if axes == "room" else given
+    down = np.full(len(pose), rec.gravity.direction if rec.gravity else -math.pi / 2) - np.nan_to_num(clamp[pose])
+    force = force + hung[:, None] * np.stack([np.cos(down), np.sin(down)], axis=1)
+    moment = np.nan_to_num(amounts["moment_N_m"])
+    gravity = np.zeros((len(names), 2))
+    if rec.gravity is not None:
+        fall = rec.gravity.direction - clamp
+        if not np.isfinite(fall).all():
+            lost = names[int(np.argmax(~np.isfinite(fall)))]
+            raise RecordingError(f"{path}: nothing says how the clamp is turned in pose {lost}. Give clamp_deg there.")
+        gravity = rec.gravity.magnitude * np.stack([np.cos(fall), np.sin(fall)], axis=1)
+    first, push_s, others = _shared(pose, len(names), force, moment, s)
+    held = np.array([bool(np.any(held_rows[pose == i])) for i in range(len(names))])
+    return PoseLoads(names, clamp, gravity, first, push_s, others, held)
+
+
+def turned(vectors: Array, clamp: Array) -> Array:
+    """Room vectors (..., 2) in the frame of a clamp turned by `clamp` (...) [rad]; a missing coordinate spoils only
+    what depends on it."""
+    cos, sin = np.cos(np.nan_to_num(clamp)), np.sin(np.nan_to_num(clamp))
+    cos, sin = (np.where(np.abs(part) < 1e-9, 0.0, part) for part in (cos, sin))
+
+    def times(share: Array, value: Array) -> Array:
+        return np.where(share == 0.0, 0.0, share * value)
+
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([times(cos, x) + times(sin, y), times(cos, y) - times(sin, x)], axis=-1)
+
+
+def _held(table: Columns) -> BoolArray:
+    """(N,) rows of an end that is held with an unknown force and moment."""
+    unknown = np.isinf(np.stack([table.get(name) for name in WRENCH]))
+    table.refuse(
+        np.any(unknown, axis=0) & ~np.all(unknown, axis=0),
+        f"a held end has an unknown force and moment: write unknown for all of {', '.join(WRENCH)}, or numbers.",
+    )
+    held = np.all(unknown, axis=0)
+    table.refuse(held & (table.get("s") != 1.0), "only the end can be held with an unknown load: give s = 1 there.")
+    table.refuse(
+        held & (np.isfinite(table.get("weight_N")) | np.isfinite(table.get("mass_kg"))),
+        "a load that is unknown and a weight: give the weight a row of its own.",
+    )
+    return np.asarray(held)
+
+
+def _magnitude(rec: Recording) -> float:
+    return rec.gravity.magnitude if rec.gravity is not None else 9.81
+
+
+def _clamps(table: Columns, rec: Recording, pose: np.ndarray, count: int) -> Array:
+    """(P,) rad: the table's, else recording.toml's."""
+    usual = rec.gravity.base_angle if rec.gravity is not None else math.nan
+    out, degrees = np.full(count, usual), table.get("clamp_deg")
+    for i in range(count):
+        mine = degrees[(pose == i) & np.isfinite(degrees)]
+        if len(mine):
+            table.refuse((pose == i) & (np.ptp(mine) > 0.0), "clamp_deg differs within the pose. Give one.")
+            out[i] = math.radians(float(mine[0]))
+    return out
+
+
+def _shared(
+    pose: np.ndarray, count: int, force: Array, moment: Array, s: Array
+) -> tuple[Array, Array, KnownLoads | None]:
+    """The largest force of each pose and its place, and all the rest; rows of a pose at one place are one load."""
+    first, push_s = np.zeros((count, 2)), np.ones(count)
+    more: list[list[tuple[Array, float]]] = [[] for _ in range(count)]
+    turns: list[list[tuple[float, float]]] = [[] for _ in range(count)]
+    for i in range(count):
+        rows = np.flatnonzero(pose == i)
+        sums = [(sum((force[r] for r in rows if s[r] == at), np.zeros(2)), at) for at in sorted({*s[rows].tolist()})]
+        pushes = [(f, at) for f, at in sums if np.any(f != 0.0)]
+        pushes.sort(key=lambda load: -float(np.linalg.norm(load[0])))
+        if pushes:
+            first[i], push_s[i] = pushes[0]
+        more[i] = pushes[1:]
+        turns[i] = [(float(moment[r]), float(s[r])) for r in rows if moment[r] != 0.0]
+    a, b = max(map(len, more)), max(map(len, turns))
+    if a == 0 and b == 0:
+        return first, push_s, None
+    others = KnownLoads(np.zeros((count, a, 2)), np.ones((count, a)), np.zeros((count, b)), np.ones((count, b)))
+    for i in range(count):
+        for j, (f, at) in enumerate(more[i]):
+            others.force[i, j], others.force_s[i, j] = f, at
+        for j, (m, at) in enumerate(turns[i]):
+            others.moment[i, j], others.moment_s[i, j] = m, at
+    return first, push_s, others

@@ -1,0 +1,178 @@
+"""How sure the fit is, in words and rows: where k(s) is identified, the nuisances, and what trades off with what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.learning.criticism.criticism import ALARM_WRITTEN
+from onebend.learning.criticism_messages import supposed_words
+from onebend.learning.posterior import Nuisance, Posterior
+from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
+from onebend.recording.signals import runs
+from onebend.report.wording import millimetres, significant
+
+FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
+SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
+_PLACES = 401
+_SHOWN = {
+    "m": (1e3, "mm"),
+    "rad": (180.0 / np.pi, "deg"),
+    "s": (1e3, "ms"),
+    "1": (1e2, "%"),
+    "N": (1e3, "mN"),
+    "N/s": (1e3, "mN/s"),
+}
+
+
+@dataclass(frozen=True)
+class NuisanceRow:
+    """One nuisance as people read it."""
+
+    name: str
+    value: str
+    before: str  # one sd before the data
+    after: str  # one sd after
+    unit: str
+    moved: float  # |value| in sds before the data
+    learned: float  # 1 - after / before: 0 where the data said nothing
+
+
+def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
+    """First and last s of every stretch where k(s) is identified, to 1/400."""
+    s = np.linspace(0.0, 1.0, _PLACES)
+    known = uncertain.band(s).identified
+    return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
+
+
+def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
+    """Sentences on where the data are blind; empty where they are not. One alone where all of k(s) is in doubt."""
+    if uncertain.doubts:
+        return [f"NOT TO BE TRUSTED: {'; '.join(uncertain.doubts)}. No place of k(s) counts as identified."]
+    found = identified_ranges(uncertain)
+    whose = "this recording says" if recordings == 1 else "these recordings say"
+    if not found:
+        return [f"At no place {whose} enough: k(s) is not known to a factor of {FACTOR:.1f} (95 %) anywhere."]
+    rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
+    words = []
+    if found[0][0] > 0.0:
+        words.append(f"Nearer to the clamp than s = {np.ceil(100 * found[0][0]) / 100:.2f} {whose} {rest}")
+    words += [f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(found)]
+    if found[-1][1] < 1.0:
+        words.append(f"Beyond s = {found[-1][1]:.2f} {whose} {rest}")
+    return words
+
+
+def gain_words(gain_sd: float, *, forced: bool = True) -> str:
+    """What the scale error of the force does to k(s), apart from the band's shape."""
+    if not forced:
+        return "No force was logged: the scale of k(s) is that of the beam's weight, m g."
+    if gain_sd > 0.0:
+        return (
+            f"The force's scale is declared to {100 * gain_sd:.3g} % (sd): it moves all of k(s) alike, by as much, "
+            "and is in the band."
+        )
+    return (
+        "No scale error of the force is declared (gain_sd in [force]), and none is in the band: a sensor that reads "
+        "1 % too much makes all of k(s) 1 % too stiff."
+    )
+
+
+def load_error_words(load_error: tuple[float, float]) -> list[str]:
+    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); nothing of a small
+    one."""
+    size, share = load_error
+    if share < SMALL_SHARE:
+        return []
+    return [
+        f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
+        "another amount while it grows than while it falls, which no rest shows: the fit has taken that off, and what "
+        "is left of it is in the band. Push harder, or more than once, for a narrower one."
+    ]
+
+
+def stop_words(posterior: Posterior) -> str:
+    """Whether and why the search ended."""
+    end = "converged" if posterior.optimum.converged else "did not converge"
+    return f"{end} after {posterior.optimum.steps} steps: {posterior.optimum.stopped}"
+
+
+def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
+    """Nuisances in mm, degrees, ms, % and mN."""
+    rows = []
+    for n in nuisances:
+        factor, unit = _SHOWN.get(n.unit, (1.0, n.unit))
+        rows.append(
+            NuisanceRow(
+                name=n.name,
+                value=f"{significant(factor * n.value, 2)}",
+                before=significant(factor * n.prior_sd, 2),
+                after=significant(factor * n.sd, 2),
+                unit=unit,
+                moved=abs(n.value) / n.prior_sd,
+                learned=max(1.0 - n.sd / n.prior_sd, 0.0),
+            )
+        )
+    return rows
+
+
+@dataclass(frozen=True)
+class SupposedRow:
+    """One test of the fit's own model as people read it."""
+
+    what: str
+    odds: str  # how often chance alone does as much
+    size: str  # mm that it moves a tag by
+    shift: str  # % of k
+    alarm: bool
+
+
+def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
+    """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
+    if any(one.hopeless for one in posterior.misses):
+        return []
+    critic = posterior.criticism
+    return [
+        SupposedRow(
+            what=supposed_words(one, posterior),
+            odds=_odds(one.score.log10_p),
+            size=millimetres(one.score.size),
+            shift=f"{100.0 * float(np.expm1(one.shift)):.2g} %",
+            alarm=one in critic.alarms,
+        )
+        for one in critic.findings[:most]
+    ]
+
+
+def alarm_words(posterior: Posterior) -> str:
+    """From where on a test counts: of so many, some look odd by chance."""
+    critic = posterior.criticism
+    written = max(critic.alarm, ALARM_WRITTEN)
+    return (
+        f"Of {len(critic.findings)} tests some look odd by chance: one counts beyond {_odds(critic.alarm)} "
+        f"({_odds(written)} for place and direction of the push, which people write down), if k(s) would change by "
+        "more than half of its sd."
+    )
+
+
+def tradeoff_words(posterior: Posterior) -> list[str]:
+    """The strongest pairs, one sentence each; first what the level of k(s) itself depends on."""
+    level = with_level(posterior)
+    words = [f"{_pair(one)}" for one in level]
+    return words + [_pair(one) for one in tradeoffs(posterior) if one not in level]
+
+
+def _pair(one: Tradeoff) -> str:
+    how = "rise and fall together" if one.correlation > 0.0 else "go against each other"
+    return f"{one.first} and {one.second} {how} (correlation {one.correlation:+.2f})"
+
+
+def _odds(log10_p: float) -> str:
+    """A probability as people say it, to two digits; beyond a billion it only counts that it is small."""
+    count = 10.0 ** min(-log10_p, 9.0)
+    whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
+    return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")

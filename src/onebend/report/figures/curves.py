@@ -1,0 +1,138 @@
+"""The figures of what was learned: k(s) with its band, and the nuisances before and after the data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Profile
+from onebend.beam.profiles.uncertain import Band, UncertainStiffness
+from onebend.learning.posterior import Nuisance
+from onebend.records import Array, BoolArray
+from onebend.report.figures.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, shape, styled
+
+MM = 1000.0
+GREY = "#98a2b3"
+LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # of the bands, and how strongly each is drawn
+_S = np.linspace(0.0, 1.0, 401)
+
+
+@styled
+def stiffness(
+    beam: Beam,
+    *,
+    uncertain: UncertainStiffness | None = None,
+    regression: Profile | None = None,
+    marker_s: Array | Sequence[float] = (),
+    push_s: float | None = None,
+) -> Figure:
+    """k(s) along the beam with its bands, grey where the data are blind; the regression's k(s) beside it.
+
+    The symbols are the tags; hatched: what no push reached.
+    """
+    if uncertain is None:
+        figure, (axes,) = blank(3.1)
+        low, top = _plain(axes, beam.stiffness(_S))
+    else:
+        figure, (axes, relative) = blank(4.9, 2, 1, sharex=True, height_ratios=(2.6, 1.0))
+        low, top = 0.0, _banded(axes, uncertain)
+        _relative(relative, uncertain, regression)
+    if regression is not None:
+        axes.plot(_S, regression(_S), color=ORANGE, linewidth=1.3, linestyle="--", label="the paper's regression")
+        top = max(top, min(float(np.max(regression(_S))), 1.5 * top))
+    axes.set(xlim=(0, 1), ylabel="bending stiffness k = EI / L [N m]", ylim=(1.15 * low, 1.15 * top or None))
+    _places(axes, marker_s, push_s)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="best")
+    figure.axes[-1].set_xlabel("place along the beam s")
+    length = MM * beam.length
+    above = axes.secondary_xaxis("top", functions=(partial(np.multiply, length), partial(np.multiply, 1.0 / length)))
+    above.set_xlabel("distance from the clamp [mm]", color=MUTED)
+    return figure
+
+
+def _plain(axes: Axes, k: Array) -> tuple[float, float]:
+    """A curve without a band; returns the lowest and highest value to show."""
+    axes.plot(_S, k, color=BLUE)
+    axes.fill_between(_S, 0.0, k, color=BLUE, alpha=0.08, linewidth=0)
+    if k.min() <= 0.0:
+        axes.fill_between(_S, 0.0, k, where=k <= 0.0, color=ORANGE, alpha=0.35, label="not positive: no beam")
+    return min(0.0, float(k.min())), max(float(k.max()), 0.0)
+
+
+def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
+    """The curve with its bands; returns the highest value to show: a band that says nothing may leave the picture."""
+    wide = _bands(axes, uncertain, np.asarray)
+    known, k = wide.identified, wide.k
+    axes.plot(_S, np.where(known, k, np.nan), color=BLUE, label="k(s)")
+    axes.fill_between([], [], color=BLUE, alpha=0.5, linewidth=0, label="50, 80, 95 % band")  # for the legend
+    if not known.all():
+        axes.plot(_S, np.where(_reach(~known), k, np.nan), color=GREY)
+        why = "not to be trusted" if uncertain.doubts else "not identified"
+        axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label=why)
+    seen = known if known.any() else np.ones(len(_S), dtype=bool)
+    return float(max(np.max(wide.high[seen]), min(np.max(wide.high), 1.5 * np.max(k))))
+
+
+def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | None) -> None:
+    """The bands, and the regression, in per cent of k(s)."""
+    k = uncertain.profile(_S)
+    wide = _bands(axes, uncertain, lambda value: 100.0 * (value / k - 1.0))
+    axes.plot(_S, np.where(wide.identified, 0.0, np.nan), color=BLUE)
+    axes.plot(_S, np.where(_reach(~wide.identified), 0.0, np.nan), color=GREY)
+    if regression is not None:
+        axes.plot(_S, 100.0 * (regression(_S) / k - 1.0), color=ORANGE, linewidth=1.3, linestyle="--")
+    seen = wide.identified if wide.identified.any() else np.ones(len(_S), dtype=bool)
+    reach = 120.0 * float(np.max((wide.high / k - 1.0)[seen]))
+    axes.set(ylim=(-min(reach, 100.0), reach), ylabel="against k [%]")
+
+
+def _bands(axes: Axes, uncertain: UncertainStiffness, shown: Callable[[Array], Array]) -> Band:
+    """The bands as `shown`, grey where the data are blind; returns the widest."""
+    for level, strength in LEVELS:
+        band = uncertain.band(_S, level)
+        for where, tint in ((band.identified, BLUE), (~band.identified, GREY)):
+            axes.fill_between(
+                _S, shown(band.low), shown(band.high), where=_reach(where), color=tint, alpha=strength, linewidth=0
+            )  # fmt: skip
+    return uncertain.band(_S, LEVELS[0][0])
+
+
+def _reach(where: BoolArray) -> BoolArray:
+    """Flags, one place wider to the right, so that two neighbouring pieces of a curve touch."""
+    return np.concatenate([where[:1], where[1:] | where[:-1]])
+
+
+def _places(axes: Axes, marker_s: Array | Sequence[float], push_s: float | None) -> None:
+    """The tags on the axis, and what no push reached."""
+    for i, place in enumerate(marker_s):
+        axes.plot(place, 0.0, marker=shape(i), color=colour(i), markersize=7, clip_on=False, zorder=5)
+        axes.annotate(
+            f"M{i + 1}", (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=colour(i), fontsize=8.5
+        )
+    if push_s is not None and push_s < 0.999:
+        axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
+        axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
+
+
+@styled
+def nuisances(found: Sequence[Nuisance]) -> Figure:
+    """Every nuisance in units of its prior's sd: grey what was allowed (one sd), blue what the data made of it."""
+    figure, (axes,) = blank(0.9 + 0.24 * len(found))
+    for y, n in enumerate(found):
+        axes.barh(y, 2.0, left=-1.0, height=0.72, color=FAINT, alpha=0.7)
+        axes.errorbar(n.value / n.prior_sd, y, xerr=n.sd / n.prior_sd, fmt="o", color=BLUE, markersize=4.5,
+                      elinewidth=1.6, capsize=2.5)  # fmt: skip
+    axes.axvline(0.0, color=MUTED, linewidth=0.8)
+    axes.set_yticks(range(len(found)), [n.name for n in found], color=INK)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in found)
+    axes.set(xlim=(-max(reach, 1.3), max(reach, 1.3)))
+    axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
+    return figure

@@ -1,0 +1,104 @@
+"""All figures of a report, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from onebend.beam.model import Beam
+from onebend.errors import OnebendError
+from onebend.learning.explained import explained
+from onebend.learning.outcome import Comparison, Explained
+from onebend.progress import Progress, Silent, track
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import frame_at
+from onebend.records import Observations
+from onebend.report.figures import curves, recordings
+from onebend.report.figures.simulated import largest_push
+from onebend.report.figures.style import png_of
+from onebend.report.findings import Findings
+
+Draw = Callable[[], Figure | None]
+
+
+def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, bytes]:
+    """PNGs of every figure that the findings allow, in the order of the page."""
+    beam, learned, posterior = findings.beam, findings.learned, findings.posterior
+    training, seen = findings.trainings[0], findings.recordings[0]
+    fits: Sequence[Explained | None] = [None] * len(findings.trainings)
+    if posterior is not None:
+        fits = explained(posterior)
+    wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
+    if posterior is not None:
+        wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
+    wanted |= {
+        "fit": partial(fit, beam, training, seen, fits[0]),
+        "shapes": partial(recordings.shapes, beam, training, seen, fits[0]),
+        "markers": partial(recordings.markers, training, fits[0]),
+    }
+    for i, (one, where, found) in enumerate(zip(findings.trainings, findings.recordings, fits, strict=True), start=1):
+        before = "" if i == 1 else f"learned-{i}-"
+        if i > 1:
+            wanted[f"{before}shapes"] = partial(recordings.shapes, beam, one, where, found)
+        if found is not None:
+            wanted[f"{before}fitted"] = partial(recordings.residuals, found.comparison, "left by the fit")
+        wanted[f"{before}residuals"] = partial(recordings.residuals, one, "under the force as logged")
+    if learned is not None:
+        wanted["selection"] = partial(recordings.selection, learned)
+    if not seen.static:  # poses have no time
+        wanted["force"] = partial(recordings.force, seen, fits[0])
+    pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
+    wanted |= validation_figures(beam, pairs, *findings.trainings)
+    return draw(wanted, progress)
+
+
+def _stiffness(findings: Findings) -> Figure:
+    """k(s) with its band, and the regression's beside it where it is not the result itself."""
+    posterior, learned = findings.posterior, findings.learned
+    pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in findings.trainings])
+    return curves.stiffness(
+        findings.beam,
+        uncertain=None if posterior is None else posterior.stiffness,
+        regression=None if posterior is None or learned is None else learned.beam.stiffness,
+        marker_s=findings.trainings[0].marker_s,
+        push_s=float(pushed.max()) if pushed.size else None,
+    )
+
+
+def validation_figures(
+    beam: Beam, pairs: Sequence[tuple[Comparison, Observations]], *others: Comparison
+) -> dict[str, Draw]:
+    """The bars over all recordings (`others` first), and shapes and residuals of each."""
+    if not pairs:
+        return {}
+    wanted: dict[str, Draw] = {"validation": partial(recordings.validation, (*others, *(one for one, _ in pairs)))}
+    for i, (one, where) in enumerate(pairs, start=1):
+        wanted[f"validation-{i}-shapes"] = partial(recordings.shapes, beam, one, where)
+        wanted[f"validation-{i}-residuals"] = partial(recordings.residuals, one)
+    return wanted
+
+
+def draw(wanted: dict[str, Draw], progress: Progress) -> dict[str, bytes]:
+    """PNGs of what could be drawn."""
+    drawn = {}
+    for name, make in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
+        figure = make()
+        if figure is not None:
+            drawn[name] = png_of(figure)
+    return drawn
+
+
+def fit(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | None = None) -> Figure | None:
+    """The fit over the video frame; None where there is no video any more, or no camera."""
+    if seen.view is None or seen.video is None:
+        return None
+    shown = one if fitted is None else fitted.comparison
+    try:
+        film = VideoEntry(file=seen.video, topic=seen.video_topic, damaged="keep" if seen.video_topic else "refuse")
+        image = frame_at(film, int(shown.frame[largest_push(shown)]))
+    except OnebendError:
+        return None
+    return recordings.fit_over_frame(image, seen.view, beam, one, seen, fitted)

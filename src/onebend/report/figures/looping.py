@@ -1,0 +1,46 @@
+"""The picture of a rehearsed closed loop: distance from the goal, and the force, over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from onebend.control.loop.feedback import Controller
+from onebend.control.loop.prospect import SETTLED, Trial
+from onebend.report.figures.style import BLUE, GREEN, MUTED, ORANGE, blank, styled
+
+MM = 1000.0
+LEAST = 1e-5  # m: what the logarithmic axis shows of less
+LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
+
+
+@styled
+def looping(control: Controller, trials: tuple[Trial, ...]) -> Figure:
+    """One curve a beam."""
+    figure, (away, force) = blank(5.0, 2, 1)
+    for one, (colour, dash) in zip(trials, LINES, strict=False):
+        if one.run is None:
+            continue
+        name = "k(s) as the model" if one.factor == 1.0 else f"k(s) times {one.factor:.3g}"
+        away.semilogy(one.run.time, MM * np.maximum(one.run.error, LEAST), color=colour, ls=dash, label=name)
+        force.plot(one.run.time, np.hypot(*one.run.asked.T), color=colour, ls=dash)
+    away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
+    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at {_place(control)} mm")
+    _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
+    away.legend(loc="upper right")
+    ahead = float(np.hypot(*control.reference.ends))
+    force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
+    _said(force, ahead, "feedforward")
+    force.set(xlabel="time [s]", ylabel="force asked for [N]", ylim=(0.0, None))
+    return figure
+
+
+def _said(axes: Axes, height: float, text: str) -> None:
+    """What a dotted line is, on it."""
+    axes.text(0.01, 1.03 * height, text, fontsize=8, color=MUTED, va="bottom", transform=axes.get_yaxis_transform())
+
+
+def _place(control: Controller) -> str:
+    x, y = MM * control.goal
+    return f"({x:.4g}, {y:.4g})"

@@ -1,0 +1,82 @@
+"""The headline figures of a report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.verdict import fitted_rms
+from onebend.report.confidence import identified_ranges
+from onebend.report.findings import Findings
+from onebend.report.wording import millimetres, significant, worst_marker
+
+
+def cards(findings: Findings) -> list[dict[str, str]]:
+    """What it is, its value, and a note, one a card."""
+    seen = findings.recordings[0]
+    found = [_stiffness_card(findings)]
+    if findings.posterior is not None:
+        found.append(sureness_card(findings.posterior.stiffness))
+    found.append(_training_card(findings))
+    if findings.validations:
+        worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
+        others = len(findings.validations)
+        which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
+        note = f"RMS, {which}"
+        found.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
+    if seen.clean_force is not None:
+        size = np.linalg.norm(seen.force[seen.loaded], axis=1)
+        noise = 1000.0 * float(np.max(seen.clean_force.noise_sd))
+        note = f"noise left in it: {significant(noise, 2)} mN (sd)"
+        found.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
+    return found
+
+
+def _training_card(findings: Findings) -> dict[str, str]:
+    """How near the beam comes to the tags that it was learned from."""
+    what = "learned recording, worst marker"
+    logged = max(findings.trainings, key=lambda one: np.max(np.nan_to_num(one.rms)))
+    if findings.posterior is None:
+        note = f"RMS over {len(logged.frame)} frames, under the force as logged"
+        return {"what": what, "value": worst_marker(logged), "note": note}
+    fitted = max(float(np.nanmax(one)) for one in fitted_rms(findings.posterior))
+    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged, whose slow error the fit takes off"
+    return {"what": what, "value": f"{millimetres(fitted)} mm", "note": note}
+
+
+def _stiffness_card(findings: Findings) -> dict[str, str]:
+    low, high = stiffness_range(findings)
+    area = 1e6 * findings.beam.length
+    return {
+        "what": "bending stiffness k(s)",
+        "value": f"{significant(low)} … {significant(high)}\u00a0N\u00a0m",
+        "note": f"EI {significant(area * low)} … {significant(area * high)} N mm²",
+    }
+
+
+def stiffness_range(findings: Findings) -> tuple[float, float]:
+    """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
+    s = np.linspace(0.0, 1.0, 201)
+    k = findings.beam.stiffness(s)
+    if findings.posterior is not None:
+        known = findings.posterior.band(s).identified
+        k = k[known] if known.any() else k
+    return float(k.min()), float(k.max())
+
+
+def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
+    """How narrow the band is, and over which part of the beam; whether it may be relied on."""
+    what = "k(s) is known to"
+    if uncertain.doubts:
+        return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
+    ranges = identified_ranges(uncertain)
+    if not ranges:
+        return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
+    s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
+    sd = np.hypot(uncertain.log_at(s)[1], uncertain.gain_sd)
+    where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
+    return {
+        "what": what,
+        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %",
+        "note": f"95 %, median over the identified s = {where}",
+    }

@@ -1,0 +1,163 @@
+"""`report.html`: one self-contained page, figures and style inside, nothing fetched from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from onebend.learning.criticism_messages import unseen_words
+from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.posterior import Posterior
+from onebend.learning.verdict import fitted_rms
+from onebend.records import Observations
+from onebend.report.confidence import (
+    alarm_words,
+    gain_words,
+    load_error_words,
+    nuisance_rows,
+    stop_words,
+    supposed_rows,
+    tradeoff_words,
+    unidentified_words,
+)
+from onebend.report.findings import Findings, all_remarks, name_of
+from onebend.report.page.cards import cards
+from onebend.report.page.template import render
+from onebend.report.wording import (
+    assumptions,
+    bic_words,
+    files_described,
+    inputs,
+    millimetres,
+    percent,
+    significant,
+    stage_rows,
+)
+
+FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
+METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
+
+
+def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> str:
+    """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
+    return render("onebend.report.page", "page.html", figures, {"version": version, **_content(findings)})
+
+
+def _content(findings: Findings) -> dict[str, Any]:
+    learned, first = findings.learned, findings.recordings[0]
+    remarks = [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)]
+    return {
+        "name": name_of(findings),
+        "several": len(findings.recordings) > 1,
+        "length": f"{1000 * first.length:.4g} mm",
+        "frames": " and ".join(_frames(one) for one in findings.recordings),
+        "method": "" if learned is None else METHODS.get(learned.method, learned.method),
+        "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
+        "chosen": None if learned is None else learned.trials[learned.chosen],
+        "cards": cards(findings),
+        "warnings": [row for row in remarks if row["level"] == "warning"],
+        "remarks": remarks,
+        "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
+        "k_rows": _stiffness_rows(findings),
+        "tags": [f"M{i + 1}" for i in range(len(first.tag_id))],
+        "trainings": [_comparison_row(one) for one in findings.trainings],
+        "learned_figures": _learned_captions(findings),
+        "trials": [] if learned is None else _trials(learned),
+        "validations": [_comparison_row(one) for one in findings.validations],
+        "validation_figures": _validation_captions(findings.validations),
+        "inputs": [(one.name, inputs(one)) for one in findings.recordings],
+        "assumptions": assumptions(findings),
+        "files": files_described(findings),
+        "stages": _stage_rows(findings),
+        "video": f"{significant(findings.video_seconds)} s",
+    }
+
+
+def _frames(seen: Observations) -> str:
+    return f"{int(seen.loaded.sum())} loaded frames out of {len(seen.time)}"
+
+
+def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
+    """What the page says of the fit."""
+    forced = any(one.clean_force is not None for one in recordings)
+    rms = zip(recordings, fitted_rms(posterior), strict=True)
+    return {
+        "doubts": "; ".join(posterior.doubts),
+        "holds": posterior.criticism.trusted,
+        "tests": supposed_rows(posterior),
+        "alarm": alarm_words(posterior),
+        "unseen": unseen_words(posterior),
+        "blind": unidentified_words(posterior.stiffness, len(recordings)),
+        "gain": " ".join([gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]),
+        "stopped": stop_words(posterior),
+        "nuisances": nuisance_rows(posterior.nuisances()),
+        "tradeoffs": tradeoff_words(posterior),
+        "fitted": [{"name": one.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
+    }
+
+
+def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
+    beam, posterior = findings.beam, findings.posterior
+    s = np.linspace(0.0, 1.0, 11)
+    rows: list[dict[str, Any]] = [
+        {"s": f"{place:.1f}", "k": significant(k), "ei": significant(1e6 * k * beam.length), "known": True}
+        for place, k in zip(s, beam.stiffness(s), strict=True)
+    ]
+    if posterior is not None:
+        band = posterior.band(s)
+        for row, low, high, known in zip(rows, band.low, band.high, band.identified, strict=True):
+            row |= {"low": significant(low), "high": significant(high), "known": bool(known)}
+    if posterior is not None and findings.learned is not None:
+        for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
+            row["regression"] = significant(k)
+    return rows
+
+
+def _trials(learned: Learned) -> list[dict[str, Any]]:
+    return [_trial_row(trial, i == learned.chosen) for i, trial in enumerate(learned.trials)]
+
+
+def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
+    return {
+        "kind": "chosen" if chosen else "out" if trial.why_out else "",
+        "n": trial.n,
+        "m": trial.m,
+        "rms": [millimetres(value) for value in trial.rms],
+        "bic": bic_words(trial.bic),
+        "lowest": significant(trial.lowest_k),
+        "condition": significant(trial.condition, 2),
+        "why_out": trial.why_out,
+    }
+
+
+def _comparison_row(one: Comparison) -> dict[str, Any]:
+    pairs = zip(one.rms, one.sensor_rms, strict=True)
+    cells = [{"rms": millimetres(rms), "sensor": millimetres(sensor)} for rms, sensor in pairs]
+    return {"name": one.name, "frames": len(one.frame), "cells": cells}
+
+
+def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
+    captions = []
+    for i, one in enumerate(comparisons, start=1):
+        captions.append((f"validation-{i}-shapes", f"{one.name}: simulated beam and measured markers."))
+        captions.append((f"validation-{i}-residuals", f"{one.name}: distance between measured and simulated markers."))
+    return captions
+
+
+def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
+    """Figures of the recordings after the first, whose own stand in the text."""
+    captions = []
+    for i, one in enumerate(findings.trainings[1:], start=2):
+        captions.append((f"learned-{i}-shapes", f"{one.name}: the beam and measured markers."))
+        captions.append((f"learned-{i}-fitted", f"{one.name}: what the fit leaves of the tags."))
+        captions.append((f"learned-{i}-residuals", f"{one.name}: measured to simulated under the force as logged."))
+    return captions
+
+
+def _stage_rows(findings: Findings) -> list[dict[str, str]]:
+    return [
+        {"name": name, "seconds": f"{seconds:.2f}", "share": percent(seconds, findings.video_seconds)}
+        for name, seconds in stage_rows(findings.stage_seconds)
+    ]

@@ -1,0 +1,60 @@
+"""docs/bench.md and the example of making a beam say what the code does."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from examples import make_a_beam
+from onebend.lab.design_file import MaterialEntry, SizeEntry, WidthEntry
+from onebend.lab.designs import DESIGNS
+from onebend.lab.materials import SILICONES, from_shore_00, from_shore_a
+from onebend.recording.toml.schema import keys_of
+from tests.lab.printed import page_image, tags_in
+
+PAGE = (Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8")
+
+
+def test_the_pages_first_example_runs() -> None:
+    there: dict[str, Any] = {}
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0], there)
+    assert there["force"] == pytest.approx(0.227, abs=5e-4)  # N, what `onebend design quadratic` prints
+    assert there["beam"].length == 0.15
+
+
+@pytest.mark.parametrize(("table", "record"), [("beam", SizeEntry), ("width", WidthEntry), ("material", MaterialEntry)])
+def test_every_key_of_a_design_is_documented(table: str, record: type) -> None:
+    rows = [row for row in PAGE.splitlines() if row.startswith(f"| `[{table}] ")]
+    for key, _ in keys_of(record).values():
+        assert any(re.search(rf"[`\s]{key.name}`", row) for row in rows), key.name
+
+
+def test_named_designs_and_silicones_are_documented() -> None:
+    assert all(f"| `{name}` |" in PAGE for name in DESIGNS)
+    named = PAGE[PAGE.index("Named: ") :].split("\n\n")[0]
+    for name in SILICONES:
+        assert name.removeprefix("Ecoflex ").removeprefix("Dragon Skin ") in named
+
+
+def test_the_scatter_of_the_relations_is_the_documented_one() -> None:
+    off, sds = [], []
+    for each in SILICONES.values():
+        if math.isfinite(each.stress_100):
+            by = (from_shore_a if each.scale == "A" else from_shore_00)(each.shore)
+            off.append(abs(math.log(by.modulus / each.stiffness.modulus)))
+            sds.append(off[-1] / math.hypot(by.log_sd, each.stiffness.log_sd))
+    assert f"by {min(off):.1f} to {max(off):.1f} in log E, at most {max(sds):.1f} stated sds" in PAGE
+
+
+def test_the_example_makes_a_beam(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    expected = make_a_beam.main(tmp_path / "made")
+    names = {path.stem for path in (tmp_path / "made").iterdir()}
+    assert names == {"mould-left", "mould-right", "clamp-lower", "clamp-cap", "carriers", "tags"}
+    assert sorted(tags_in(page_image((tmp_path / "made" / "tags.pdf").read_bytes()))) == [0, 1, 2, 3]
+    said = capsys.readouterr().out
+    assert "Pour" in said
+    assert f"{expected.bends[0].force:.3f} N" in said

@@ -1,0 +1,128 @@
+"""The prior of log k, and its posterior with unknown sizes: against formulas, and draws weighed one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.special import ndtri
+
+from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
+from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, Told, mixed
+from onebend.learning.model.spline import LEVEL_SD, SLOPE_SD, Spline
+
+S = np.linspace(0.0, 1.0, 101)
+
+
+def drawn(spline: Spline, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (N, p) from the prior, and their weights (N,)."""
+    tau, rho = np.array([[TAU], [RHO]]) * np.exp(SPREAD[:, None] * rng.standard_normal((2, count)))
+    local = rho[:, None] * spline.share * rng.standard_cauchy((count, 2 * spline.count - 1))
+    line = np.array([LEVEL_SD, SLOPE_SD]) * rng.standard_normal((count, 2))
+    bent = tau[:, None] * rng.standard_normal((count, spline.count - 2))
+    weight = np.exp(-0.5 * np.sum((local / JUMP) ** 2, axis=1))
+    return np.concatenate([line, bent, local], axis=1) @ spline.parts.T, weight
+
+
+def test_parts_are_level_slope_bends_steps_and_bumps() -> None:
+    spline = Spline(9)
+    level, slope = (spline.basis(S) @ spline.parts[:, i] for i in (0, 1))
+    np.testing.assert_allclose(level, 1.0, atol=1e-12)
+    np.testing.assert_allclose(slope, S - 0.5, atol=1e-12)
+    bent = spline.parts[:, 2 : spline.count]
+    second = np.gradient(
+        np.gradient(Spline(9).basis(np.linspace(0, 1, 4001)) @ bent, 1 / 4000, axis=0), 1 / 4000, axis=0
+    )
+    np.testing.assert_allclose(second.T @ second / 4000, np.eye(7), atol=0.03)
+    np.testing.assert_allclose((spline.basis(S) @ bent).mean(axis=0), 0.0, atol=1e-12)
+    steps, bumps = spline.parts[:, spline.count : 2 * spline.count - 1], spline.parts[:, 2 * spline.count - 1 :]
+    np.testing.assert_allclose(np.diff(steps, axis=0), np.eye(8), atol=1e-12)
+    level = np.mean(spline.basis(S), axis=0)
+    np.testing.assert_allclose(level @ spline.parts[:, spline.count :], 0.0, atol=1e-12)
+    assert bumps.shape == (9, 9)
+
+
+def test_a_bump_is_a_wider_spline_of_height_one() -> None:
+    spline, s = Spline(23), np.linspace(0.0, 1.0, 401)
+    bump = spline.basis(s) @ spline.parts[:, 2 * spline.count - 1 + 11]
+    bump = bump - bump[0]
+    h = 1.0 / 20.0
+    wide = BSpline.basis_element(0.5 + 2.0 * h * np.arange(-2.0, 3.0), extrapolate=False)(s)
+    np.testing.assert_allclose(bump, 1.5 * np.nan_to_num(wide), atol=1e-12)
+
+
+def test_the_bands_of_a_mixture_are_its_quantiles() -> None:
+    """One step of unknown place, seen from afar: few draws are far off, most are near, and the 50 % band is narrow."""
+    spline, at = Spline(16), np.linspace(0.02, 0.98, 12)
+    rows = spline.basis(at) / 0.05
+    found = mixed(spline, [Told(rows.T @ rows, rows.T @ (20.0 * (at > 0.5)))], 0.0, Draws(30, 40, 60))
+    assert found.shape.shape == (len(SHAPE_LEVELS), len(SHAPE_PLACES))
+    assert np.min(found.shape[0]) < 0.9
+    assert np.all(np.diff(found.shape * ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None], axis=0) > 0.0)
+
+
+def test_finer_splines_have_the_same_prior_of_a_step() -> None:
+    """Half of the beam steps by a Cauchy number of scale rho / 2 whatever the spline."""
+    for count in (16, 45):
+        spline, rng = Spline(count), np.random.default_rng(1)
+        half = spline.share[: spline.count - 1][np.cumsum(spline.gaps) <= 0.5 + 1e-9]
+        total = np.sum(half * rng.standard_cauchy((20000, len(half))), axis=1)
+        assert abs(np.median(np.abs(total)) - half.sum()) < 0.02
+
+
+def test_precision_is_that_of_the_sum_of_the_parts() -> None:
+    spline = Spline(7)
+    variances = spline.variances(5.0, 0.4)
+    covariance = (spline.parts * variances) @ spline.parts.T
+    np.testing.assert_allclose(spline.precision(5.0, 0.4) @ covariance, np.eye(7), atol=1e-8)
+
+
+def test_the_finer_splines_hold_the_same_functions_and_what_a_step_may_be() -> None:
+    spline = Spline(12)
+    np.testing.assert_allclose(spline.finer.basis(S) @ spline.on_finer, spline.basis(S), atol=1e-12)
+    variance = np.einsum("si,jik,sk->js", spline.finer.basis(S), spline.unseen, spline.finer.basis(S))
+    assert np.all(variance > -1e-12)
+    assert np.all(variance.max(axis=1) < 0.5)
+    middle = np.add(*[np.cumsum(np.append(spline.knots[2], spline.gaps))[i:][: spline.count - 1] for i in (0, 1)]) / 2
+    assert np.all(np.abs(S[np.argmax(variance, axis=1)] - middle) < 0.1)
+    assert np.all(variance[np.abs(S - middle[:, None]) > 0.35] < 1e-12)
+
+
+def test_mean_and_covariance_are_those_of_the_exact_posterior() -> None:
+    spline, rng = Spline(6), np.random.default_rng(0)
+    rows = np.vstack([spline.basis(np.array([0.1, 0.35, 0.5, 0.8])), np.full((1, 6), 1.0 / 6.0)])
+    told = np.array([0.0, 0.3, 0.9, 1.1, 0.6]) + 0.1 * rng.standard_normal(5) - 4.0
+    sd = np.array([0.5, 0.3, 0.3, 0.5, 1.0])
+    information, b = (rows.T / sd**2) @ rows, (rows.T / sd**2) @ told
+    found = mixed(spline, [Told(information, b)], -4.0, Draws(200, 60, 200))
+    c, weight = drawn(spline, 300_000, rng)
+    c -= 4.0
+    weight = weight * np.exp(-0.5 * np.sum(((told - c @ rows.T) / sd) ** 2, axis=1))
+    mean = weight @ c / np.sum(weight)
+    covariance = ((c - mean).T * weight) @ (c - mean) / np.sum(weight)
+    sds = np.sqrt(np.diag(covariance))
+    assert np.sum(weight) ** 2 / np.sum(weight**2) > 1000.0
+    np.testing.assert_allclose(found.mean, mean, atol=0.1 * sds.min())
+    np.testing.assert_allclose(found.covariance / np.outer(sds, sds), covariance / np.outer(sds, sds), atol=0.12)
+
+
+def test_several_tellings_are_averaged_by_their_weights() -> None:
+    spline = Spline(6)
+    rows = 30.0 * spline.basis(np.linspace(0.0, 1.0, 12))
+    low, high = (Told(rows.T @ rows, rows.T @ np.full(12, 30.0 * v), w) for v, w in ((-4.1, 0.25), (-3.9, 0.75)))
+    found = mixed(spline, [low, high], -4.0, Draws(8, 20, 30))
+    np.testing.assert_allclose(found.mean, -3.95, atol=0.01)
+    assert np.sqrt(found.covariance[2, 2]) > 0.08
+
+
+def test_one_step_among_even_pieces_is_found_and_the_rest_kept_even() -> None:
+    spline, at = Spline(16), np.linspace(0.02, 0.98, 40)
+    rng = np.random.default_rng(3)
+    truth = np.where(at > 0.5, 0.8, 0.0)
+    rows = spline.basis(at) / 0.05
+    seen = (truth + 0.05 * rng.standard_normal(len(at))) / 0.05
+    found = mixed(spline, [Told(rows.T @ rows, rows.T @ seen)], 0.0, Draws(30, 40, 80))
+    steps = np.abs(found.steps)
+    assert np.sort(steps)[-3:].sum() > 0.6 * steps.sum()
+    assert 5 <= int(np.argmax(steps)) <= 9
+    even = np.linalg.inv(rows.T @ rows + spline.precision(8.0, 0.3))
+    assert found.covariance[3, 3] < even[3, 3]

@@ -1,0 +1,157 @@
+"""The (n, m) table, BIC, the whole of learning, and validation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Steps, Uniform
+from onebend.errors import LearningError
+from onebend.learning.model.frames import usable_frames
+from onebend.learning.paper.learn import learn
+from onebend.learning.paper.selection import Settings, information_criterion, pairs
+from onebend.learning.validation import validate
+from tests.learning.bench import MARKERS, SOFT, forces, observed
+
+S = np.linspace(0.05, 0.9, 50)
+# Table II of the paper: M1, M2, M3 [m] and BIC as printed.
+PRINTED = [
+    ((0.0012, 0.0010, 0.0022), 4.10),
+    ((0.0013, 0.0011, 0.0021), 4.10),
+    ((0.0012, 0.0011, 0.0021), 4.09),
+    ((0.0016, 0.0014, 0.0020), 4.16),
+    ((0.0010, 0.0014, 0.0021), 4.08),
+    ((0.0025, 0.0023, 0.0036), 4.69),
+    ((0.0059, 0.0129, 0.0228), 6.39),
+]
+
+
+@pytest.mark.parametrize(("rms", "printed"), PRINTED)
+def test_paper_weighting_follows_the_printed_table(rms: tuple[float, float, float], printed: float) -> None:
+    found = information_criterion(np.array(rms), observed=500, parameters=5, kind="paper")
+    assert found == pytest.approx(printed, abs=0.03)
+
+
+def test_textbook_bic_pays_for_parameters() -> None:
+    rms = np.array([1e-3, 1e-3, 1e-3])
+    few = information_criterion(rms, 1000, 4, "textbook")
+    many = information_criterion(rms, 1000, 10, "textbook")
+    assert many - few == pytest.approx(6.0 * np.log(1000))
+
+
+def test_pairs_are_those_of_equation_20() -> None:
+    assert pairs(Settings(method="paper", most_n=3), 3) == [(2, 2), (3, 2), (3, 3)]
+    assert max(n for n, _ in pairs(Settings(method="paper"), 3)) == 6
+    assert pairs(Settings(n=5, m=4), 3) == [(5, 4)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (Settings(n=10), "2 to 9"),
+        (Settings(n=3, m=5), "at least as many modes"),
+        (Settings(most_n=12), "at most 9"),
+    ],
+)
+def test_impossible_wishes_are_refused(settings: Settings, words: str) -> None:
+    with pytest.raises(LearningError, match=words):
+        learn(observed(SOFT, forces()), settings)
+
+
+@pytest.fixture(scope="module")
+def learned_soft():  # type: ignore[no-untyped-def]
+    return learn(observed(SOFT, forces(), noise=(2e-5, 1e-3), seed=1))
+
+
+def test_stiffness_comes_back_from_noisy_markers(learned_soft) -> None:  # type: ignore[no-untyped-def]
+    np.testing.assert_allclose(learned_soft.beam.stiffness(S), SOFT.stiffness(S), rtol=0.06)
+    assert learned_soft.trials[learned_soft.chosen].bic == min(t.bic for t in learned_soft.trials)
+
+
+def test_validation_on_another_push_is_near_the_markers_noise(learned_soft) -> None:  # type: ignore[no-untyped-def]
+    other = observed(SOFT, forces(40, most=0.5), at_s=0.8, noise=(2e-5, 1e-3), seed=2)
+    comparison = validate(learned_soft.beam, other)
+    assert np.all(comparison.rms < 5e-4)
+    assert np.all(comparison.stable)
+
+
+def test_sensor_share_is_what_force_noise_does() -> None:
+    """Shift every force by one sd along each axis in turn: the RMS of the two is the stated share."""
+    made = observed(SOFT, forces())
+    stated = validate(SOFT, made).sensor_rms
+    each = [validate(SOFT, replace(made, force=made.force + made.force_sd * np.eye(2)[c])).rms for c in range(2)]
+    np.testing.assert_allclose(stated, np.sqrt(each[0] ** 2 + each[1] ** 2), rtol=0.1)
+
+
+def test_mounting_errors_seen_at_rest_are_taken_off() -> None:
+    made = observed(SOFT, forces())
+    offset, turn = np.array([[2e-4, -3e-4], [0.0, 1e-4], [-2e-4, 2e-4]]), np.array([0.02, -0.01, 0.015])
+    cos, sin = np.cos(made.angle), np.sin(made.angle)
+    ride = np.stack([cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]], axis=-1)
+    mounted = replace(
+        made,
+        xy=made.xy + ride,
+        angle=made.angle + turn,
+        rest_xy=made.rest_xy + offset,
+        rest_angle=made.rest_angle + turn,
+    )
+    np.testing.assert_allclose(validate(SOFT, mounted).rms, 0.0, atol=1e-6)
+    found = learn(mounted, Settings(n=6, m=3, width=0.5)).beam.stiffness(S)
+    np.testing.assert_allclose(found, SOFT.stiffness(S), rtol=0.02)
+
+
+def test_natural_curvature_is_found_at_rest() -> None:
+    curved = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
+    made = replace(observed(curved, forces()), rest="unknown")
+    result = learn(made, Settings(n=6, m=3, width=0.5))
+    np.testing.assert_allclose(result.beam.rest_curvature(S), 0.3, atol=0.05)
+    np.testing.assert_allclose(result.beam.stiffness(S), curved.stiffness(S), rtol=0.05)
+
+
+def test_too_few_frames_say_how_many_are_needed() -> None:
+    with pytest.raises(LearningError, match=r"4 loaded frames, but up to 16 parameters"):
+        learn(observed(SOFT, forces(4)))
+
+
+def test_force_of_the_opposite_sign_finds_no_beam() -> None:
+    made = observed(SOFT, forces())
+    with pytest.raises(LearningError, match="force's sign"):
+        learn(replace(made, force=-made.force), Settings(most_n=4))
+
+
+def test_trial_with_negative_stiffness_is_reported_not_simulated() -> None:
+    """A deep step seen through few wide Gaussians: some trials go below zero and say so."""
+    stepped = Beam(0.15, Steps((0.0, 0.4, 1.0), (0.03, 0.012)))
+    result = learn(observed(stepped, forces(), noise=(2e-5, 2e-3)), Settings(method="paper"))
+    out = [t for t in result.trials if t.why_out]
+    assert out
+    assert all(np.isinf(t.bic) for t in out)
+    assert all(t.lowest_k > 0.0 and np.all(np.isfinite(t.rms)) for t in result.trials if not t.why_out)
+
+
+def test_unloaded_and_forceless_frames_are_left_out() -> None:
+    made = observed(SOFT, forces(10))
+    loaded, force = made.loaded.copy(), made.force.copy()
+    loaded[0], force[1, 0] = False, np.nan
+    assert usable_frames(replace(made, loaded=loaded, force=force)).tolist() == [False, False] + [True] * 8
+
+
+def test_weight_without_mass_is_refused() -> None:
+    made = replace(observed(SOFT, forces()), gravity=np.tile([0.0, -9.81], (80, 1)))
+    with pytest.raises(LearningError, match="mass_kg"):
+        validate(SOFT, made)
+
+
+def test_weight_alone_teaches_the_stiffness() -> None:
+    """A base that is turned under gravity, no force at all: the weight is the load."""
+    heavy = Beam(0.15, SOFT.stiffness, mass_per_length=Uniform(0.1 / 0.15))
+    turns = np.linspace(-np.pi, np.pi, 60)
+    gravity = 9.81 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    shape = heavy.equilibrium(np.zeros((60, 2)), gravity=gravity)
+    made = observed(SOFT, np.zeros((60, 2)), xy=shape.xy(MARKERS), angle=shape.angle(MARKERS))
+    hanging = replace(made, gravity=gravity, mass=0.1, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool))
+    found = learn(hanging, Settings(n=6, m=3, width=0.5)).beam
+    np.testing.assert_allclose(found.stiffness(S), SOFT.stiffness(S), rtol=0.02)

@@ -1,0 +1,69 @@
+"""When a load begins, reverses and ends, from the tags alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Uniform
+from onebend.lab.pushes import Push
+from onebend.lab.sensors import ForceSensor
+from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.recording.force.load_stages import displacement, load_changes, turning_points
+
+TIME = np.linspace(0.0, 10.0, 501)
+
+
+def test_a_wave_turns_where_it_turns() -> None:
+    wave = np.interp(TIME, [0.0, 3.0, 5.0, 8.0, 10.0], [0.0, 1.0, 0.3, 0.8, 0.0])
+    assert TIME[turning_points(wave, 0.05)] == pytest.approx([3.0, 5.0, 8.0])
+    assert turning_points(wave, 0.6) == [int(np.argmax(wave))]
+    assert turning_points(np.zeros(9), 0.1) == []
+
+
+def test_one_push_begins_turns_and_ends() -> None:
+    size = np.interp(TIME, [0.0, 2.0, 5.0, 6.0, 9.0, 10.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    begun, turned, ended = load_changes(TIME, size, size > 0.0)
+    assert [c.release for c in (begun, turned, ended)] == [False, False, True]
+    assert begun.begin < 2.0
+    assert begun.end == pytest.approx(2.3, abs=0.03)
+    assert 4.85 < turned.begin < 5.0
+    assert turned.end == pytest.approx(6.3, abs=0.03)
+    assert ended.begin == pytest.approx(8.7, abs=0.03)
+    assert ended.end > 8.98
+    assert turned.part(np.array([0.0, turned.begin, turned.end, 10.0])) == pytest.approx([0.0, 0.0, 1.0, 1.0])
+
+
+def test_a_push_held_to_the_end_is_not_released_and_two_pushes_are_told_apart() -> None:
+    held = np.interp(TIME, [0.0, 2.0, 5.0, 10.0], [0.0, 0.0, 1.0, 1.0])
+    assert [c.release for c in load_changes(TIME, held, held > 0.0)] == [False]
+    twice = np.interp(TIME, [0.0, 1.0, 2.0, 4.0, 6.0, 7.0, 9.0], [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0])
+    ends = [c.release for c in load_changes(TIME, twice, twice > 0.0)]
+    assert ends == [False, False, True, False, False, True]
+    assert load_changes(TIME, np.zeros(len(TIME)), np.ones(len(TIME), dtype=bool)) == []
+
+
+def test_displacement_bridges_missing_tags() -> None:
+    xy = np.zeros((3, 2, 2))
+    xy[:, :, 0] = np.array([0.0, 1.0, 2.0])[:, None]
+    xy[1, 0] = np.nan
+    rest = np.zeros((2, 2))
+    expected = np.array([0.0, 1.0, 2.0]) / np.sqrt(2.0)
+    assert displacement(TIME[:3], xy, rest) == pytest.approx(expected)
+    assert displacement(TIME[:3], xy, np.full((2, 2), np.nan)) == pytest.approx(expected)
+
+
+def test_the_clock_is_found_though_the_logs_error_changes_with_the_load() -> None:
+    bench = Bench(Beam(0.15, Uniform(0.02)), Push(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
+    for seed in range(3):
+        steps = observe_virtual(virtual_recording(bench, seed=seed)).clock
+        assert steps is not None
+        assert abs(steps.offset - bench.clock.offset) < 3.0 * steps.sd < 0.4
+    even = replace(bench, sensor=ForceSensor(white_sd=0.004))
+    clean = observe_virtual(virtual_recording(even, seed=0)).clock
+    assert clean is not None
+    assert clean.found
+    assert clean.sd < 0.02  # no step is claimed where there is none

@@ -1,0 +1,184 @@
+"""Every figure draws what the records say, with units, also where something is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.explained import explained
+from onebend.learning.validation import validate
+from onebend.report.figures import curves, recordings
+from onebend.report.figures.simulated import centreline, largest_push, spread_of_pushes
+from onebend.report.figures.style import BLUE, png_of
+from tests import made_up
+
+ONE = made_up.comparison()
+SEEN = made_up.observations(one=ONE)
+FIT = made_up.posterior()
+IMAGE = np.full((500, 640, 3), 128, dtype=np.uint8)
+
+
+def every_figure() -> dict[str, Figure]:
+    learned = made_up.learned(ONE)
+    assert SEEN.view is not None
+    return {
+        "stiffness": curves.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
+        "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
+        "nuisances": curves.nuisances(FIT.nuisances()),
+        "fit": recordings.fit_over_frame(IMAGE, SEEN.view, learned.beam, ONE, SEEN),
+        "shapes": recordings.shapes(learned.beam, ONE, SEEN),
+        "markers": recordings.markers(ONE),
+        "residuals": recordings.residuals(ONE),
+        "selection": recordings.selection(learned),
+        "force": recordings.force(SEEN),
+        "validation": recordings.validation((ONE, made_up.comparison("other"))),
+    }
+
+
+FIGURES = every_figure()
+FITTED = explained(FIT)[0]
+LOGGED = validate(FIT.beam, FIT.films[0].observations)
+
+
+def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_says() -> None:
+    one = FITTED.comparison
+    residual = 1000 * np.linalg.norm(one.measured - one.predicted, axis=-1)
+    np.testing.assert_allclose(1000 * one.rms, np.sqrt(np.nanmean(residual**2, axis=0)), rtol=0.05)
+    assert FITTED.line.shape == (len(one.frame), 121, 2)
+    sits = FIT.at.get(FIT.mean, "along"), FIT.at.get(FIT.mean, "across")
+    away = np.linalg.norm(FITTED.line[:, [40, 80, 120]] - one.predicted, axis=-1)
+    assert np.max(away) < 1.01 * np.max(np.hypot(*sits)) + 2e-5  # the tags ride on the line
+    slow = FIT.slow[0].force[: len(one.frame)] - FIT.films[0].force[: len(one.frame)]
+    np.testing.assert_allclose(one.force - FITTED.logged, slow)
+
+
+def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
+    seen = FIT.films[0].observations
+    axes = recordings.shapes(FIT.beam, LOGGED, seen, FITTED).axes[0]
+    blue = [line for line in axes.lines if line.get_color() == BLUE and line.get_linestyle() == "-"]
+    blue = [line for line in blue if np.size(line.get_xdata()) == FITTED.line.shape[1]]
+    last = largest_push(FITTED.comparison)
+    np.testing.assert_allclose(np.array(blue[-1].get_data(), dtype=float).T, 1000 * FITTED.line[last])
+    dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
+    assert len(dashed) == len(blue) + 1  # and one for the legend
+    above, _ = recordings.markers(LOGGED, FITTED).axes
+    solid = [line for line in above.lines if str(line.get_label()).startswith("M")]
+    np.testing.assert_allclose(np.array(solid[0].get_ydata(), dtype=float), 1000 * FITTED.comparison.predicted[:, 0, 0])
+    force = recordings.force(seen, FITTED).axes[0]
+    labels = [str(line.get_label()) for line in force.lines]
+    assert sum("as fitted" in label for label in labels) == 2
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figure_is_a_picture_with_units_on_its_axes(name: str) -> None:
+    figure = FIGURES[name]
+    assert png_of(figure).startswith(b"\x89PNG")
+    labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+    bare = ("place along the beam s", "stiffness functions m", "curvature modes n")
+    assert all("[" in text or text in bare for text in labels), labels
+
+
+def test_drawing_leaves_no_trace_in_the_callers_settings() -> None:
+    before = dict(matplotlib.rcParams)
+    png_of(recordings.markers(ONE))
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_the_same_records_give_the_same_bytes() -> None:
+    assert png_of(recordings.residuals(ONE)) == png_of(recordings.residuals(ONE))
+
+
+def test_stiffness_curve_is_the_beams() -> None:
+    axes = curves.stiffness(made_up.BEAM).axes[0]
+    s, k = np.array(axes.lines[0].get_data(), dtype=float)
+    np.testing.assert_allclose(k, made_up.BEAM.stiffness(s))
+
+
+def test_band_is_drawn_where_it_is_and_grey_where_the_data_are_blind() -> None:
+    sd = np.array([0.05, 0.05, 0.05, 0.05, 0.05, 1.0])
+    knots = np.concatenate([np.zeros(4), [1 / 3, 2 / 3], np.ones(4)])
+    uncertain = UncertainStiffness(knots, np.log(np.linspace(0.02, 0.05, 6)), np.diag(sd**2))
+    figure = curves.stiffness(Beam(0.1, uncertain.profile), uncertain=uncertain)
+    above, below = figure.axes[:2]
+    s = np.linspace(0, 1, 401)
+    blue, grey = (np.array(line.get_data(), dtype=float) for line in above.lines[:2])
+    known = uncertain.band(s).identified
+    assert 0 < known.sum() < 401
+    np.testing.assert_allclose(blue[1][known], uncertain.profile(s)[known])
+    assert np.isnan(blue[1][~known]).all()
+    np.testing.assert_allclose(grey[1][~known], uncertain.profile(s)[~known])
+    widest = np.array(above.collections[0].get_paths()[0].vertices, dtype=float)
+    np.testing.assert_allclose(np.max(widest[:, 1]), np.max(uncertain.band(s).high[known]), rtol=0.1)
+    assert below.get_ylabel() == "against k [%]"
+
+
+def test_stiffness_that_is_no_beam_is_marked() -> None:
+    axes = curves.stiffness(Beam(0.1, Powers((0.1, -0.2)))).axes[0]
+    assert axes.get_ylim()[0] < -0.1
+    legend = axes.get_legend()
+    assert legend is not None
+    assert "not positive" in legend.get_texts()[0].get_text()
+
+
+def test_markers_are_where_the_records_say() -> None:
+    above, below = recordings.markers(ONE).axes
+    for axes, axis in ((above, 0), (below, 1)):
+        drawn = [np.array(line.get_ydata(), dtype=float) for line in axes.lines]
+        for i in range(3):
+            np.testing.assert_allclose(drawn[2 * i], 1000 * ONE.measured[:, i, axis])
+            np.testing.assert_allclose(drawn[2 * i + 1], 1000 * ONE.predicted[:, i, axis])
+
+
+def test_a_gap_in_time_is_a_gap_in_the_line() -> None:
+    time = np.concatenate([ONE.time[:40], ONE.time[40:] + 5.0])
+    line = recordings.residuals(replace(ONE, time=time)).axes[0].lines[0]
+    y = np.array(line.get_ydata(), dtype=float)
+    assert len(y) == len(time) + 1
+    assert np.isnan(y[40])
+
+
+def test_the_frame_shown_is_the_largest_push_with_all_markers() -> None:
+    t = largest_push(ONE)
+    size = np.linalg.norm(ONE.force, axis=1)
+    assert size[t] == size.max()
+    hidden = replace(ONE, measured=np.where((size > 0.2)[:, None, None], np.nan, ONE.measured))
+    assert size[largest_push(hidden)] <= 0.2
+    chosen = spread_of_pushes(ONE, 6)
+    assert chosen[-1] == t
+    np.testing.assert_allclose(size[chosen], np.linspace(0, size.max(), 6), atol=0.01)
+
+
+def test_the_line_runs_through_the_predicted_markers() -> None:
+    line = centreline(made_up.BEAM, ONE, SEEN, 60, places=301)
+    assert line is not None
+    np.testing.assert_allclose(line[[100, 200, 300]], ONE.predicted[60], atol=1e-9)
+
+
+def test_a_beam_that_cannot_stand_draws_its_markers_only() -> None:
+    beam = Beam(0.15, Uniform(-0.1))
+    assert centreline(beam, ONE, SEEN, 60) is None
+    assert SEEN.view is not None
+    png_of(recordings.fit_over_frame(IMAGE, SEEN.view, beam, ONE, SEEN))
+    png_of(recordings.shapes(beam, ONE, SEEN))
+
+
+def test_few_frames_unknown_sensor_and_no_force_log() -> None:
+    short = made_up.comparison(frames=2)
+    png_of(recordings.residuals(short))
+    png_of(recordings.markers(short))
+    png_of(recordings.force(replace(SEEN, clean_force=None)))
+    unknown = replace(ONE, rms=np.full(3, np.nan), sensor_rms=np.full(3, np.nan))
+    png_of(recordings.validation((unknown,)))
+
+
+def test_all_trials_out_of_the_running_can_be_drawn() -> None:
+    learned = made_up.learned(ONE)
+    out = tuple(replace(trial, bic=float("inf"), why_out="k(s) is not positive") for trial in learned.trials)
+    png_of(recordings.selection(replace(learned, trials=out)))

@@ -1,0 +1,260 @@
+"""The page: self-contained, escaped, and with the figures of the records."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend.learning.model.fit_data import Film
+from onebend.records import ClockOffset, Remark
+from onebend.report.confidence import alarm_words, tradeoff_words, unidentified_words
+from onebend.report.figures.drawing import draw_all, fit
+from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
+from onebend.report.page.cards import cards, stiffness_range
+from onebend.report.page.page import page
+from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
+from tests import made_up
+
+PNG = b"\x89PNG not really"
+
+
+class Links(HTMLParser):
+    """Every address the page would fetch, and its text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(
+        self,
+        tag: str,  # noqa: ARG002
+        attrs: list[tuple[str, str | None]],
+    ) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict[str, bytes]:
+    return draw_all(made_up.findings(2))
+
+
+def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
+    expected = {
+        "stiffness",
+        "nuisances",
+        "shapes",
+        "markers",
+        "residuals",
+        "fitted",
+        "selection",
+        "force",
+        "validation",
+    }
+    expected |= {f"validation-{i}-{what}" for i in (1, 2) for what in ("shapes", "residuals")}
+    assert set(drawn) == expected  # and no fit: there is no video
+    links = Links(page(made_up.findings(2), drawn, version="1.2.3"))
+    assert sum(address.startswith("data:image/png;base64,") for address in links.addresses) == len(expected)
+
+
+def test_nothing_is_fetched_and_every_anchor_leads_somewhere() -> None:
+    html = page(made_up.findings(2), {"stiffness": PNG}, version="1.2.3")
+    links = Links(html)
+    assert all(address.startswith(("data:", "#")) for address in links.addresses)
+    assert {address[1:] for address in links.addresses if address.startswith("#")} <= set(links.ids)
+    assert not re.search(r"https?://|@import|url\(", html)
+
+
+def test_page_says_the_figures() -> None:
+    found = made_up.findings(2)
+    text = Links(page(found, {}, version="1.2.3")).text
+    fit = made_up.posterior()
+    k = fit.beam.stiffness(np.linspace(0, 1, 201))[fit.band(np.linspace(0, 1, 201)).identified]
+    for words in (
+        "onebend 1.2.3",
+        "n = 4 curvature modes",
+        f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
+        worst_marker(found.trainings[0]),
+        "1 % too stiff",
+        "made-up: clamp angle",
+        fit.optimum.stopped,
+        *unidentified_words(fit.stiffness),
+        *tradeoff_words(fit),
+        "k(s) is not positive",
+        "other-2",
+        "tag 3 was hidden for 2 frames",
+        "254.310 s ± 4.0 ms",
+        "1.00, – mN/s",
+    ):
+        assert words in text, words
+
+
+def test_names_from_files_cannot_become_markup() -> None:
+    found = made_up.findings(1)
+    evil = "<script>alert(1)</script>"
+    seen = replace(found.recordings[0], name=evil, remarks=(Remark("warning", evil),))
+    html = page(replace(found, recordings=(seen,)), {}, version="1.2.3")
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
+    found = made_up.findings(0, fitted=fitted)
+    seen = replace(found.recordings[0], clean_force=None, clock=None, view=None, remarks=(), rest="unknown")
+    bare = replace(found, recordings=(seen,), remarks=(), video_seconds=float("nan"))
+    bare = replace(bare, learned=None) if fitted else bare  # the regression found no beam
+    links = Links(page(bare, draw_all(bare), version="1.2.3"))
+    assert "Validation" not in links.text
+    assert ("What else was fitted" in links.text) == fitted
+    assert ("how n and m were chosen" in links.text) != fitted
+    assert ("m g" in links.text) == fitted
+    assert "Nothing looked odd" in links.text
+    assert "nan" not in links.text.split()
+
+
+def test_a_fit_without_its_video_is_left_out(tmp_path: Path) -> None:
+    found = made_up.findings(0)
+    training, beam = found.trainings[0], found.beam
+    assert fit(beam, training, replace(found.recordings[0], video=tmp_path / "gone.mp4")) is None
+    assert fit(beam, training, replace(found.recordings[0], view=None)) is None
+
+
+def test_remarks_come_once_and_warnings_first() -> None:
+    found = made_up.findings(1)
+    remarks = all_remarks(replace(found, remarks=found.recordings[0].remarks))
+    assert [remark.level for _, remark in remarks] == sorted((r.level for _, r in remarks), key="warning note".index)
+    assert (
+        len(remarks) == len({(whose, remark.text) for whose, remark in remarks}) == 5
+    )  # one is on the poor fit of other-1
+
+
+def test_a_poor_fit_is_a_warning() -> None:
+    good = made_up.comparison()
+    assert poor_fit(good) == []
+    far = made_up.comparison(error_m=0.02)
+    assert [remark.level for remark in poor_fit(far)] == ["warning"]
+    assert "M1" in poor_fit(far)[0].text  # which moves least
+    assert "the beam that was learned" not in poor_fit(far)[0].text
+    assert "the beam that was learned" in pair_remarks(far, made_up.observations())[-1].text
+    unseen = replace(good, measured=np.full_like(good.measured, np.nan), rms=np.full(3, np.nan))
+    assert poor_fit(unseen) == []
+    assert another_beam(unseen) == []
+
+
+def test_a_validation_far_beyond_the_noise_is_a_warning() -> None:
+    noisy = replace(made_up.comparison(error_m=0.0006), sensor_rms=np.array([0.0003, 0.004, np.nan]))
+    assert another_beam(noisy) == []
+    quiet = replace(noisy, sensor_rms=np.array([0.00005, 0.004, np.nan]))
+    (said,) = another_beam(quiet)
+    assert said.level == "warning"
+    assert "M1 is missed by 10 times" in said.text
+    assert another_beam(made_up.comparison(error_m=1e-6)) == []  # next to nothing, whatever explains it
+    other = replace(made_up.findings(1), validations=(quiet,))
+    assert any("another beam" in remark.text for _, remark in all_remarks(other))
+    alone = replace(made_up.findings(0), trainings=(quiet,))
+    assert not any("another beam" in remark.text for _, remark in all_remarks(alone))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0412345, "0.0412"),
+        (0.051, "0.0510"),
+        (6182.3, "6180"),
+        (1.0, "1.00"),
+        (-0.0213, "-0.0213"),
+        (0.0, "0"),
+        (9.9999, "10.0"),
+        (1.5e-7, "1.5e-07"),
+        (2e9, "2e+09"),
+        (float("nan"), "–"),
+        (float("inf"), "–"),
+    ],
+)
+def test_significant(value: float, text: str) -> None:
+    assert significant(value) == text
+
+
+def test_small_words() -> None:
+    assert millimetres(0.0012345) == "1.23"
+    assert millimetres(3.93e-5) == "0.039"  # 0.04 says less than the fit knows, 0.00 of 4.2 um nothing
+    assert millimetres(4.2e-6) == "0.0042"
+    assert millimetres(0.0) == "0.00"
+    assert percent(1.0, 4.0) == "25 %"
+    assert percent(1.0, 0.0) == "–"
+    assert worst_marker(replace(made_up.comparison(), rms=np.full(3, np.nan))) == "–"
+
+
+def test_cards_count_the_recordings_and_keep_to_what_is_identified() -> None:
+    one, two = made_up.findings(1), made_up.findings(2)
+    notes = [" ".join(card["note"] for card in cards(found)) for found in (one, two)]
+    assert f"RMS, on {one.validations[0].name}" in notes[0]
+    assert "worst of 2 other recordings" in notes[1]
+    assert one.posterior is not None
+    known = one.posterior.band(np.linspace(0.0, 1.0, 201)).identified
+    low, high = stiffness_range(one)
+    inside = one.beam.stiffness(np.linspace(0.0, 1.0, 201))[known]
+    assert (low, high) == (inside.min(), inside.max())
+    assert f"{significant(low)} … {significant(high)}" in cards(one)[0]["value"]
+
+
+def test_the_page_says_from_where_on_a_test_counts() -> None:
+    found = made_up.findings(1)
+    assert found.posterior is not None
+    text = Links(page(found, {}, version="1")).text
+    assert alarm_words(found.posterior) in text
+    assert "1 in 100 000 (1 in 320 " in alarm_words(found.posterior)
+    assert "itself can tell" in text
+
+
+def test_a_clock_that_was_not_found_says_so() -> None:
+    assert "could not settle it" in clock_words(ClockOffset(1.0, 2.0, 1.0, found=False))
+    assert "from the written" not in clock_words(ClockOffset(1.0, 0.01, float("nan"), found=True))
+
+
+def test_gravity_and_uncalibrated_cameras_are_said() -> None:
+    seen = made_up.observations()
+    assert seen.view is not None
+    heavy = replace(seen, gravity=seen.gravity - 9.81, view=replace(seen.view, calibrated=False))
+    assert "weight acts in the plane" in assumptions(replace(made_up.findings(0), recordings=(heavy,)))[0]
+    assert any("not calibrated" in text for _, text in inputs(heavy))
+
+
+def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
+    found = made_up.findings(1)
+    assert found.posterior is not None
+    clean = Links(page(found, {}, version="1")).text
+    assert "this band is not to be trusted" not in clean
+    assert "would be noticed only if" in clean
+    critic = found.posterior.criticism
+    worst = critic.findings[0]
+    score = replace(worst.score, log10_p=-30.0)
+    doubted = replace(critic, findings=(replace(worst, score=score, sds=9.0), *critic.findings[1:]))
+    wrong = replace(found, posterior=replace(found.posterior, criticism=doubted))
+    text = Links(page(wrong, {}, version="1")).text
+    assert "this band is not to be trusted" in text
+    assert "NOT TO BE TRUSTED" in text
+    assert "1 in 1 000 000 000 or less" in text
+    assert "the recording contradicts the model of the fit" in text
+    far = replace(found.posterior, films=tuple(_moved(film, 1.0) for film in found.posterior.films))
+    text = Links(page(replace(found, posterior=far), {}, version="1")).text
+    assert "the fit misses tag" in text
+    assert "these tests say nothing" in text
+    assert "known to±" not in text.replace(" ", "")
+
+
+def _moved(film: Film, away: float) -> Film:
+    """Its tags seen `away` [m] from where they were."""
+    return replace(film, measured=film.measured + away)

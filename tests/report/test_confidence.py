@@ -1,0 +1,86 @@
+"""The words on where k(s) is known agree with the band."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.report.confidence import gain_words, identified_ranges, load_error_words, nuisance_rows, unidentified_words
+from onebend.report.figures import curves
+from onebend.report.figures.style import png_of
+from onebend.report.page.cards import sureness_card
+from tests import made_up
+
+KNOTS = np.array([0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0])  # piecewise linear: the sd at a knot is its coefficient's
+
+
+def uncertain(*sd: float, gain_sd: float = 0.0) -> UncertainStiffness:
+    return UncertainStiffness(KNOTS, np.log(np.full(5, 0.03)), np.diag(np.square(sd)), gain_sd, degree=1)
+
+
+@pytest.mark.parametrize(
+    ("sd", "starts"),
+    [
+        ((0.01, 0.01, 0.01, 0.01, 0.01), []),
+        ((0.01, 0.01, 0.01, 0.01, 1.0), ["Beyond s = 0.8"]),
+        ((1.0, 0.01, 0.01, 0.01, 1.0), ["Nearer to the clamp than s = 0.2", "Beyond s = 0.8"]),
+        ((0.201, 0.01, 0.01, 0.01, 0.01), ["Nearer to the clamp than s = 0.01"]),
+        ((0.01, 0.01, 1.0, 0.01, 0.01), ["Between s = 0.3"]),
+        ((1.0, 1.0, 1.0, 1.0, 1.0), ["At no place"]),
+    ],
+)
+def test_every_blind_stretch_is_named_and_no_other(sd: tuple[float, ...], starts: list[str]) -> None:
+    one = uncertain(*sd)
+    words = unidentified_words(one)
+    assert len(words) == len(starts)
+    assert all(text.startswith(start) for text, start in zip(words, starts, strict=True)), words
+    s = np.linspace(0.0, 1.0, 401)
+    inside = np.zeros(401, dtype=bool)
+    for low, high in identified_ranges(one):
+        inside |= (s >= low - 1e-9) & (s <= high + 1e-9)
+    np.testing.assert_array_equal(inside, one.band(s).identified)
+    png_of(curves.stiffness(made_up.BEAM, uncertain=one))
+    assert ("not identified" in sureness_card(one)["value"]) == (sd[2] == sd[0] == 1.0)
+
+
+def test_the_gain_is_in_the_card_and_said_apart() -> None:
+    assert sureness_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
+    assert sureness_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
+    assert "declared to 5 %" in gain_words(0.05)
+    assert "No scale error" in gain_words(0.0)
+    assert "weight" in gain_words(0.0, forced=False)
+
+
+def test_nothing_counts_as_identified_where_k_is_in_doubt() -> None:
+    one = replace(uncertain(*[0.01] * 5), doubts=("the fit did not converge",))
+    assert not one.band(np.linspace(0.0, 1.0, 11)).identified.any()
+    assert identified_ranges(one) == []
+    assert sureness_card(one) == {
+        "what": "k(s) is known to",
+        "value": "NOT TO BE TRUSTED",
+        "note": "the fit did not converge",
+    }
+    (words,) = unidentified_words(one)
+    assert "NOT TO BE TRUSTED: the fit did not converge" in words
+    png_of(curves.stiffness(made_up.BEAM, uncertain=one))
+
+
+def test_an_error_that_comes_with_the_load_is_said_where_it_counts() -> None:
+    assert load_error_words((0.01, 0.02)) == []
+    (words,) = load_error_words((0.2, 0.25))
+    assert "0.2 N" in words
+    assert "25 %" in words
+
+
+def test_nuisances_are_shown_in_the_units_of_a_bench() -> None:
+    found = made_up.posterior().nuisances()
+    rows = {row.name: row for row in nuisance_rows(found)}
+    clock = next(n for n in found if n.name == "made-up: clock offset")
+    assert (rows["tag 1 along"].before, rows["tag 1 along"].unit) == ("0.50", "mm")
+    assert (rows["made-up: clamp angle"].before, rows["made-up: clamp angle"].unit) == ("0.35", "deg")
+    assert float(rows["made-up: clock offset"].before) == pytest.approx(1e3 * clock.prior_sd)
+    assert rows["made-up: clock offset"].unit == "ms"
+    assert 0.0 <= rows["tag 1 along"].learned <= 1.0
