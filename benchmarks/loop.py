@@ -16,7 +16,7 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
 from onebend.control.loop.feedback import Controller, controller
-from onebend.control.loop.loop import Eye, Rehearsal, Truth, rehearse
+from onebend.control.loop.loop import Eye, LoopRun, Truth, run_loop
 from onebend.control.loop.margins import Loop, margins
 from onebend.control.loop.plant import plant_at
 from onebend.records import Array
@@ -50,10 +50,10 @@ class Case:
     control: Controller
     beam: Beam
 
-    def run(self, variant: str, eye: Eye = EYE) -> Rehearsal:
+    def run(self, variant: str, eye: Eye = EYE) -> LoopRun:
         feedforward, feedback = VARIANTS[variant]
         settings = replace(self.control.settings, feedforward=feedforward, feedback=feedback)
-        return rehearse(replace(self.control, settings=settings), Truth(self.beam, eye=eye), DURATION, seed=1)
+        return run_loop(replace(self.control, settings=settings), Truth(self.beam, eye=eye), DURATION, seed=1)
 
 
 def wrong(k: Profile, error: str) -> Profile:
@@ -104,7 +104,7 @@ def print_onset(every: list[Case]) -> None:
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for case in every:
         truth = Truth(case.beam, eye=Eye(delay=0.05, noise=0.0))
-        held = rehearse(case.control, truth, DURATION).asked[-1]
+        held = run_loop(case.control, truth, DURATION).asked[-1]
         inverse = case.control.inverse_at(held, 99.0)
         said = margins(Loop(plant_at(case.beam, held), inverse, case.control.gains, case.control.settings.timing))
         rings = [ringing(case, truth, held, share * said.gain) for share in (0.9, 1.1)]
@@ -123,7 +123,7 @@ def ringing(case: Case, truth: Truth, held: Array, factor: float) -> bool:
         gains=replace(case.control.gains, rate=factor * case.control.gains.rate),
         reference=replace(case.control.reference, ends=held, rise=3.0),
     )
-    found = rehearse(control, truth, 7.0)
+    found = run_loop(control, truth, 7.0)
     early, late = (found.time > 3.5) & (found.time < 4.5), found.time > 6.0
     return bool(np.max(found.error[late]) > np.max(found.error[early]))
 

@@ -22,7 +22,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline, Powers, Profile, Steps, Table, Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.control.loop.feedback import Controller, ControllerSettings, controller
-from onebend.control.loop.loop import Eye, Hand, Rehearsal, Truth, rehearse
+from onebend.control.loop.loop import Eye, Hand, LoopRun, Truth, run_loop
 from onebend.control.reach.reach import Reach, ReachSettings, reach
 from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
@@ -115,7 +115,7 @@ def made(case: Case, settings: ControllerSettings = ControllerSettings()) -> Con
     )
 
 
-def row_of(number: int, case: Case, found: Rehearsal | None) -> str:
+def row_of(number: int, case: Case, found: LoopRun | None) -> str:
     """One line of the table."""
     heavy = "yes" if any(case.gravity) else "no"
     end = "lost | never" if found is None else f"{1e3 * found.steady():.2f} | {found.settled(WITHIN):.1f}"
@@ -135,9 +135,9 @@ def main() -> None:
     print(f"|{' --- |' * 8}")
     steady, refused, began = [], 0, time.process_time()
     for number, case in enumerate(cases(asked.cases, asked.seed), 1):
-        found: Rehearsal | None
+        found: LoopRun | None
         try:
-            found = rehearse(made(case), case.truth, DURATION, seed=number)
+            found = run_loop(made(case), case.truth, DURATION, seed=number)
         except ControlError:
             refused += 1
             continue

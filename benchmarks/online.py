@@ -15,7 +15,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.live.online_learner import OnlineLearner
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.posterior import fit
 from onebend.learning.replay import live_frames, replay, settings_for
 from onebend.recording.observe import observe
@@ -143,7 +143,7 @@ def main() -> None:
     found = []
     for beam in BEAMS:
         seen = {kind: observe(folder / f"{beam}_{kind}") for kind in KINDS}
-        start, truth = learn(seen["train"]).beam.stiffness, read_truth(folder / f"{beam}_train")
+        start, truth = regress(seen["train"]).beam.stiffness, read_truth(folder / f"{beam}_train")
         found += [row(f"{beam} {kind}", o, fit([o], start).stiffness, truth, asked.repeats) for kind, o in seen.items()]
     print(
         "| recording | error of k, live / batch | truth inside 95 % band | sd of log k | their ratio "

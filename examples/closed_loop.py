@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
-from onebend.control.loop.feedback import ControllerSettings, controller
-from onebend.control.loop.loop import Eye, Rehearsal, Truth, rehearse
+from onebend import Beam, Uniform, controller
+from onebend.beam import Powers, Scaled
+from onebend.control import ControllerSettings, Eye, LoopRun, Truth, run_loop
 from onebend.report.figures.style import BLUE, GREEN, ORANGE, blank, png_of, styled
 
 TARGET = Path(__file__).parents[1] / "docs" / "images" / "loop.png"
@@ -25,18 +24,18 @@ VARIANTS = {
 }
 
 
-def runs(duration: float = 5.0) -> dict[str, Rehearsal]:
+def runs(duration: float = 5.0) -> dict[str, LoopRun]:
     """The three variants on one beam, through the same camera."""
     control = controller(MODEL, MODEL.equilibrium((-0.1, 0.3)).xy(1.0))
     found = {}
     for name, (feedforward, feedback, *_) in VARIANTS.items():
         settings = ControllerSettings(feedforward=feedforward, feedback=feedback)
-        found[name] = rehearse(replace(control, settings=settings), TRUTH, duration, seed=1)
+        found[name] = run_loop(replace(control, settings=settings), TRUTH, duration, seed=1)
     return found
 
 
 @styled
-def picture(found: dict[str, Rehearsal]) -> Figure:
+def picture(found: dict[str, LoopRun]) -> Figure:
     """Distance from the goal, in mm, on a logarithmic axis."""
     figure, (axes,) = blank(3.2)
     for name, run in found.items():

@@ -15,7 +15,7 @@ from onebend.learning.design.proposals import Plan
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import Settings
 from onebend.learning.paper.selection import pairs as trials
 from onebend.learning.posterior import FitSettings, Posterior, fit
@@ -50,7 +50,7 @@ class Run:
     video_seconds: float  # length of all videos together, to compare the stages with
 
 
-def learn_recording(
+def learn(
     folder: Path | str,
     *more: Path | str,
     settings: Settings = Settings(),
@@ -136,7 +136,7 @@ def _regression(
     if seen.static and not needed:
         return None, (Remark("note", "the paper's regression needs a filmed push; bench poses are learned by the fit"),)
     try:
-        learned = learn(seen, settings, progress=progress)
+        learned = regress(seen, settings, progress=progress)
     except LearningError as error:
         if needed:
             raise
@@ -199,7 +199,7 @@ def compare(
     """The beam against each of the recordings (Tables IV to VI).
 
     Raises:
-        ObservationError: a recording of a beam of another length; and all that `learn_recording` raises.
+        ObservationError: a recording of a beam of another length; and all that `learn` raises.
     """
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:

@@ -20,7 +20,8 @@ from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.selection import Settings
 from onebend.learning.posterior import FitSettings
-from onebend.pipeline import compare, learn_recording, plan_next
+from onebend.pipeline import compare, plan_next
+from onebend.pipeline import learn as learn_from
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
@@ -116,7 +117,7 @@ def learn(
     settings = Settings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting = _fitting(clamp_sd) if method == "fit" else None
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-        run = learn_recording(
+        run = learn_from(
             *recordings,
             settings=settings,
             fitting=fitting,

@@ -16,7 +16,7 @@ from onebend.errors import LearningError, ResultsError
 from onebend.learning.design.instruments import bench_of
 from onebend.learning.model.rest import at_rest
 from onebend.learning.outcome import Trial
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import Settings, choose, table
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
@@ -87,7 +87,7 @@ def by_paper(seen: Observations) -> tuple[tuple[Trial, ...], int | None, Beam | 
 def by_fit(seen: Observations) -> Posterior:
     """What `onebend learn` does: the regression with the tags' angles, and the fit from there."""
     try:
-        start = learn(seen)
+        start = regress(seen)
     except LearningError:
         start = None
     return fit([seen], start_of([seen], start), gain_sd=seen.stated.gain_sd)

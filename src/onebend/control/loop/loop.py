@@ -59,7 +59,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class LoopRun:
     """What happened: T times."""
 
     goal: Array  # (2,) m
@@ -86,7 +86,7 @@ class Rehearsal:
         return float(self.time[outside[-1] + 1]) if outside.size else 0.0
 
 
-def rehearse(control: Controller, truth: Truth, duration: float, *, seed: int = 0, tick: float = TICK) -> Rehearsal:
+def run_loop(control: Controller, truth: Truth, duration: float, *, seed: int = 0, tick: float = TICK) -> LoopRun:
     """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s.
 
     Raises:
@@ -105,11 +105,11 @@ def rehearse(control: Controller, truth: Truth, duration: float, *, seed: int = 
             seen = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
             state, row[3:5] = control.step(state, seen, row[0])
         moving.advance(row[3:5], row[0])
-    return Rehearsal(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
+    return LoopRun(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
 
 
 class _Moving:
-    """The true beam in motion behind its actuator. Lives only inside `rehearse`."""
+    """The true beam in motion behind its actuator. Lives only inside `run_loop`."""
 
     def __init__(self, truth: Truth, tick: float) -> None:
         self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand

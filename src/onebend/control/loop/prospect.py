@@ -8,7 +8,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Uniform
 from onebend.beam.statics.problem import has_mass
 from onebend.control.loop.feedback import Controller
-from onebend.control.loop.loop import Eye, Hand, Rehearsal, Truth, rehearse
+from onebend.control.loop.loop import Eye, Hand, LoopRun, Truth, run_loop
 from onebend.errors import ControlError, MechanicsError
 
 SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
@@ -20,7 +20,7 @@ class Trial:
     """One rehearsal. `run` is None where the beam snapped away under the loop."""
 
     factor: float  # of the model's k(s), everywhere alike
-    run: Rehearsal | None
+    run: LoopRun | None
 
     @property
     def steady(self) -> float:
@@ -55,7 +55,7 @@ def _swinging(beam: Beam) -> Beam:
     return beam if has_mass(beam) else replace(beam, mass_per_length=Uniform(_LEAST_MASS))
 
 
-def _run(control: Controller, beam: Beam, factor: float, eye: Eye, duration: float, seed: int) -> Rehearsal | None:
+def _run(control: Controller, beam: Beam, factor: float, eye: Eye, duration: float, seed: int) -> LoopRun | None:
     truth = Truth(
         replace(beam, stiffness=Scaled(factor, beam.stiffness)),
         damping_ratio=control.settings.damping_ratio,
@@ -66,6 +66,6 @@ def _run(control: Controller, beam: Beam, factor: float, eye: Eye, duration: flo
         hand=Hand(lag=control.settings.timing.lag),
     )
     try:
-        return rehearse(control, truth, duration, seed=seed)
+        return run_loop(control, truth, duration, seed=seed)
     except MechanicsError:
         return None

@@ -13,7 +13,7 @@ from onebend.records import Observations, Remark
 
 
 @one_blas_thread
-def learn(observations: Observations, settings: Settings = Settings(), *, progress: Progress = Silent()) -> Learned:
+def regress(observations: Observations, settings: Settings = Settings(), *, progress: Progress = Silent()) -> Learned:
     """The stiffness distribution of the observed beam.
 
     Raises:
