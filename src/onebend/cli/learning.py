@@ -13,7 +13,8 @@ from rich.console import Console
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, read_trusted, workplace
+from onebend.cli.common import clean_errors, print_json, progress_of, workplace
+from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings

@@ -9,7 +9,6 @@ import numpy as np
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.panel import Panel
-from rich.table import Table
 from rich.text import Text
 
 from onebend.learning.outcome import Comparison
@@ -18,7 +17,6 @@ from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
-from onebend.report.overview import Overview
 from onebend.report.page.cards import stiffness_range, sureness_card
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
@@ -104,18 +102,6 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
     console.print(remarks_list([(one.name, remark) for one, seen in pairs for remark in pair_remarks(one, seen)]))
     if out is not None:
         say_path(console, "\ntables and figures", out)
-
-
-def show_overview(console: Console, found: Overview) -> None:
-    """What `onebend check` understood."""
-    table = Table(title=found.name, title_justify="left", box=None, show_header=False)
-    table.add_column(no_wrap=True, style="dim")
-    table.add_column(overflow="fold")
-    for what, understood in found.rows:
-        table.add_row(what, escape(understood))
-    console.print(table)
-    console.print()
-    console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
 
 
 def show_model(console: Console, stored: StoredModel) -> None:

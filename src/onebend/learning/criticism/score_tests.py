@@ -13,10 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi_squared
-from scipy.stats import f as f_distribution
 
 from onebend.learning.criticism.alternatives import Departure, Suspect
 from onebend.learning.inference.hyperparameters import correlation_time
@@ -106,7 +105,7 @@ def _pull(line: Linear, suspect: Suspect, index: IntArray, before: Array, unit: 
     seen = values > _TOLD
     freed = vectors[:, seen] @ ((vectors[:, seen].T @ (x / before)) / values[seen])  # in prior sds
     gain, count = float(freed @ (x / before)), int(np.sum(seen))
-    log10_p = float(chi_squared.logsf(gain, count)) / np.log(10.0) if count else 0.0
+    log10_p = float(_distributions().chi2.logsf(gain, count)) / np.log(10.0) if count else 0.0
     shift = line.covariance[: line.at.spline.count, index] @ (freed / before)
     size = float(np.linalg.norm(x)) if unit == "m" else 0.0
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
@@ -169,7 +168,7 @@ def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
     b = inverse @ every.score[part]
     chi2 = float(every.score[part] @ b)
     step = -line.covariance @ (every.mixed[part].T @ b)
-    log10_p = float(chi_squared.logsf(chi2, count)) / np.log(10.0)
+    log10_p = float(_distributions().chi2.logsf(chi2, count)) / np.log(10.0)
     films = zip(every.d, line.rows, line.known, strict=True)
     changes = [d[..., part] @ b + r.slopes.times(step[k]) for d, r, k in films]
     ratio = 1.0
@@ -177,7 +176,7 @@ def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
         ratio, numbers = _noise_left(line, changes)
         chi2 *= ratio
         freedom = max(numbers - len(b), 5.0)
-        log10_p = float(f_distribution.logsf(chi2 / count, count, freedom)) / np.log(10.0)
+        log10_p = float(_distributions().f.logsf(chi2 / count, count, freedom)) / np.log(10.0)
     moved = max(_moved(f, r, c) for f, r, c in zip(line.films, line.rows, changes, strict=True))
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return Score(suspect, b, sd, chi2, log10_p, moved, step[:p], max(ratio, 1.0))
@@ -209,3 +208,10 @@ def _moved(seen: Film, rows: Rows, change: Array) -> float:
     away = np.linalg.solve(safe, (change / weight).reshape(*there.shape, 1))[..., :2, 0]
     squares, known = np.sum(np.where(there[..., :2], away, 0.0) ** 2, axis=-1), np.any(there, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))
+
+
+def _distributions() -> Any:
+    """`scipy.stats`. It takes half a second to load, and commands that only read a fit's results do not need it."""
+    from scipy import stats
+
+    return stats
