@@ -11,7 +11,6 @@ import numpy as np
 from benchmarks.studies import LEVELS, S, bench_of, fit_from_nothing
 from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.live.online_learner import OnlineLearner
@@ -40,7 +39,6 @@ class Row:
     processor: Array  # (T,) s, the same without waiting for the processor
 
 
-@one_blas_thread
 def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
     mass = o.stated.mass if np.isfinite(o.stated.mass) else 0.0

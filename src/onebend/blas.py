@@ -53,7 +53,8 @@ class _Limit:
                     if library not in before:
                         before[library] = library.get_num_threads()
                         self._before.setdefault(library, before[library])
-                        library.set_num_threads(1)
+                        if before[library] != 1:
+                            library.set_num_threads(1)
         here["depth"] = depth + 1
 
     def __exit__(self, *_: object) -> None:
@@ -65,11 +66,11 @@ class _Limit:
         with self._lock:
             self._threads -= 1
             for library, count in before.items():
-                if _is_of_one_thread(library):
+                if count != 1 and _is_of_one_thread(library):
                     library.set_num_threads(count)
             if self._threads == 0:
                 for library, count in self._before.items():
-                    if not _is_of_one_thread(library):
+                    if count != 1 and not _is_of_one_thread(library):
                         _release(library)
                         library.set_num_threads(count)
                         _release(library)

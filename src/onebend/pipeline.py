@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
@@ -50,6 +51,7 @@ class Run:
     video_seconds: float  # length of all videos together, to compare the stages with
 
 
+@one_blas_thread
 def learn(
     folder: Path | str,
     *more: Path | str,
@@ -188,6 +190,7 @@ def _result(
     return learned.beam, (learned.training,)
 
 
+@one_blas_thread
 def compare(
     beam: Beam,
     folders: Sequence[Path | str],
@@ -211,6 +214,7 @@ def compare(
     return pairs
 
 
+@one_blas_thread
 def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), progress: Progress = Silent()) -> Plan:
     """Which push to make next on the beam in `model`, a `model.json` or the folder that holds one.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.forecast.advice import Change, advise
 from onebend.forecast.prediction import Doubt, Predicted, doubts, predict, ranges
@@ -81,6 +82,7 @@ class Rehearsal:
         }
 
 
+@one_blas_thread
 def rehearse(
     setup: Setup,
     *,

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.design_file import find_design
 from onebend.lab.filming.viewpoint import Camera, view_from
@@ -133,6 +134,7 @@ def known_beam(name_or_path: str) -> Known:
     return Known(found.name, found.beam())
 
 
+@one_blas_thread
 def setup_of(
     known: Known,
     wishes: Sequence[Wish],

@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Table
+from onebend.blas import one_blas_thread
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.scene import Backdrop, Scene
 from onebend.lab.filming.viewpoint import Camera
@@ -38,6 +39,7 @@ class Chance:
     calibrated: float = 0.7  # share of films
 
 
+@one_blas_thread
 def random_bench(rng: np.random.Generator, chance: Chance = Chance(), *, name: str = "drawn") -> Filming:
     """A slow push of an unknown beam. Tolerances that are told are those that were drawn from.
 

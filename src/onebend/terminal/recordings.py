@@ -12,7 +12,7 @@ from rich.table import Table
 from onebend.recording.bags.topics import BagContents, TopicRow
 from onebend.report.overview import Overview
 from onebend.report.wording import significant
-from onebend.terminal.tables import remarks_list
+from onebend.terminal.parts import remarks_list
 
 
 def show_bag(console: Console, found: BagContents) -> None:

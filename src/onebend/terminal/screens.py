@@ -21,12 +21,12 @@ from onebend.report.page.cards import stiffness_range, sureness_card
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words
+from onebend.terminal.parts import remarks_list
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
     comparison_table,
     estimate_table,
     nuisance_table,
-    remarks_list,
     selection_table,
     stages_table,
 )

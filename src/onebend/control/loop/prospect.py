@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Uniform
 from onebend.beam.statics.problem import has_mass
+from onebend.blas import one_blas_thread
 from onebend.control.loop.feedback import Controller
 from onebend.control.loop.loop import Eye, Hand, LoopRun, Truth, run_loop
 from onebend.errors import ControlError, MechanicsError
@@ -32,6 +33,7 @@ class Trial:
         return float("inf") if self.run is None else self.run.settled(within)
 
 
+@one_blas_thread
 def prospect(
     control: Controller, *, k_error: float = 0.3, eye: Eye = Eye(), duration: float = 8.0, seed: int = 0
 ) -> tuple[Trial, ...]:

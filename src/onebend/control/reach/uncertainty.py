@@ -12,6 +12,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import refine
 from onebend.beam.statics.problem import pose_many
 from onebend.beam.statics.sensitivity import of_stiffness, respond
+from onebend.blas import one_blas_thread
 from onebend.control.reach.reach import Reach
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -64,6 +65,7 @@ class PredictedError:
         return bool(self.distance(xy) <= _squared_radius(level))
 
 
+@one_blas_thread
 def predicted_error(
     beam: Beam,
     uncertain: UncertainStiffness,

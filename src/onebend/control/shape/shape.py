@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, Rod
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import Targets, check_metres, misses
 from onebend.control.shape.descent import Descent, Found, descend
 from onebend.control.shape.grip import Grip, Hands, Push, Stand, refined, rest
@@ -88,6 +89,7 @@ class Shaped:
         return np.asarray(self.stand.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
 
+@one_blas_thread
 def shape(
     beam: Rod,
     targets: Targets,

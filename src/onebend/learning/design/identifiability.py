@@ -29,6 +29,7 @@ from onebend.beam.statics.sensitivity import (
     of_stiffness,
     respond,
 )
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.design.instruments import Bench, ForceDoubt, Push
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
@@ -146,6 +147,7 @@ def joint_information(seen: Seen, bench: Bench, candidate: Push, chosen: IntArra
     return eliminate(information, len(own_sd), 1.0 / own_sd**2)
 
 
+@one_blas_thread
 def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
     """(p, p) Fisher information of one push on the coefficients of log k, every nuisance marginalised.
 
@@ -164,6 +166,7 @@ def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
     return _of_coefficients(solved, beam, bench, candidate, on_nodes)
 
 
+@one_blas_thread
 def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array, Array]:
     """Places s (Q,) along the beam and the Fisher information (Q,) about log k there, per unit of s squared.
 

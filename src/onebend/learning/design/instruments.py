@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.inference.linear_gaussian import Scales
 from onebend.learning.model.fit_data import Film
@@ -125,6 +126,7 @@ class Bench:
         return bench
 
 
+@one_blas_thread
 def bench_of(posterior: Posterior) -> Bench:
     """The bench on which the recordings of a fit were made; what differs between them by its median.
 
