@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.forecast.advice import advise
-from onebend.forecast.prediction import Predicted, predict
+from onebend.forecast.prediction import PredictedBand, predict
 from onebend.forecast.rehearsal import Obtained, obtained_of
 from onebend.forecast.runs import simulate
 from onebend.forecast.setup import Setup, known_beam, setup_of
@@ -80,7 +80,7 @@ CASES = (
 )
 
 
-def row(name: str, predicted: Predicted, obtained: Obtained) -> str:
+def row(name: str, predicted: PredictedBand, obtained: Obtained) -> str:
     """Sizes of log k over the thirds of the beam."""
     band = float(np.sqrt(np.mean(obtained.sd**2) / np.mean(predicted.sd**2)))
     return (

@@ -14,47 +14,80 @@ from onebend.cli import app
 from onebend.errors import MechanicsError, OnebendError, RecordingError
 from onebend.forecast.advice import advise
 from onebend.forecast.instruments import instruments
-from onebend.forecast.prediction import BASIS, SPLINE, derivatives, doubts, known_exactly, predict, ranges, told_by
+from onebend.forecast.prediction import (
+    BASIS,
+    SPLINE,
+    derivatives,
+    information_of,
+    known_exactly,
+    predict,
+    ranges,
+    uncertainty_budget,
+)
 from onebend.forecast.rehearsal import obtained_of, rehearse
 from onebend.forecast.runs import Run, benches, kept, key_of, simulate
-from onebend.forecast.setup import known_beam, setup_of
+from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.forecast.writing import COLUMNS, writer_of
 from onebend.lab.designs import DESIGNS
 from onebend.lab.named import Wish
 from onebend.learning.design.identifiability import STEPS
+from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
 from onebend.records import PLACE_SD, Array
 from onebend.results.model import save_model
 
-WRIST = setup_of(known_beam("linear"), [Wish(sensor="wrist", seconds=4.0)], clock_sd=0.01)
+WRIST, CUBIC, UNIFORM = (
+    setup_of(known_beam(name), [Wish(sensor="wrist", seconds=4.0)], clock_sd=0.01)
+    for name in ("linear", "cubic", "uniform")
+)
 
 
-def test_scatter_and_pull_are_those_of_the_linear_estimate() -> None:
-    """`(I + P)^-1 (I c + n + P mu)` over many draws of n ~ N(0, I)."""
+def test_scatter_is_that_of_the_linear_estimate_under_the_equivalent_prior() -> None:
+    """`(I + P)^-1 (I c + n)` over many draws of n ~ N(0, I); a normal prior's mean only shifts all of them."""
     setup = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.0))
-    bench, found = instruments(setup), predict(setup)
-    told = told_by(setup, bench, derivatives(setup, bench))
-    prior = SPLINE.precision(found.tau, found.rho)
-    values, vectors = np.linalg.eigh(told)
-    noise = np.random.default_rng(0).standard_normal((4000, len(told))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
-    level = np.full(len(told), np.mean(np.log(found.k)))
-    drawn = np.linalg.solve(told + prior, (told @ truth + prior @ level + noise).T).T @ BASIS.T
+    used, found = instruments(setup), predict(setup)
+    information = information_of(setup, used, derivatives(setup, used))
+    values, vectors = np.linalg.eigh(information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    noise = np.random.default_rng(0).standard_normal((4000, len(information))) @ root
+    drawn = np.linalg.solve(information + found.prior, noise.T).T @ BASIS.T
     assert np.std(drawn, axis=0) == pytest.approx(found.scatter, rel=0.06)
-    off = np.mean(drawn, axis=0) - BASIS @ truth
-    assert np.max(np.abs(off - found.pull)) < 0.1 * np.max(found.scatter)
+
+
+def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
+    """One prior: what the fit's sampler makes of the same information, with other draws."""
+    setup = replace(CUBIC, sensor=replace(CUBIC.sensor, gain_sd=0.0))
+    used, found = instruments(setup), predict(setup)
+    information = information_of(setup, used, derivatives(setup, used))
+    truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
+    data, level = Told(information, information @ truth), float(np.mean(np.log(found.k)))
+    posterior = mixed(SPLINE, [data], level, Draws(chains=20, burn=400, kept=400))
+    sd = np.sqrt(np.einsum("si,ij,sj->s", BASIS, posterior.covariance, BASIS))
+    assert np.sqrt(np.mean((found.own_sd / sd - 1.0) ** 2)) < 0.06
+    assert np.max(np.abs(found.bias - BASIS @ (posterior.mean - truth)) / sd) < 0.15
+
+
+@pytest.mark.parametrize("setup", [CUBIC, UNIFORM], ids=["cubic", "uniform"])
+def test_predicted_band_is_that_of_fits(setup: Setup) -> None:
+    """Steps and bumps of k widen the band, an even k narrows it: as in fits of simulated recordings."""
+    fits = simulate(setup, range(3))
+    assert not any(fit.failure for fit in fits)
+    sd = np.median([fit.sd for fit in fits], axis=0)
+    assert np.median(predict(setup).sd / sd) == pytest.approx(1.0, abs=0.08)
 
 
 def test_more_information_never_widens_the_band() -> None:
-    now, bench = predict(WRIST), instruments(WRIST)
-    seen = derivatives(WRIST, bench)
-    whole = told_by(WRIST, bench, seen)
-    for better in known_exactly(bench).values():
-        gained = told_by(WRIST, better, seen) - whole
+    now, used = predict(WRIST), instruments(WRIST)
+    along_pushes = derivatives(WRIST, used)
+    whole = information_of(WRIST, used, along_pushes)
+    for better in known_exactly(used).values():
+        gained = information_of(WRIST, better, along_pushes) - whole
         assert np.min(np.linalg.eigvalsh(gained)) > -1e-6 * np.max(np.abs(whole))
-    assert all(0.0 <= one.share < 1.0 and one.mean_width <= now.quality.mean_width * 1.001 for one in doubts(WRIST))
+    for entry in uncertainty_budget(WRIST, now):
+        assert 0.0 <= entry.share < 1.0
+        assert entry.mean_width <= now.quality.mean_width * 1.001
 
 
-def test_one_clock_leaves_nothing_to_doubt_of_it() -> None:
+def test_with_one_clock_no_error_of_it_is_left() -> None:
     one = replace(WRIST, clock_sd=0.0)
     used = instruments(one)
     assert used.bench.clock_sd == 0.0
@@ -68,8 +101,8 @@ def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
     twice = replace(WRIST, pushes=WRIST.pushes * 2)
     used = instruments(WRIST)
     sure = replace(used, bench=replace(used.bench, placement_sd=1e-12, turn_sd=1e-9, origin_sd=1e-12))
-    single = told_by(WRIST, sure, derivatives(WRIST, sure))
-    double = told_by(twice, sure, derivatives(twice, sure))
+    single = information_of(WRIST, sure, derivatives(WRIST, sure))
+    double = information_of(twice, sure, derivatives(twice, sure))
     assert double == pytest.approx(2.0 * single, rel=1e-4, abs=1e-6 * np.max(single))
 
 
@@ -99,19 +132,18 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
         assert np.max(error) < 3e-4 * np.max(np.abs(expected)), i
 
 
-def test_doubts_name_a_pushs_own() -> None:
+def test_budget_names_a_pushs_own_errors() -> None:
     vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.0, reversal=0.3))
-    shares = {one.name: one.share for one in doubts(vague)}
-    assert shares["push's place"] > 0.0
-    assert (
-        shares["force's bias and slow error"]
-        > {one.name: one.share for one in doubts(WRIST)}["force's bias and slow error"]
+    shares, before = (
+        {entry.name: entry.share for entry in uncertainty_budget(setup, predict(setup))} for setup in (vague, WRIST)
     )
+    assert shares["push's place"] > 0.0
+    assert shares["force's bias and slow error"] > before["force's bias and slow error"]
 
 
 def test_an_unknown_gain_costs_most_and_its_calibration_is_advised() -> None:
     vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.2))
-    assert doubts(vague)[0].name == "force's gain"
+    assert uncertainty_budget(vague, predict(vague))[0].name == "force's gain"
     changes = advise(vague, predict(vague))
     assert {one.kind for one in changes[:2]} == {"gain", "sensor"}
     shares = [one.share for one in changes]

@@ -10,7 +10,7 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
 from onebend.forecast.instruments import even_push, instruments
-from onebend.forecast.prediction import Predicted, derivatives, outcome_with, told_by
+from onebend.forecast.prediction import PredictedBand, derivatives, information_of, with_information
 from onebend.forecast.setup import Setup
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import WRIST, ForceSensor
@@ -50,7 +50,7 @@ class Change:
 
 
 @one_blas_thread
-def advise(setup: Setup, now: Predicted, *, count: int = 8, progress: Progress = Silent()) -> tuple[Change, ...]:
+def advise(setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()) -> tuple[Change, ...]:
     """The changes that remove most of the band, best first; of each kind the best two at most.
 
     Raises:
@@ -63,10 +63,10 @@ def advise(setup: Setup, now: Predicted, *, count: int = 8, progress: Progress =
     for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):
         try:
             used = instruments(changed)
-            told = told_by(changed, used, derivatives(changed, used))
+            information = information_of(changed, used, derivatives(changed, used))
         except MechanicsError:
             continue  # stands where it was looked for, but not on its way there
-        quality = outcome_with(now, used, told).quality
+        quality = with_information(now, used, information).quality
         found.append(Change(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
     return _distinct(sorted(found, key=lambda one: -one.share))[:count]
 

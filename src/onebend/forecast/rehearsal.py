@@ -1,4 +1,4 @@
-"""A rehearsal: what is predicted, what simulated recordings give, what costs most, what to change."""
+"""A rehearsal: the predicted band, what simulated recordings give, the uncertainty budget, what to change."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from onebend.errors import LearningError
 from onebend.forecast.advice import Change, advise
-from onebend.forecast.prediction import Doubt, Predicted, doubts, predict, ranges
+from onebend.forecast.prediction import BudgetEntry, PredictedBand, predict, ranges, uncertainty_budget
 from onebend.forecast.runs import Run, errors_of, simulate
 from onebend.forecast.setup import Setup, check_bending
 from onebend.learning.design.proposals import PLACES, direction_words
@@ -45,9 +45,9 @@ class Rehearsal:
 
     setup: Setup
     seed: int
-    predicted: Predicted
-    doubts: tuple[Doubt, ...]  # what costs most first
-    advice: tuple[Change, ...]  # what helps most first
+    predicted: PredictedBand
+    budget: tuple[BudgetEntry, ...]  # the most costly nuisance first
+    advice: tuple[Change, ...]  # the most helpful change first
     runs: tuple[Run, ...]
 
     @property
@@ -61,7 +61,7 @@ class Rehearsal:
         pushes = [{"at_s": x.at_s, "direction_rad": x.direction, "peak_N": x.peak} for x in s.pushes]
         asked = {"name": s.name, "length_m": s.beam.length, "tags_s": list(s.tags), "pushes": pushes}
         tolerances = {"gain_sd": s.gain_sd, "placement_sd_m": s.placement_sd, "turn_sd_rad": s.turn_sd}
-        said = {name: getattr(p, name).tolist() for name in ("k", "sd", "own_sd", "scatter", "pull", "error")}
+        said = {name: getattr(p, name).tolist() for name in ("k", "sd", "own_sd", "scatter", "bias", "error")}
         return {
             "setup": {**asked, **tolerances, "clock_sd_s": s.clock_sd, "fps": s.fps},
             "seed": self.seed,
@@ -69,15 +69,13 @@ class Rehearsal:
             "predicted": {
                 **said,
                 "identified": ranges(p.identified),
-                "tau": p.tau,
-                "rho": p.rho,
                 "band": vars(p.quality),
             },
             "obtained": None
             if o is None
             else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
-            "doubts": [vars(one) for one in self.doubts],
-            "advice": [one.as_dict() for one in self.advice],
+            "uncertainty_budget": [vars(entry) for entry in self.budget],
+            "advice": [change.as_dict() for change in self.advice],
         }
 
 
@@ -104,10 +102,10 @@ def rehearse(
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
     check_bending(setup)
     predicted = predict(setup)
-    costs = doubts(setup)
+    budget = uncertainty_budget(setup, predicted)
     changes = advise(setup, predicted, count=count, progress=progress)
     done = simulate(setup, range(seed, seed + runs), jobs=jobs, keep=keep, progress=progress) if runs else ()
-    return Rehearsal(setup, seed, predicted, costs, changes, done)
+    return Rehearsal(setup, seed, predicted, budget, changes, done)
 
 
 def obtained_of(runs: tuple[Run, ...]) -> Obtained | None:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.forecast.prediction import Doubt
+from onebend.forecast.prediction import BudgetEntry
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Obtained, Rehearsal, setup_words
 from onebend.learning.design.proposals import PLACES, identified_words, width_words
 from onebend.report.wording import significant
@@ -33,7 +33,7 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     elif rehearsal.runs:
         console.print(f"\n[yellow]![/] No fit came out: {escape(rehearsal.runs[0].failure)}", highlight=False)
     console.print()
-    console.print(doubts_table(rehearsal.doubts))
+    console.print(budget_table(rehearsal.budget))
     console.print()
     if rehearsal.advice:
         console.print(advice_table(rehearsal))
@@ -62,13 +62,13 @@ def errors_table(rehearsal: Rehearsal) -> Table:
     return table
 
 
-def doubts_table(doubts: Sequence[Doubt]) -> Table:
-    """What the band would be if one thing were known exactly."""
+def budget_table(budget: Sequence[BudgetEntry]) -> Table:
+    """The band if one nuisance were known exactly."""
     table = Table(title="What costs most: the band if one thing were known exactly", title_justify="left", box=None)
     for name in ("known exactly", "band then", "removes"):
         table.add_column(name, justify="left" if name == "known exactly" else "right")
-    for one in doubts:
-        table.add_row(one.name, width_words(one.mean_width), share_words(one.share))
+    for entry in budget:
+        table.add_row(entry.name, width_words(entry.mean_width), share_words(entry.share))
     return table
 
 
@@ -77,8 +77,9 @@ def advice_table(rehearsal: Rehearsal) -> Table:
     table = Table(title="What to change, by how much of the band it would remove", title_justify="left", box=None)
     for name in ("", "change", "band then", "removes"):
         table.add_column(name, justify="left" if name == "change" else "right")
-    for i, one in enumerate(rehearsal.advice, 1):
-        table.add_row(str(i), escape(one.text), width_words(one.quality.mean_width), share_words(one.share))
+    for i, change in enumerate(rehearsal.advice, 1):
+        width = width_words(change.quality.mean_width)
+        table.add_row(str(i), escape(change.text), width, share_words(change.share))
     return table
 
 
