@@ -13,8 +13,8 @@ from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.pushes import Push as VirtualPush
-from onebend.lab.virtual import Bench as VirtualBench
+from onebend.lab.pushes import PushProfile
+from onebend.lab.virtual import VirtualBench
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.design.instruments import Bench, Push, push_of
 from onebend.learning.design.instruments import bench_of as bench_of_fit
@@ -115,7 +115,7 @@ def _anew(bench: VirtualBench, push: Push, seed: int, number: int) -> VirtualBen
     off, axes = np.array([PLACE_SD / bench.beam.length, DIRECTION_SD]) * rng.standard_normal(2)
     return replace(
         bench,
-        push=VirtualPush(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
+        push=PushProfile(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
         said=replace(bench.said, push_s=push.at_s, axes=float(axes)),
         base=(float(x), float(y), float(turn)),
         name=f"{bench.name} {number + 2}",

@@ -20,7 +20,7 @@ from onebend.forecast.prediction import PredictedBand, predict
 from onebend.forecast.rehearsal import Obtained, obtained_of
 from onebend.forecast.runs import simulate
 from onebend.forecast.setup import Setup, known_beam, setup_of
-from onebend.lab.named import CameraName, SensorName, Wish
+from onebend.lab.film_request import CameraName, FilmRequest, SensorName
 from onebend.records import Array
 
 KEPT = Path(__file__).parents[1] / "out" / "rehearse"
@@ -42,7 +42,9 @@ class Case:
 
     @property
     def setup(self) -> Setup:
-        wish = Wish(sensor=self.sensor, seconds=self.seconds, camera=self.camera, bend=float(np.deg2rad(self.bend_deg)))
+        wish = FilmRequest(
+            sensor=self.sensor, seconds=self.seconds, camera=self.camera, bend=float(np.deg2rad(self.bend_deg))
+        )
         return setup_of(
             known_beam(self.design),
             [replace(wish, at_s=s) for s in self.at],

@@ -181,7 +181,7 @@ def test_no_folder_is_crowded() -> None:
         ("recording/clock", "import onebend.recording.camera.plane"),
         ("learning/model", "from onebend.learning.inference.optimizer import optimum"),
         ("learning/live", "from onebend.learning.design.planning import plan"),
-        ("control/reach", "def lazy():\n    from onebend.control.loop import feedback"),
+        ("control/reach", "def lazy():\n    from onebend.control.loop import controller"),
         ("lab/fabrication", "from onebend.lab.filming.film import film"),
         ("learning/cellar", "import math"),
     ],

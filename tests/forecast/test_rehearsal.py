@@ -25,18 +25,18 @@ from onebend.forecast.prediction import (
     uncertainty_budget,
 )
 from onebend.forecast.rehearsal import obtained_of, rehearse
-from onebend.forecast.runs import Run, benches, kept, key_of, simulate
+from onebend.forecast.runs import SimulatedRun, benches, key_of, read_runs, simulate
 from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.forecast.writing import COLUMNS, writer_of
 from onebend.lab.designs import DESIGNS
-from onebend.lab.named import Wish
+from onebend.lab.film_request import FilmRequest
 from onebend.learning.design.identifiability import STEPS
 from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
 from onebend.records import PLACE_SD, Array
 from onebend.results.model import save_model
 
 WRIST, CUBIC, UNIFORM = (
-    setup_of(known_beam(name), [Wish(sensor="wrist", seconds=4.0)], clock_sd=0.01)
+    setup_of(known_beam(name), [FilmRequest(sensor="wrist", seconds=4.0)], clock_sd=0.01)
     for name in ("linear", "cubic", "uniform")
 )
 
@@ -94,7 +94,7 @@ def test_with_one_clock_no_error_of_it_is_left() -> None:
     assert "clock" not in known_exactly(used)
     assert predict(one).quality.mean_width < predict(WRIST).quality.mean_width
     with pytest.raises(RecordingError, match="clock's sd"):
-        setup_of(known_beam("linear"), [Wish()], clock_sd=-0.01)
+        setup_of(known_beam("linear"), [FilmRequest()], clock_sd=-0.01)
 
 
 def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
@@ -108,7 +108,7 @@ def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
 
 def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
     """Against differences of exact equilibria: a place farther in, axes turned, a force added."""
-    setup = setup_of(known_beam("cubic"), [Wish(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
+    setup = setup_of(known_beam("cubic"), [FilmRequest(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
     (push,), used = setup.pushes, instruments(setup)
     told = derivatives(setup, used)[0].functions[..., -4:]
     tags, h = np.asarray(setup.tags), 1e-5
@@ -156,11 +156,11 @@ def test_runs_are_repeatable_kept_and_resumed(tmp_path: Path) -> None:
     first = simulate(WRIST, [3], keep=tmp_path)
     file = tmp_path / f"runs-{key_of(WRIST)}.jsonl"
     assert not first[0].failure
-    assert kept(file)[3].error == pytest.approx(first[0].error, rel=1e-4)
-    told = replace(kept(file)[3], failure="taken from the file")
+    assert read_runs(file)[3].error == pytest.approx(first[0].error, rel=1e-4)
+    told = replace(read_runs(file)[3], failure="taken from the file")
     file.write_text(json.dumps(told.as_dict()) + '\n{"seed": 4, "err', encoding="utf-8")
     assert simulate(WRIST, [3], keep=tmp_path)[0].failure == "taken from the file"
-    assert set(kept(file)) == {3}  # a line that was cut off is done again
+    assert set(read_runs(file)) == {3}  # a line that was cut off is done again
     sd = np.asarray(first[0].sd)
     assert np.mean(np.abs(first[0].error) < 4.0 * sd) > 0.95
     assert 0.75 < np.median(predict(WRIST).sd / sd) < 1.33
@@ -168,7 +168,7 @@ def test_runs_are_repeatable_kept_and_resumed(tmp_path: Path) -> None:
 
 def test_a_sensor_without_errors_can_be_fitted() -> None:
     """A log more exact than rounding lets the fit's equations follow."""
-    [one] = simulate(setup_of(known_beam("quadratic"), [Wish(sensor="ideal", seconds=6.0)], clock_sd=0.01), [0])
+    [one] = simulate(setup_of(known_beam("quadratic"), [FilmRequest(sensor="ideal", seconds=6.0)], clock_sd=0.01), [0])
     assert one.failure == ""
     assert np.sqrt(np.mean(np.square(one.error[5:90]))) < 0.03
 
@@ -189,15 +189,15 @@ def test_every_run_draws_its_own_errors_and_pushes_share_them() -> None:
 
 
 def test_coverage_counts_identified_places_only() -> None:
-    inside = Run(0, error=(0.1,) * 101, sd=(0.1,) * 101, identified=(True,) * 101)
-    outside = Run(1, error=(0.3,) * 101, sd=(0.1,) * 101, identified=(True,) * 50 + (False,) * 51)
-    found = obtained_of((inside, outside, Run(2, failure="no push")))
+    inside = SimulatedRun(0, error=(0.1,) * 101, sd=(0.1,) * 101, identified=(True,) * 101)
+    outside = SimulatedRun(1, error=(0.3,) * 101, sd=(0.1,) * 101, identified=(True,) * 50 + (False,) * 51)
+    found = obtained_of((inside, outside, SimulatedRun(2, failure="no push")))
     assert found is not None
     assert found.runs == 2
     assert found.failed == 1
     assert found.covered == pytest.approx(101.0 / 151.0)
     assert found.coverage == pytest.approx(np.full(101, 0.5))
-    assert obtained_of((Run(2, failure="no push"),)) is None
+    assert obtained_of((SimulatedRun(2, failure="no push"),)) is None
 
 
 def test_ranges_are_those_of_the_mask() -> None:
@@ -210,17 +210,17 @@ def test_ranges_are_those_of_the_mask() -> None:
 @pytest.mark.parametrize(
     ("tags", "wish", "says"),
     [
-        ((0.5, 1.2), Wish(), "beyond the tip"),
-        ((0.5, 0.505), Wish(), "overlap"),
-        ((), Wish(at_s=0.2), "before the first tag"),
-        ((), Wish(push="fast"), "swing"),
-        ((), Wish(seconds=0.3), "frames"),
-        ((), Wish(force=-1.0), "above zero"),
-        ((), Wish(force=50.0, direction=np.pi), "snaps through"),
-        ((), Wish(force=1e-3), "Push harder"),
+        ((0.5, 1.2), FilmRequest(), "beyond the tip"),
+        ((0.5, 0.505), FilmRequest(), "overlap"),
+        ((), FilmRequest(at_s=0.2), "before the first tag"),
+        ((), FilmRequest(push="fast"), "swing"),
+        ((), FilmRequest(seconds=0.3), "frames"),
+        ((), FilmRequest(force=-1.0), "above zero"),
+        ((), FilmRequest(force=50.0, direction=np.pi), "snaps through"),
+        ((), FilmRequest(force=1e-3), "Push harder"),
     ],
 )
-def test_nonsense_is_refused(tags: tuple[float, ...], wish: Wish, says: str) -> None:
+def test_nonsense_is_refused(tags: tuple[float, ...], wish: FilmRequest, says: str) -> None:
     with pytest.raises((RecordingError, MechanicsError), match=says):
         rehearse(setup_of(known_beam("quadratic"), [wish], tags=tags), runs=0)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.results.folder import Workplace, files_in, own_files, prepare, publish, strangers
+from onebend.results.folder import OutputFolder, files_in, own_files, prepare, publish, strangers
 
 KIND = "onebend-test-1"
 
@@ -28,7 +28,7 @@ def earlier(out: Path, mark: str = "old", figures: tuple[str, ...] = ("a.png", "
     write(out, mark, figures)
 
 
-def place_at(out: Path, *, overwrite: bool = False) -> Workplace:
+def place_at(out: Path, *, overwrite: bool = False) -> OutputFolder:
     return prepare(out, kind=KIND, overwrite=overwrite)
 
 

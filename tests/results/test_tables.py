@@ -16,7 +16,7 @@ import pytest
 from onebend.errors import ResultsError
 from onebend.records import Detections, ForceNoise, Observations, Remark
 from onebend.results.kept import KeptDetections, key_of
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from onebend.results.summary import summary_of, validation_summary, write_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain

@@ -15,7 +15,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.model import StoredModel
-from onebend.results.single import fresh_file, write_file
+from onebend.results.single_file import fresh_file, write_file
 from onebend.terminal.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.terminal.options_export import DampingTime, Every, ExportTo, Hinges, MassKg, OutFile, RerunFile
 

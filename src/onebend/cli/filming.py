@@ -11,9 +11,9 @@ import typer
 
 from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of
 from onebend.lab.design_file import find_design
+from onebend.lab.film_request import FilmRequest, filming_of
 from onebend.lab.filming.film import film as make_film
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.named import Wish, filming_of
 from onebend.lab.random_bench import random_bench
 from onebend.terminal.options import Json, Quiet
 from onebend.terminal.options_film import (
@@ -63,7 +63,7 @@ def film(
     quiet: Quiet = False,
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
-    seen = Wish(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
+    seen = FilmRequest(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
     wish = replace(
         seen,
         push=push,
@@ -91,7 +91,7 @@ def film(
     )
 
 
-def _filming(design: str, wish: Wish, seed: int, output: Path | None) -> tuple[Filming, Path]:
+def _filming(design: str, wish: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:
     """What is filmed, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")

@@ -22,6 +22,7 @@ from onebend.recording.observe import ObserveSettings
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
 from onebend.results.folder import publish
 from onebend.results.kept import KeptDetections
+from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -29,7 +30,6 @@ from onebend.results.summary import (
     summary_of,
     validation_summary,
 )
-from onebend.results.writing import learned_writer, validation_writer
 from onebend.terminal.options import (
     Bic,
     ClampSd,

@@ -12,7 +12,7 @@ from onebend.errors import MechanicsError, RecordingError
 from onebend.forecast.instruments import even_push, instruments
 from onebend.forecast.prediction import PredictedBand, derivatives, information_of, with_information
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import WRIST, ForceSensor
 from onebend.learning.design.candidates import Limits, reaches
 from onebend.learning.design.identifiability import solve_push
@@ -33,7 +33,7 @@ _SENSOR_SIZES = ("white_sd", "coloured_sd", "drift", "reversal", "gain_sd", "qua
 
 
 @dataclass(frozen=True)
-class Change:
+class SetupChange:
     """One thing done otherwise, and what it would leave of the band."""
 
     kind: str  # tag, push, second push, gain, sensor, placement, clock, camera
@@ -50,7 +50,9 @@ class Change:
 
 
 @one_blas_thread
-def advise(setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()) -> tuple[Change, ...]:
+def advise(
+    setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
+) -> tuple[SetupChange, ...]:
     """The changes that remove most of the band, best first; of each kind the best two at most.
 
     Raises:
@@ -67,14 +69,14 @@ def advise(setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progre
         except MechanicsError:
             continue  # stands where it was looked for, but not on its way there
         quality = with_information(now, used, information).quality
-        found.append(Change(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
+        found.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
     return _distinct(sorted(found, key=lambda one: -one.share))[:count]
 
 
-Thought = tuple[str, str, Setup]
+Candidate = tuple[str, str, Setup]
 
 
-def _tags(setup: Setup) -> Iterator[Thought]:
+def _tags(setup: Setup) -> Iterator[Candidate]:
     """One more tag in the middle of each gap, and at a bare tip."""
     edges = np.concatenate([[0.0], np.sort(setup.tags)])
     places = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > GAP]
@@ -85,7 +87,7 @@ def _tags(setup: Setup) -> Iterator[Thought]:
         yield "tag", f"{len(places)} more tags, in the middle of every gap", replace(setup, tags=more)
 
 
-def _pushes(setup: Setup) -> Iterator[Thought]:
+def _pushes(setup: Setup) -> Iterator[Candidate]:
     """The first push made otherwise, and one more push."""
     first = setup.pushes[0]
     bench = replace(instruments(setup).bench, curvature=sharpest(setup))
@@ -112,7 +114,7 @@ def sharpest(setup: Setup) -> float:
     return max(bent)
 
 
-def _instruments(setup: Setup) -> Iterator[Thought]:
+def _instruments(setup: Setup) -> Iterator[Candidate]:
     """Better sensors, tolerances and clocks."""
     sensor = setup.sensor
     if sensor.gain_sd > GAIN_SD:
@@ -137,14 +139,14 @@ def better(sensor: ForceSensor) -> ForceSensor:
     return replace(sensor, **{name: getattr(sensor, name) / BETTER for name in _SENSOR_SIZES})
 
 
-def push_words(push: Push) -> str:
+def push_words(push: PushProfile) -> str:
     """Where, which way, how hard."""
     return f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
 
 
-def _distinct(ranked: list[Change]) -> tuple[Change, ...]:
+def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
     """Near-duplicates and what hardly helps left out."""
-    kept: list[Change] = []
+    kept: list[SetupChange] = []
     for one in ranked:
         alike = [k for k in kept if k.kind == one.kind]
         near = [k for k in alike if "push" in k.kind and abs(_last(k) - _last(one)) < APART]
@@ -153,6 +155,6 @@ def _distinct(ranked: list[Change]) -> tuple[Change, ...]:
     return tuple(kept)
 
 
-def _last(change: Change) -> float:
+def _last(change: SetupChange) -> float:
     """Place of the push that a change is about."""
     return change.setup.pushes[0 if change.kind == "push" else -1].at_s

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import LOG_BEFORE
 from onebend.learning.design.instruments import Bench, ForceDoubt
@@ -34,7 +34,7 @@ _CLOCK, _MISFIT = 0.28, 0.03  # of the push's time; of the peak
 
 
 @dataclass(frozen=True)
-class PushDoubt:
+class PushUncertainty:
     """What is not known of a push, anew in each of them; one sd."""
 
     place: float = PLACE_SD  # m, along the beam
@@ -47,10 +47,10 @@ class Instruments:
     """All that is used in a rehearsal, and how well it is known."""
 
     bench: Bench
-    push: PushDoubt
+    push: PushUncertainty
 
 
-def even_push(push: Push) -> EvenPush:
+def even_push(push: PushProfile) -> EvenPush:
     """The push as one that grows evenly from nothing, in its middle direction."""
     return EvenPush(push.at_s, push.direction, push.peak)
 
@@ -88,10 +88,10 @@ def instruments(setup: Setup) -> Instruments:
         shared=shared,
         shared_slope=np.zeros((len(prior), FUNCTIONS)),
         shared_covariance=np.diag(prior**2),
-        place_sd=0.0,  # what a push is off by stands in `PushDoubt`
+        place_sd=0.0,  # what a push is off by stands in `PushUncertainty`
         direction_sd=0.0,
     )
-    return Instruments(bench, PushDoubt(load=_LOAD * setup.sensor.reversal))
+    return Instruments(bench, PushUncertainty(load=_LOAD * setup.sensor.reversal))
 
 
 def clamp_sd(setup: Setup, own: float) -> float:
@@ -102,7 +102,7 @@ def clamp_sd(setup: Setup, own: float) -> float:
     return float(np.hypot(own, 2.0 * setup.placement_sd / reach))
 
 
-def force_doubt(sensor: ForceSensor, push: Push) -> ForceDoubt:
+def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
     """What is left of a sensor's errors behind the low-pass."""
     seconds = _seconds(push)
     cutoff = _CUTOFF / seconds
@@ -121,12 +121,12 @@ def force_doubt(sensor: ForceSensor, push: Push) -> ForceDoubt:
     )
 
 
-def clock_sd(sensor: ForceSensor, push: Push) -> float:
+def clock_sd(sensor: ForceSensor, push: PushProfile) -> float:
     """s: how well the clock search would know the offset, as the fit takes it."""
     error = float(np.sqrt(2.0 * sensor.reversal**2 + sensor.drift**2 * _seconds(push) + sensor.coloured_sd**2))
     return _CLOCK * 0.5 * _seconds(push) * float(np.hypot(error / push.peak, _MISFIT))
 
 
-def _seconds(push: Push) -> float:
+def _seconds(push: PushProfile) -> float:
     begin, end = push.contact
     return end - begin

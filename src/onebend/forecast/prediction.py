@@ -19,7 +19,7 @@ from onebend.beam.statics.sensitivity import of_moment, respond
 from onebend.blas import one_blas_thread
 from onebend.forecast.instruments import FUNCTIONS, Instruments, even_push, instruments
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.learning.design.identifiability import (
     STEPS,
     Seen,
@@ -146,7 +146,7 @@ def derivatives(setup: Setup, used: Instruments) -> tuple[Seen, ...]:
     return tuple(out)
 
 
-def own_derivatives(solved: Equilibrium, seen: Seen, push: Push) -> Array:
+def own_derivatives(solved: Equilibrium, seen: Seen, push: PushProfile) -> Array:
     """(F, M, 3, 4) of the tags' poses with the push's place [m], the turn of its axes [rad] and its force's error [N].
 
     A force that acts farther out by d along the tangent u is the same force with a moment d u x F beside it.

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.forecast.advice import Change, advise
+from onebend.forecast.advice import SetupChange, advise
 from onebend.forecast.prediction import BudgetEntry, PredictedBand, predict, ranges, uncertainty_budget
-from onebend.forecast.runs import Run, errors_of, simulate
+from onebend.forecast.runs import SimulatedRun, errors_of, simulate
 from onebend.forecast.setup import Setup, check_bending
 from onebend.learning.design.proposals import PLACES, direction_words
 from onebend.progress import Progress, Silent
@@ -47,8 +47,8 @@ class Rehearsal:
     seed: int
     predicted: PredictedBand
     budget: tuple[BudgetEntry, ...]  # the most costly nuisance first
-    advice: tuple[Change, ...]  # the most helpful change first
-    runs: tuple[Run, ...]
+    advice: tuple[SetupChange, ...]  # the most helpful change first
+    runs: tuple[SimulatedRun, ...]
 
     @property
     def obtained(self) -> Obtained | None:
@@ -108,7 +108,7 @@ def rehearse(
     return Rehearsal(setup, seed, predicted, budget, changes, done)
 
 
-def obtained_of(runs: tuple[Run, ...]) -> Obtained | None:
+def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
     """What the runs gave; None where none came out."""
     error, sd, known = errors_of(runs)
     failures = [one.failure for one in runs if one.failure]

@@ -12,13 +12,12 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.design_file import find_design
+from onebend.lab.film_request import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, check_name, push_of
 from onebend.lab.filming.viewpoint import Camera, view_from
-from onebend.lab.named import SENSORS, SWINGING, SensorName, Wish, camera_of, check_name, push_of
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.tag_errors import TagNoise
-from onebend.lab.virtual import Bench, tag_poses
-from onebend.lab.virtual import Tag as LabTag
+from onebend.lab.virtual import VirtualBench, VirtualTag, tag_poses
 from onebend.recording.camera.lens import project
 from onebend.records import TURN_SD, Rest
 from onebend.results.model import FILE_NAME, read_model
@@ -37,7 +36,7 @@ class Setup:
 
     name: str
     beam: Beam
-    pushes: tuple[Push, ...]
+    pushes: tuple[PushProfile, ...]
     tags: tuple[float, ...] = THIRDS
     sensor: ForceSensor = FRANKA
     noise: TagNoise = field(default_factory=TagNoise)
@@ -87,7 +86,7 @@ def _check_tags(tags: tuple[float, ...]) -> None:
             raise RecordingError(f"tags at s = {one:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
 
 
-def _check_push(setup: Setup, push: Push) -> None:
+def _check_push(setup: Setup, push: PushProfile) -> None:
     first = min(setup.tags)
     if push.at_s < first - 1e-6:
         raise RecordingError(
@@ -107,7 +106,7 @@ def _check_push(setup: Setup, push: Push) -> None:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownBeam:
     """A beam that is known, and the tags that it has where it was learned."""
 
     name: str
@@ -115,7 +114,7 @@ class Known:
     tags: tuple[float, ...] = THIRDS
 
 
-def known_beam(name_or_path: str) -> Known:
+def known_beam(name_or_path: str) -> KnownBeam:
     """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one.
 
     Raises:
@@ -128,14 +127,14 @@ def known_beam(name_or_path: str) -> Known:
         if not np.all(k > 0.0):
             raise MechanicsError(f"{path}: k(s) is not positive everywhere, so this beam cannot be rehearsed")
         tags = stored.bench.tags if stored.bench is not None else stored.origin.marker_s if stored.origin else THIRDS
-        return Known(path.resolve().parent.name if path.suffix else path.resolve().name, stored.beam, tuple(tags))
+        return KnownBeam(path.resolve().parent.name if path.suffix else path.resolve().name, stored.beam, tuple(tags))
     found = find_design(name_or_path)
-    return Known(found.name, found.beam())
+    return KnownBeam(found.name, found.beam())
 
 
 def setup_of(
-    known: Known,
-    wishes: Sequence[Wish],
+    known: KnownBeam,
+    wishes: Sequence[FilmRequest],
     *,
     tags: Sequence[float] = (),
     gain_sd: float = nan,
@@ -167,9 +166,9 @@ def setup_of(
 
 def check_bending(setup: Setup) -> None:
     """Raises `MechanicsError` where a push does not bend the beam, or bends it beyond what a tool can follow."""
-    rest = Bench(setup.beam, setup.pushes[0], tags=(LabTag(0, 1.0),))
+    rest = VirtualBench(setup.beam, setup.pushes[0], tags=(VirtualTag(0, 1.0),))
     for push in setup.pushes:
-        bench = replace(rest, push=push, tags=(LabTag(0, push.at_s),))
+        bench = replace(rest, push=push, tags=(VirtualTag(0, push.at_s),))
         angle = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))[:, 0, 2]
         turn = float(np.rad2deg(np.max(np.abs(angle - angle[0]))))
         what = f"{push.peak:.3g} N at s = {push.at_s:g} would turn the beam there by"
@@ -192,7 +191,7 @@ def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
     edge = 0.75 * TAG_SHARE * setup.beam.length  # from a tag's middle to the edge of its paper
     places = [np.zeros((1, 2))]
     for push in setup.pushes:
-        bench = Bench(setup.beam, push, tags=tuple(LabTag(i, s) for i, s in enumerate(setup.tags)))
+        bench = VirtualBench(setup.beam, push, tags=tuple(VirtualTag(i, s) for i, s in enumerate(setup.tags)))
         poses = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))
         places.append(poses[..., :2].reshape(-1, 2))
     corners = edge * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])

@@ -121,7 +121,7 @@ def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
 
 
 @dataclass(frozen=True)
-class SupposedRow:
+class ModelTestRow:
     """One test of the fit's own model as people read it."""
 
     what: str
@@ -131,13 +131,13 @@ class SupposedRow:
     alarm: bool
 
 
-def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
+def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
     """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
     if any(one.hopeless for one in posterior.misses):
         return []
     critic = posterior.criticism
     return [
-        SupposedRow(
+        ModelTestRow(
             what=supposed_words(one, posterior),
             odds=_odds(one.score.log10_p),
             size=millimetres(one.score.size),

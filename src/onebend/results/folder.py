@@ -29,7 +29,7 @@ FIXED_NAMES = (
 
 
 @dataclass(frozen=True)
-class Workplace:
+class OutputFolder:
     """Where a run will put its results, and where it works until then."""
 
     out: Path
@@ -42,12 +42,12 @@ class Workplace:
         return self.out.with_name(self.out.name + ".partial")
 
 
-def prepare(out: Path, *, kind: str, overwrite: bool) -> Workplace:
+def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
     """Check that results may go to `out` and make its workplace, before any heavy work.
 
     Raises `ResultsError` where the folder is taken, is a recording, or cannot be made.
     """
-    place = Workplace(Path(os.path.abspath(out)), kind, overwrite)  # noqa: PTH100 (links in the path are kept)
+    place = OutputFolder(Path(os.path.abspath(out)), kind, overwrite)  # noqa: PTH100 (links in the path are kept)
     _check_free(place)
     try:
         place.partial.mkdir(parents=True, exist_ok=True)
@@ -56,7 +56,7 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> Workplace:
     return place
 
 
-def publish(place: Workplace, write: Callable[[Path], None]) -> None:
+def publish(place: OutputFolder, write: Callable[[Path], None]) -> None:
     """Let `write` fill a fresh folder, then put it in place as a whole and remove the workplace.
 
     Raises `ResultsError` where writing or moving fails; what was there before stands as it was.
@@ -83,7 +83,7 @@ def publish(place: Workplace, write: Callable[[Path], None]) -> None:
     shutil.rmtree(place.partial, ignore_errors=True)
 
 
-def abandon(place: Workplace) -> bool:
+def abandon(place: OutputFolder) -> bool:
     """After work that ended early: keep what is complete in the workplace, drop the rest. Whether anything is kept."""
     for half in ("unfinished", "*.tmp"):
         for path in place.partial.glob(half):
@@ -123,7 +123,7 @@ def _is_inside(name: str) -> bool:
     return not path.is_absolute() and ".." not in path.parts and "\\" not in name and ":" not in name
 
 
-def _check_free(place: Workplace) -> None:
+def _check_free(place: OutputFolder) -> None:
     out = place.out
     if (out / "recording.toml").exists():
         raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
@@ -133,7 +133,7 @@ def _check_free(place: Workplace) -> None:
         raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
 
 
-def _check_folder(place: Workplace) -> None:
+def _check_folder(place: OutputFolder) -> None:
     out = place.out
     if not any(out.iterdir()):
         return
@@ -149,7 +149,7 @@ def _check_folder(place: Workplace) -> None:
         )
 
 
-def _swap(fresh: Path, place: Workplace) -> None:
+def _swap(fresh: Path, place: OutputFolder) -> None:
     """Old results out, new ones in; the old ones are deleted only when the new ones stand."""
     old = place.partial / "replaced"
     shutil.rmtree(old, ignore_errors=True)
@@ -161,7 +161,7 @@ def _swap(fresh: Path, place: Workplace) -> None:
         raise
 
 
-def _replace_files(fresh: Path, place: Workplace) -> None:
+def _replace_files(fresh: Path, place: OutputFolder) -> None:
     """File by file, where strangers share the folder. The summary goes in last: its list is the folder's truth."""
     out = place.out
     new, old = files_in(fresh), own_files(out, place.kind)

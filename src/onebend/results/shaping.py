@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from onebend.control.path.path import Path as Way
+from onebend.control.path.follow import FollowedPath
 from onebend.control.path.path_spread import PathSpread
 from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
-from onebend.control.shape.shape import Shaped
+from onebend.control.shape.shape import ShapeResult
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv
@@ -33,7 +33,7 @@ TARGET_ROWS = (
 SHAPE_ROWS = ("s", "x_m", "y_m", "angle_rad")
 
 
-def shape_summary(model: str, found: Shaped, *, written_by: str) -> dict[str, Any]:
+def shape_summary(model: str, found: ShapeResult, *, written_by: str) -> dict[str, Any]:
     """What `onebend shape --json` prints and `summary.json` holds (there with `files`); SI and radians."""
     hands, spread = found.stand.hands, found.spread
     held = hands.grip is not None
@@ -61,7 +61,7 @@ def shape_summary(model: str, found: Shaped, *, written_by: str) -> dict[str, An
     }
 
 
-def shape_writer(found: Shaped, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def shape_writer(found: ShapeResult, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a shape."""
 
     def write(folder: Path) -> None:
@@ -77,7 +77,7 @@ def shape_writer(found: Shaped, picture: bytes, summary: Mapping[str, Any]) -> C
     return write
 
 
-def path_summary(model: str, way: Way, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
+def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
     """What `onebend path --json` prints and `summary.json` holds; the samples themselves are in `path.csv`."""
     return {
         "format": PATH_FORMAT,
@@ -97,7 +97,7 @@ def path_summary(model: str, way: Way, sure: PathSpread | None, *, written_by: s
     }
 
 
-def path_writer(way: Way, picture: bytes, summary: Mapping[str, Any], *, frame: str) -> Callable[[Path], None]:
+def path_writer(way: FollowedPath, picture: bytes, summary: Mapping[str, Any], *, frame: str) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a ROS 2 bag, a picture."""
 
     def write(folder: Path) -> None:

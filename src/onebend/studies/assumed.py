@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import degrees
 
 from onebend.studies.manipulation import TASKS
-from onebend.studies.outcome import Outcome
-from onebend.studies.setting import COLOURED, REVERSAL, STRATEGIES
+from onebend.studies.outcome import StudyOutcome
+from onebend.studies.settings import COLOURED, REVERSAL, STRATEGIES
 
 
-def assumed(found: Outcome) -> list[str]:
+def assumed(found: StudyOutcome) -> list[str]:
     """Sentences on beams, films, pushes, sensor, goals and method."""
     design, fps = found.beams[0].design, found.setting.fps
     bends = ", ".join(f"{degrees(one.bend):.0f} deg ({one.says})" for one in STRATEGIES)
@@ -40,7 +40,7 @@ def assumed(found: Outcome) -> list[str]:
     ]
 
 
-def slow_error(found: Outcome) -> str:
+def slow_error(found: StudyOutcome) -> str:
     """What the slow errors of the force are."""
     if found.setting.sensor == "franka":
         return "the slow errors that were measured on such a robot at 3 to 7 N"

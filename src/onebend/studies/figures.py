@@ -16,7 +16,7 @@ from onebend.report.figures.reaching import draw_reach
 from onebend.report.figures.simulated import centreline, largest_push
 from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, png_of, shape, styled
 from onebend.studies.films import RECORDINGS
-from onebend.studies.outcome import BeamOutcome, Outcome, S, Validated
+from onebend.studies.outcome import BeamOutcome, S, StudyOutcome, ValidatedFilm
 from onebend.studies.printed import printed_m3
 
 MM = 1000.0
@@ -24,7 +24,7 @@ WORST, MIDDLE, BEST = "worst", "average", "best"
 SHOWN = ("slow", "s06")  # Fig. 4
 
 
-def draw_figures(found: Outcome, *, progress: Progress = Silent()) -> dict[str, bytes]:
+def draw_figures(found: StudyOutcome, *, progress: Progress = Silent()) -> dict[str, bytes]:
     """PNGs by name; Fig. 4 only where there are films."""
     wanted: dict[str, Callable[[], Figure]] = {
         "summary": partial(summary, found),
@@ -43,7 +43,7 @@ def draw_figures(found: Outcome, *, progress: Progress = Silent()) -> dict[str, 
 
 
 @styled
-def summary(found: Outcome) -> Figure:
+def summary(found: StudyOutcome) -> Figure:
     """The error at the tip in every validation: printed, the paper's method, the fit, the true beam."""
     figure, axes = blank(3.5, 1, len(found.beams), sharey=True)
     kinds = (("printed in the paper", FAINT), ("paper's method", ORANGE), ("onebend's fit", BLUE))
@@ -70,7 +70,7 @@ def summary(found: Outcome) -> Figure:
 
 
 @styled
-def designs(found: Outcome) -> Figure:
+def designs(found: StudyOutcome) -> Figure:
     """Fig. 3: the three beams, to scale."""
     figure, axes = blank(3.6, len(found.beams), 1, sharex=True)
     for at, one in zip(axes, found.beams, strict=True):
@@ -87,7 +87,7 @@ def designs(found: Outcome) -> Figure:
 
 
 @styled
-def frames(found: Outcome) -> Figure:
+def frames(found: StudyOutcome) -> Figure:
     """Fig. 4: frames of the films at the largest push, at s = 1 and s = 0.6."""
     figure, axes = blank(2.15 * len(found.beams), len(found.beams), len(SHOWN))
     pairs = [(one, film) for one in found.beams for name in SHOWN for film in one.films if film.strategy.name == name]
@@ -101,7 +101,7 @@ def frames(found: Outcome) -> Figure:
 
 
 @styled
-def training(found: Outcome) -> Figure:
+def training(found: StudyOutcome) -> Figure:
     """Force and markers of each training push over time: measured (dots) and simulated under the logged force."""
     figure, axes = blank(4.8, 2, len(found.beams), sharex=True)
     for i, one in enumerate(found.beams):
@@ -125,7 +125,7 @@ def training(found: Outcome) -> Figure:
 
 
 @styled
-def stiffness(found: Outcome) -> Figure:
+def stiffness(found: StudyOutcome) -> Figure:
     """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
     figure, axes = blank(3.9, 1, len(found.beams))
     for at, one in zip(axes, found.beams, strict=True):
@@ -142,7 +142,7 @@ def stiffness(found: Outcome) -> Figure:
     return figure
 
 
-def ranked(found: Outcome) -> tuple[tuple[str, BeamOutcome, Validated], ...]:
+def ranked(found: StudyOutcome) -> tuple[tuple[str, BeamOutcome, ValidatedFilm], ...]:
     """The validations with the fit's largest, middle and smallest error at the tip."""
     every = [(one, film) for one in found.beams for film in one.films[1:]]
     order = sorted(every, key=lambda pair: -float(pair[1].fit.rms[-1]))
@@ -150,7 +150,7 @@ def ranked(found: Outcome) -> tuple[tuple[str, BeamOutcome, Validated], ...]:
 
 
 @styled
-def three_validations(found: Outcome) -> Figure:
+def three_validations(found: StudyOutcome) -> Figure:
     """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
     figure, axes = blank(3.5, 1, 3, sharex=True, sharey=True)
     for at, (word, one, film) in zip(axes, ranked(found), strict=True):
@@ -164,7 +164,7 @@ def three_validations(found: Outcome) -> Figure:
     return figure
 
 
-def _shape(at: Axes, one: BeamOutcome, film: Validated, t: int) -> None:
+def _shape(at: Axes, one: BeamOutcome, film: ValidatedFilm, t: int) -> None:
     pairs = ((one.learned.fit, BLUE, "-", "onebend's fit"), (one.learned.paper, ORANGE, "--", "paper's method"))
     for beam, tint, line, name in pairs:
         drawn = None if beam is None else centreline(beam, film.fit, film.seen, t)
@@ -177,7 +177,7 @@ def _shape(at: Axes, one: BeamOutcome, film: Validated, t: int) -> None:
 
 
 @styled
-def manipulations(found: Outcome) -> Figure:
+def manipulations(found: StudyOutcome) -> Figure:
     """Fig. 8: two tasks a beam, on the way to the goal, and where the same force puts the true beam."""
     shown = [(one, done) for one in found.beams for done in one.tasks if done.way == "fit"]
     figure, axes = blank(2.6 * len(found.beams), len(found.beams), 2)

@@ -25,7 +25,7 @@ from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.progress import Silent
 from onebend.records import Array, Observations
 from onebend.results.model import origin_of, read_model, save_model
-from onebend.results.observed import load_observations
+from onebend.results.observations_file import load_observations
 from onebend.studies.printed import MOST_MODES
 
 PAPER = Settings(method="paper", bic="paper", most_n=MOST_MODES)

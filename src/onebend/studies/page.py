@@ -10,10 +10,10 @@ import numpy as np
 from onebend.report.page.template import render
 from onebend.report.wording import UNKNOWN, length_words, millimetres, significant
 from onebend.studies.assumed import assumed
-from onebend.studies.outcome import Outcome
+from onebend.studies.outcome import StudyOutcome
 from onebend.studies.tables import (
     Cell,
-    Table,
+    ResultTable,
     below_printed,
     largest,
     manipulation_table,
@@ -59,7 +59,7 @@ FILES = (
 )
 
 
-def page(found: Outcome, figures: Mapping[str, bytes], *, version: str) -> str:
+def page(found: StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
     """The report as HTML. `figures`: PNGs by name, as `draw_figures` gives them; missing ones are left out."""
     setting = found.setting
     content = {
@@ -80,7 +80,7 @@ def page(found: Outcome, figures: Mapping[str, bytes], *, version: str) -> str:
     return render("onebend.studies", "page.html", figures, content)
 
 
-def cards(found: Outcome) -> list[dict[str, str]]:
+def cards(found: StudyOutcome) -> list[dict[str, str]]:
     """The outcome in four figures."""
     below, known = below_printed(found)
     films = [film for one in found.beams for film in one.films[1:]]
@@ -118,7 +118,7 @@ def cards(found: Outcome) -> list[dict[str, str]]:
     ]
 
 
-def shown(table: Table) -> dict[str, Any]:
+def shown(table: ResultTable) -> dict[str, Any]:
     """A table as the page shows it: lengths in mm, groups of columns above."""
     groups: list[dict[str, Any]] = []
     alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: said once, above
@@ -160,7 +160,7 @@ def _head(column: str, *, said: bool) -> str:
     return column.split("_")[1] + ("" if said else " [mm]")
 
 
-def _is_text(table: Table, i: int) -> bool:
+def _is_text(table: ResultTable, i: int) -> bool:
     return any(isinstance(row[i], str) for row in table.rows)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from onebend.learning.outcome import Trial
 from onebend.results.tables import write_csv
 from onebend.studies.manipulation import WAYS
-from onebend.studies.outcome import BeamOutcome, Outcome, Validated, rms_or_nan
+from onebend.studies.outcome import BeamOutcome, StudyOutcome, ValidatedFilm, rms_or_nan
 from onebend.studies.printed import PRINTED, PrintedTrial, printed_m3
 
 Cell = float | int | str
@@ -22,7 +22,7 @@ BY = ("printed", "paper", "fit", "true")
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """Rows under columns whose names end in their unit."""
 
     key: str  # of the file
@@ -36,7 +36,7 @@ class Table:
         return {"title": self.title, "rows": rows}
 
 
-def all_tables(found: Outcome) -> tuple[Table, ...]:
+def all_tables(found: StudyOutcome) -> tuple[ResultTable, ...]:
     """Tables I to VI, then what the paper says in its text alone."""
     return (
         *(selection_table(one) for one in found.beams),
@@ -47,7 +47,7 @@ def all_tables(found: Outcome) -> tuple[Table, ...]:
     )
 
 
-def selection_table(one: BeamOutcome) -> Table:
+def selection_table(one: BeamOutcome) -> ResultTable:
     """Tables I to III: every (n, m) by the paper's method on the training push."""
     said = PRINTED[one.name]
     printed = {(row.n, row.m): row for row in said.trials or ()}
@@ -57,7 +57,7 @@ def selection_table(one: BeamOutcome) -> Table:
         who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == one.learned.chosen))
         chosen = [name for name, it_is in who if it_is]
         rows.append((trial.n, trial.m, *_printed(there), *_ours(trial), " and ".join(chosen), trial.why_out))
-    return Table(
+    return ResultTable(
         f"table-{said.selection_table}",
         f"Table {said.selection_table}: RMS of errors of the {one.name} beam",
         ("n", "m", *_named("printed"), "printed_bic", *_named("ours"), "ours_bic", "chosen_by", "out_because"),
@@ -77,7 +77,7 @@ def _named(by: str) -> tuple[str, ...]:
     return tuple(f"{by}_{marker}_m" for marker in MARKERS)
 
 
-def validation_table(one: BeamOutcome) -> Table:
+def validation_table(one: BeamOutcome) -> ResultTable:
     """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
     said = PRINTED[one.name]
     printed = dict(said.validation or ())
@@ -85,7 +85,7 @@ def validation_table(one: BeamOutcome) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (film.strategy.says, *printed.get(film.strategy.name, unknown), *_three(film)) for film in one.films[1:]
     ]
-    return Table(
+    return ResultTable(
         f"table-{said.validation_table}",
         f"Table {said.validation_table}: RMS of errors, validation set of the {one.name} beam",
         ("strategy", *(name for by in BY for name in _named(by))),
@@ -93,11 +93,11 @@ def validation_table(one: BeamOutcome) -> Table:
     )
 
 
-def _three(film: Validated) -> tuple[float, ...]:
+def _three(film: ValidatedFilm) -> tuple[float, ...]:
     return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in rms_or_nan(each))
 
 
-def training_table(found: Outcome) -> Table:
+def training_table(found: StudyOutcome) -> ResultTable:
     """The training push: the chosen row of Tables I to III beside the fit."""
     rows: list[tuple[Cell, ...]] = []
     for one in found.beams:
@@ -106,10 +106,10 @@ def training_table(found: Outcome) -> Table:
         fitted = map(float, one.learned.fitted_rms)
         rows.append((one.name, *printed, *_three(one.films[0]), *fitted))
     columns = ("beam", *(name for by in (*BY, "fitted") for name in _named(by)))
-    return Table("training", "The training push", columns, tuple(rows))
+    return ResultTable("training", "The training push", columns, tuple(rows))
 
 
-def manipulation_table(found: Outcome) -> Table:
+def manipulation_table(found: StudyOutcome) -> ResultTable:
     """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
     rows: list[tuple[Cell, ...]] = []
     for one in found.beams:
@@ -130,12 +130,12 @@ def manipulation_table(found: Outcome) -> Table:
                 )
             )
     columns = ("beam", "point", "way", "goal_x_m", "goal_y_m", "force_N", "force_deg", "iterations", "model_error_m")
-    return Table(
+    return ResultTable(
         "manipulation", "The six manipulation tasks", (*columns, "true_error_m", "not_reached_because"), tuple(rows)
     )
 
 
-def stiffness_errors(found: Outcome) -> Table:
+def stiffness_errors(found: StudyOutcome) -> ResultTable:
     """How far k(s) is from the truth as the force's scale shows it, and whether the band holds it."""
     rows: list[tuple[Cell, ...]] = []
     for one in found.beams:
@@ -152,10 +152,10 @@ def stiffness_errors(found: Outcome) -> Table:
             )
         )
     columns = ("beam", "printed_choice", "ours_choice", "paper_log_k_rms_percent", "fit_log_k_rms_percent")
-    return Table("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
+    return ResultTable("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
 
 
-def stiffness_curves(one: BeamOutcome) -> Table:
+def stiffness_curves(one: BeamOutcome) -> ResultTable:
     """k(s) at 201 places [N m]."""
     s = np.linspace(0.0, 1.0, 201)
     band, paper = one.learned.uncertain.band(s), one.learned.paper
@@ -170,10 +170,10 @@ def stiffness_curves(one: BeamOutcome) -> Table:
     ]
     names = ("s", "true_k_N_m", "true_k_as_logged_N_m", "paper_k_N_m", "fit_k_N_m", "fit_lo_N_m", "fit_hi_N_m")
     rows = tuple(tuple(float(value) for value in row) for row in zip(*columns, strict=True))
-    return Table(f"stiffness-{one.name}", f"k(s) of the {one.name} beam", names, rows)
+    return ResultTable(f"stiffness-{one.name}", f"k(s) of the {one.name} beam", names, rows)
 
 
-def write_table(path: Path, table: Table) -> None:
+def write_table(path: Path, table: ResultTable) -> None:
     """Nine significant digits; `nan` where a figure is not known."""
     write_csv(path, table.columns, ([_text(cell) for cell in row] for row in table.rows))
 
@@ -186,7 +186,7 @@ def _or_none(cell: Cell) -> Cell | None:
     return None if isinstance(cell, float) and not np.isfinite(cell) else cell
 
 
-def below_printed(found: Outcome) -> tuple[int, int]:
+def below_printed(found: StudyOutcome) -> tuple[int, int]:
     """In how many validations that the paper prints the fit's error at the tip is below the printed one, and of how
     many."""
     films = [(film, printed_m3(one.name, film.strategy.name)) for one in found.beams for film in one.films[1:]]

@@ -9,7 +9,7 @@ from typing import Any
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.studies.films import OBSERVED, RECORDINGS
-from onebend.studies.outcome import Outcome
+from onebend.studies.outcome import StudyOutcome
 from onebend.studies.page import page
 from onebend.studies.run import LEARNED
 from onebend.studies.tables import all_tables, below_printed, stiffness_curves, write_table
@@ -17,7 +17,7 @@ from onebend.studies.tables import all_tables, below_printed, stiffness_curves, 
 REPRODUCE_FORMAT = "onebend-reproduce-1"
 
 
-def summary_of(found: Outcome, *, written_by: str) -> dict[str, Any]:
+def summary_of(found: StudyOutcome, *, written_by: str) -> dict[str, Any]:
     """What `--json` prints and `summary.json` holds; SI."""
     below, known = below_printed(found)
     return {
@@ -32,7 +32,7 @@ def summary_of(found: Outcome, *, written_by: str) -> dict[str, Any]:
 
 
 def writer(
-    found: Outcome, figures: Mapping[str, bytes], summary: Mapping[str, Any], work: Path, *, version: str
+    found: StudyOutcome, figures: Mapping[str, bytes], summary: Mapping[str, Any], work: Path, *, version: str
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder; recordings and models move there from `work`, last."""
 

@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from onebend.control.loop.feedback import Controller
+from onebend.control.loop.controller import Controller
 from onebend.control.loop.margins import Margins
-from onebend.control.loop.prospect import SETTLED, Trial
+from onebend.control.loop.robustness import SETTLED, LoopTrial
 from onebend.report.wording import significant
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import facts_table, say_written
@@ -37,7 +37,7 @@ LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, 
 
 
 def show_loop(
-    console: Console, control: Controller, known: Margins, trials: tuple[Trial, ...], output: Path | None
+    console: Console, control: Controller, known: Margins, trials: tuple[LoopTrial, ...], output: Path | None
 ) -> None:
     """Force, gains, margins, and how the rehearsals went."""
     table = facts_table()
@@ -60,7 +60,7 @@ def show_loop(
     say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
-def trial_name(one: Trial) -> str:
+def trial_name(one: LoopTrial) -> str:
     """Which beam a rehearsal was made on."""
     if one.factor == 1.0:
         return "as the model"

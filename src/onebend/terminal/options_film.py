@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from onebend.lab.named import CameraName, PushName, SensorName
+from onebend.lab.film_request import CameraName, PushName, SensorName
 
 Design = Annotated[
     str,

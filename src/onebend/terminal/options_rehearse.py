@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from onebend.forecast.setup import Setup
-from onebend.lab.named import PushName
+from onebend.lab.film_request import PushName
 
 TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
 

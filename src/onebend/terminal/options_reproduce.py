@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from onebend.studies.setting import SensorKind
+from onebend.studies.settings import SensorKind
 
 ReproduceOut = Annotated[
     Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")

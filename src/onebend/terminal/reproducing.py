@@ -8,12 +8,12 @@ from rich.console import Console
 from rich.table import Table
 
 from onebend.report.wording import UNKNOWN, millimetres
-from onebend.studies.outcome import Outcome
+from onebend.studies.outcome import StudyOutcome
 from onebend.studies.printed import printed_m3
 from onebend.studies.tables import below_printed
 
 
-def show_reproduced(console: Console, found: Outcome, output: Path) -> None:
+def show_reproduced(console: Console, found: StudyOutcome, output: Path) -> None:
     """The error at the tip of every validation, the tasks, and where the report is."""
     table = Table(title="RMS error at the tip \\[mm]", title_justify="left", box=None, pad_edge=False)
     for name in ("beam", "push"):

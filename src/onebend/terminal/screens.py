@@ -19,7 +19,7 @@ from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
-from onebend.report.page.cards import stiffness_range, sureness_card
+from onebend.report.page.cards import band_card, stiffness_range
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words
@@ -39,7 +39,7 @@ def headline(run: Findings) -> Panel:
     low, high = stiffness_range(run)
     lines = [f"[bold]k(s)[/] from {significant(low)} to {significant(high)} N m"]
     if run.posterior is not None:
-        card = sureness_card(run.posterior.stiffness)
+        card = band_card(run.posterior.stiffness)
         if run.posterior.doubts:
             lines.append(f"[bold red]{card['value']}[/]: {escape(card['note'])} (see above)")
         else:

@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from onebend.control.path.path import Path as Way
+from onebend.control.path.follow import FollowedPath
 from onebend.control.path.path_spread import PathSpread
-from onebend.control.shape.shape import Shaped
+from onebend.control.shape.shape import ShapeResult
 from onebend.report.wording import length_words, significant
 from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
@@ -76,7 +76,7 @@ BetweenGoals = Annotated[
 FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
 
 
-def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
+def show_shape(console: Console, found: ShapeResult, output: Path | None) -> None:
     """The hands, how close the shape is, how far from buckling, how sure."""
     table = facts_table()
     for one, force in zip(found.stand.hands.pushes, found.forces, strict=True):
@@ -96,19 +96,19 @@ def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
     say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
-def _why(found: Shaped) -> str:
+def _why(found: ShapeResult) -> str:
     if found.limits:
         return f"held back by {escape(', '.join(found.limits))}"
     return "the closest that was found" if found.rms > 1e-9 else "they are met"
 
 
-def _sureness(found: Shaped) -> str:
+def _sureness(found: ShapeResult) -> str:
     if found.spread is None:
         return NO_BAND
     return f"{length_words(2.0 * found.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
-def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path | None) -> None:
+def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None) -> None:
     """Length, stretch, forces, misses, margin."""
     table = facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.statics.problem import Rod
 from onebend.control.goals.moving_goals import Goals
-from onebend.control.shape.descent import Found, descend
-from onebend.control.shape.grip import Grip, Push, Stand, rest
+from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state
+from onebend.control.shape.descent import DescentResult, descend
 from onebend.control.shape.shape import ShapeSettings, shape
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -33,16 +33,16 @@ def knots_of(goals: Goals, length: float) -> Array:
     return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
 
 
-def march(
+def first_pass(
     beam: Rod,
     goals: Goals,
     knots: Array,
     arm: float,
-    pushes: tuple[Push, ...],
+    pushes: tuple[Pusher, ...],
     grip: Grip | None,
     gravity: ArrayLike | None,
     settings: ShapeSettings,
-) -> list[Found]:
+) -> list[DescentResult]:
     """The shapes at the knots: the first from rest, each other one from that before."""
     first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings)
     if first.open_freedoms:
@@ -51,9 +51,9 @@ def march(
             "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
             "a force or the gripper"
         )
-    resting = rest(beam, pushes, grip, gravity, settings.resolution)
+    resting = resting_state(beam, pushes, grip, gravity, settings.resolution)
     grid = first.stand.hands.problem.grid
-    stand = Stand(resting.hands, grid.value_at(resting.hands.problem.grid.nodes) @ first.stand.q, first.stand.u)
+    stand = BeamState(resting.hands, grid.value_at(resting.hands.problem.grid.nodes) @ first.stand.q, first.stand.u)
     found = [descend(stand, goals.at(knots[0]), arm, settings.descent)]
     warm = replace(settings.descent, damping=0.0)
     for before, time in pairwise(knots):
@@ -63,7 +63,7 @@ def march(
     return found
 
 
-def _check(found: Found, time: float) -> None:
+def _check(found: DescentResult, time: float) -> None:
     if found.near_buckling:
         raise ControlError(
             f"at {time:.4g} s the beam is about to buckle (margin {found.stand.margin:.3g}) on its way to the goal; "

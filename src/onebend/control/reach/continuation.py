@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach.newton import TOLERANCE, solve_goal
 from onebend.records import Array
 
@@ -19,17 +19,17 @@ _SAME = 1e-6  # rad: shapes nearer than this are one
 
 
 @dataclass(frozen=True)
-class Trail:
+class EquilibriumPath:
     """Equilibria under a load that grows in proportion, each reached from the one before."""
 
-    states: tuple[State, ...]  # the first at rest
+    states: tuple[LoadedState, ...]  # the first at rest
     share: tuple[float, ...]  # of the load
     arrived: bool  # at the full load, stable all the way
 
 
 def trace(
-    on: PushedBeam, load: Array, *, start: State | None = None, widest: float = 1.0, shortest: float = _SHORTEST
-) -> Trail:
+    on: PushedBeam, load: Array, *, start: LoadedState | None = None, widest: float = 1.0, shortest: float = _SHORTEST
+) -> EquilibriumPath:
     """Shapes while the load grows from that of `start` (default: rest) straight to `load` (3,), stable all the way.
 
     `widest`, `shortest`: the largest step, and the step that counts as none, as shares of the way.
@@ -46,25 +46,25 @@ def trace(
     while share < 1.0:
         _, slope, info = dposv(tangent, on.of_load(cos, sin) @ way, lower=1)
         if info != 0:
-            return Trail(tuple(states), tuple(shares), False)
+            return EquilibriumPath(tuple(states), tuple(shares), False)
         turn = float(np.max(np.abs(on.b @ slope)))
         step = min(step, 1.0 - share, widest, _STRIDE / max(turn, 1e-300))
         found = None
         while found is None:
             if step < shortest:
-                return Trail(tuple(states), tuple(shares), False)
+                return EquilibriumPath(tuple(states), tuple(shares), False)
             now = 1.0 if share + step > 1.0 - 1e-12 else share + step
             trust = min(_TRUST, _LEAST + _SURPRISE * step * turn)
             found = _correct(on, q + step * slope, begin + now * way, trust)
             step = step * (2.0 if found is not None else 0.25)
         q, tangent, cos, sin = found
         share = now
-        states.append(State(q, begin + share * way))
+        states.append(LoadedState(q, begin + share * way))
         shares.append(share)
-    return Trail(tuple(states), tuple(shares), True)
+    return EquilibriumPath(tuple(states), tuple(shares), True)
 
 
-def lead(on: PushedBeam, start: State, goal: Array, loads: int = 2) -> Trail:
+def lead(on: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) -> EquilibriumPath:
     """Equilibria while the goal moves straight from where `start` has the point to `goal`, stable all the way.
 
     The loads follow the goal; `share` is of the way. It ends early where no force leads on (the edge of what can be
@@ -81,7 +81,7 @@ def lead(on: PushedBeam, start: State, goal: Array, loads: int = 2) -> Trail:
             step *= 2.0
         else:
             step *= 0.25
-    return Trail(tuple(states), tuple(shares), shares[-1] == 1.0)
+    return EquilibriumPath(tuple(states), tuple(shares), shares[-1] == 1.0)
 
 
 def _correct(on: PushedBeam, q: Array, load: Array, trust: float) -> tuple[Array, Array, Array, Array] | None:
@@ -102,7 +102,7 @@ def _correct(on: PushedBeam, q: Array, load: Array, trust: float) -> tuple[Array
     return None
 
 
-def densified(on: PushedBeam, states: tuple[State, ...], steps: int) -> tuple[State, ...]:
+def densified(on: PushedBeam, states: tuple[LoadedState, ...], steps: int) -> tuple[LoadedState, ...]:
     """A way of equilibria with at least `steps` steps: more of them between those that are known, where loads allow."""
     between = -(-steps // max(len(states) - 1, 1))
     out = [states[0]]

@@ -21,11 +21,11 @@ from onebend.beam.statics.continuation import refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution
 from onebend.control.goals.targets import BEYOND, METRES
-from onebend.control.reach.continuation import Trail, densified, trace
-from onebend.control.reach.loaded_beam import PushedBeam, State, prepared
+from onebend.control.reach.continuation import EquilibriumPath, densified, trace
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.control.reach.paper_iteration import paper_force
-from onebend.control.reach.reachable import Nearest, ReachableSet
-from onebend.control.reach.search import Found, from_rest, resolved, sampled, search
+from onebend.control.reach.reachable import NearestPoint, ReachableSet
+from onebend.control.reach.search import ReachCandidate, from_rest, resolved, sampled, search
 from onebend.control.reach.settings import ReachSettings, checked_goal
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -40,12 +40,12 @@ class Reach:
     on: PushedBeam  # the beam, where it is pushed, the point
     goal: Array  # (2,) m, or (3,) m, m, rad
     settings: ReachSettings
-    states: tuple[State, ...]  # equilibria on one branch from rest to the last
+    states: tuple[LoadedState, ...]  # equilibria on one branch from rest to the last
     reached: Array  # (3,) m, m, rad: the point and the tangent's angle there
     converged: bool  # the point is on its goal, within all bounds, and the beam comes there from rest
     reason: str
     iterations: int  # of Newton's method, or of Algorithm 1
-    nearest: Nearest | None  # to a goal that cannot be reached
+    nearest: NearestPoint | None  # to a goal that cannot be reached
 
     @property
     def beam(self) -> Beam:
@@ -81,7 +81,7 @@ class Reach:
         return refine(self.on.loaded(last.load), self.on.whole(last.q)[None])
 
     @cached_property
-    def way(self) -> tuple[State, ...]:
+    def way(self) -> tuple[LoadedState, ...]:
         """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
         return densified(self.on, self.states, self.settings.steps)
 
@@ -153,7 +153,7 @@ def reach(
     return _unreached(on, wanted, settings, far or (found.wrong if found else ""), samples())
 
 
-def _way_of(on: PushedBeam, start: Reach) -> Trail:
+def _way_of(on: PushedBeam, start: Reach) -> EquilibriumPath:
     """The way to where an earlier result stands."""
     if (start.push_s, start.point_s) != (on.push_s, on.point_s) or start.beam != on.beam:
         raise ControlError("`start` is a result for another beam or other places; leave it out")
@@ -161,9 +161,9 @@ def _way_of(on: PushedBeam, start: Reach) -> Trail:
     for one in start.states[1:]:
         step = trace(on, one.load, start=states[-1])
         if not step.arrived:
-            return Trail(tuple(states), (0.0,), False)
+            return EquilibriumPath(tuple(states), (0.0,), False)
         states.append(step.states[-1])
-    return Trail(tuple(states), (1.0,), True)
+    return EquilibriumPath(tuple(states), (1.0,), True)
 
 
 def _too_far(on: PushedBeam, goal: Array) -> str:
@@ -183,10 +183,10 @@ def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str,
     states = nearest.states if trail is None else trail.states
     there = nearest.distance <= settings.tolerance and len(goal) == 2
     why = "" if there else _why(on, goal, settings, known, nearest)
-    return _result(Found(on, states, len(states) - 1), goal, settings, why, None if there else nearest)
+    return _result(ReachCandidate(on, states, len(states) - 1), goal, settings, why, None if there else nearest)
 
 
-def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: Nearest) -> str:
+def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: NearestPoint) -> str:
     """One sentence on what stands in the way, one on what can be had instead."""
     if not known:
         way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
@@ -203,7 +203,7 @@ def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, neare
     )
 
 
-def _instead(on: PushedBeam, settings: ReachSettings, nearest: Nearest) -> str:
+def _instead(on: PushedBeam, settings: ReachSettings, nearest: NearestPoint) -> str:
     """What can be had: the nearest point, which a force alone reaches, whatever the angle asked for."""
     at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
     needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
@@ -218,7 +218,9 @@ def _instead(on: PushedBeam, settings: ReachSettings, nearest: Nearest) -> str:
     )
 
 
-def _result(found: Found, goal: Array, settings: ReachSettings, why: str, nearest: Nearest | None = None) -> Reach:
+def _result(
+    found: ReachCandidate, goal: Array, settings: ReachSettings, why: str, nearest: NearestPoint | None = None
+) -> Reach:
     """The record; `why` not, or empty."""
     on, last = found.on, found.states[-1]
     reached = on.pose(last.q)
@@ -256,4 +258,4 @@ def _by_paper(on: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
             if near
             else f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
         )
-    return _result(Found(on, trail.states, found.iterations), goal, settings, why)
+    return _result(ReachCandidate(on, trail.states, found.iterations), goal, settings, why)

@@ -19,7 +19,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, pose
 from onebend.control.goals.targets import numbers
 from onebend.control.reach.continuation import trace
-from onebend.control.reach.loaded_beam import PushedBeam, State, prepared
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
@@ -30,13 +30,13 @@ _LEAST_SHARE, _SHORTEST = 1e-4, 1e-3  # of a step of the search, and of those by
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestPoint:
     """The reachable point nearest to a goal."""
 
     point: Array  # (2,) m
     force: Array  # (2,) N that holds it there
     distance: float  # m, to the goal
-    states: tuple[State, ...]  # equilibria that lead there from rest, one after the other
+    states: tuple[LoadedState, ...]  # equilibria that lead there from rest, one after the other
 
     @property
     def size(self) -> float:
@@ -60,7 +60,7 @@ class ReachableSet:
         """(D, R) whether the force holds the point anywhere."""
         return np.isfinite(self.points[..., 0])
 
-    def nearest(self, goal: ArrayLike) -> Nearest:
+    def nearest(self, goal: ArrayLike) -> NearestPoint:
         """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
 
         Within the bound on the force it is exact; where stability or the bound on curvature ends, a nearer one may
@@ -73,14 +73,14 @@ class ReachableSet:
         ways = [(self.on.start,), *(one.states for one in trails if one.arrived)]
         return min((self._refine(way, wanted) for way in ways), key=lambda one: one.distance)
 
-    def samples_near(self, goal: Array, count: int) -> list[State]:
+    def samples_near(self, goal: Array, count: int) -> list[LoadedState]:
         """Up to `count` sampled equilibria, those with the point nearest to `goal` first."""
         away = np.linalg.norm(self.points - goal, axis=-1).ravel()
         order = [int(i) for i in np.argsort(away)[:count] if np.isfinite(away[i])]
         q, force = self.q.reshape(-1, self.q.shape[-1]), self.force.reshape(-1, 2)
-        return [State(q[i], np.append(force[i], 0.0)) for i in order]
+        return [LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
 
-    def _refine(self, way: tuple[State, ...], goal: Array) -> Nearest:
+    def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
         """Gauss-Newton in the disc of allowed forces; every step is followed as an equilibrium."""
         on, length, state = self.on, float(self.on.problem.length), way[-1]
         point = on.pose(state.q)[:2]
@@ -102,7 +102,7 @@ class ReachableSet:
                 break
             way, state = (*way, *trail.states[1:]), trail.states[-1]
             point = on.pose(state.q)[:2]
-        return Nearest(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
+        return NearestPoint(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
 
     def _only_direction(self) -> Array:
         """(2, P) the forces that may be given: both components, or one direction."""
@@ -110,7 +110,7 @@ class ReachableSet:
             return np.eye(2)
         return np.asarray(self.force[0, -1] / self.max_force)[:, None]
 
-    def _allowed(self, state: State) -> bool:
+    def _allowed(self, state: LoadedState) -> bool:
         return self.max_curvature is None or self.on.bend(state.q) <= self.max_curvature
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.control.goals.targets import numbers
-from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach.paper_iteration import PaperSettings
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -61,7 +61,7 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
     return wanted
 
 
-def broken_bound(on: PushedBeam, state: State, settings: ReachSettings) -> str:
+def broken_bound(on: PushedBeam, state: LoadedState, settings: ReachSettings) -> str:
     """What the state has too much of; empty where it is within all bounds."""
     size = math.hypot(state.load[0], state.load[1])
     if settings.max_force is not None and size > settings.max_force * (1.0 + 1e-9):

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.records import Array
 
 _TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
@@ -22,7 +22,7 @@ _APART = 0.5  # rad: starts that differ by less are one
 
 
 @dataclass(frozen=True)
-class Starts:
+class StartTable:
     """A table of shapes of a `PushedBeam` and where they bring its point."""
 
     on: PushedBeam
@@ -30,7 +30,7 @@ class Starts:
     amounts: Array  # (C, 2) rad
     places: Array  # (C, 2) m
 
-    def near(self, goal: Array, count: int) -> list[State]:
+    def near(self, goal: Array, count: int) -> list[LoadedState]:
         """Up to `count` starts for a goal (2,), the best first."""
         length = float(self.on.problem.length)
         away = np.sum((self.places - goal) ** 2, axis=1) / length**2
@@ -45,7 +45,7 @@ class Starts:
                 break
         return [self._state(i) for i in chosen]
 
-    def _state(self, i: int) -> State:
+    def _state(self, i: int) -> LoadedState:
         """The shape and the force that balances it best, in the measure of bending energy."""
         on = self.on
         q = on.start.q + self.amounts[i] @ self.shapes
@@ -54,11 +54,11 @@ class Starts:
         weighed = r / on.stiff[:, None]
         normal = weighed.T @ r
         normal = normal + 1e-6 * np.trace(normal) * np.eye(2)  # a straight beam does not feel a force along itself
-        return State(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
+        return LoadedState(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
 
 
 @lru_cache(maxsize=32)
-def starts_of(on: PushedBeam) -> Starts:
+def starts_of(on: PushedBeam) -> StartTable:
     """The table for a beam; bent from its rest shape, or from how it hangs."""
     t = np.clip(on.problem.grid.nodes[: on.count] / on.push_s, 0.0, 1.0)
     shapes = np.stack([1.0 - t, (1.0 - t) * (1.0 - 3.0 * t)]) / on.problem.k[: on.count]
@@ -66,4 +66,4 @@ def starts_of(on: PushedBeam) -> Starts:
     amounts = np.stack(np.meshgrid(_TURNS, _CURLS, indexing="ij"), axis=-1).reshape(-1, 2)
     alpha = on.angles(on.start.q) + amounts @ (shapes @ on.b.T)
     places = np.stack([np.cos(alpha) @ on.row, np.sin(alpha) @ on.row], axis=-1)
-    return Starts(on, shapes, amounts, places)
+    return StartTable(on, shapes, amounts, places)

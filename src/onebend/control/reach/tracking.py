@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import Resolution
 from onebend.control.reach.continuation import lead
-from onebend.control.reach.loaded_beam import PushedBeam, State
-from onebend.control.reach.newton import Landing, solve_goal
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
+from onebend.control.reach.newton import NewtonResult, solve_goal
 from onebend.control.reach.search import from_rest, sampled, search, solutions
 from onebend.control.reach.settings import ReachSettings, broken_bound, checked_goal
 from onebend.control.reach.starts import starts_of
@@ -24,7 +24,7 @@ _TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left t
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class HoldingLoad:
     """The load that holds a point on its goal."""
 
     force: Array  # (2,) N
@@ -59,8 +59,8 @@ class WarmReach:
         self._settings = settings
         self._on = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
         self._starts = starts_of(self._on)
-        self._at: State | None = None
-        self._last: Landing | None = None
+        self._at: LoadedState | None = None
+        self._last: NewtonResult | None = None
 
     @property
     def jacobian(self) -> Array:
@@ -78,7 +78,7 @@ class WarmReach:
         """Back to rest."""
         self._at = self._last = None
 
-    def solve(self, goal: ArrayLike) -> Hold:
+    def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 
         Raises:
@@ -103,7 +103,7 @@ class WarmReach:
             )
         return self._take(settled.states[-1], "rest", settled.iterations, None)
 
-    def _predicted(self, goal: Array) -> State:
+    def _predicted(self, goal: Array) -> LoadedState:
         """The state one step ahead, by the derivatives at hand: they cost nothing more."""
         assert self._at is not None
         at, last = self._at, self._last
@@ -117,11 +117,13 @@ class WarmReach:
             return at
         load = at.load.copy()
         load[: len(change)] += change
-        return State(at.q + curve, load)
+        return LoadedState(at.q + curve, load)
 
-    def _take(self, state: State, route: Literal["warm", "led", "rest"], count: int, last: Landing | None) -> Hold:
+    def _take(
+        self, state: LoadedState, route: Literal["warm", "led", "rest"], count: int, last: NewtonResult | None
+    ) -> HoldingLoad:
         wrong = broken_bound(self._on, state, self._settings)
         if wrong:
             raise ControlError(f"the goal is out of bounds: {wrong}. Give another goal, or wider bounds")
         self._at, self._last = state, last
-        return Hold(state.load[:2].copy(), float(state.load[2]), route, count)
+        return HoldingLoad(state.load[:2].copy(), float(state.load[2]), route, count)

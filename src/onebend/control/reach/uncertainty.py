@@ -21,7 +21,7 @@ SURE = 0.95  # probability of the ellipse that is shown and written
 
 
 @dataclass(frozen=True)
-class Ellipse:
+class ErrorEllipse:
     """Where a point lies with some probability."""
 
     semi_axes: Array  # (2,) m, the longer first
@@ -44,11 +44,11 @@ class PredictedError:
     covariance: Array  # (2, 2) m^2
     lost: float  # share of the beams within the band that do not stand in a shape near by: they would snap away
 
-    def ellipse(self, level: float = SURE) -> Ellipse:
+    def ellipse(self, level: float = SURE) -> ErrorEllipse:
         """The ellipse around `mean` that holds the real point with probability `level`."""
         values, vectors = np.linalg.eigh(self.covariance)
         size = np.sqrt(np.maximum(values[::-1], 0.0) * chi2.ppf(level, 2))
-        return Ellipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
+        return ErrorEllipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
 
     def distance(self, xy: Array) -> Array:
         """(...) squared Mahalanobis distance of places (..., 2): chi-square with 2 degrees of freedom."""

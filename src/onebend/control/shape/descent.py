@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.control.goals.targets import Misses, Targets, misses
-from onebend.control.shape.grip import Stand, moved
-from onebend.control.shape.steps import bounded_step, convex, model_of
+from onebend.control.goals.targets import TargetResiduals, Targets, target_residuals
+from onebend.control.shape.actuators import BeamState, next_state
+from onebend.control.shape.newton_step import bounded_step, convex, model_of
 from onebend.records import Array
 
 _LAST = 1e-9  # rad, of the last step
@@ -19,7 +19,7 @@ _BEND = 0.5  # share of a step's turn that the way back to the surface may add
 
 
 @dataclass(frozen=True)
-class Descent:
+class DescentSettings:
     """How the search goes. Angles in radians."""
 
     stride: float = 0.5  # the largest turn of a step
@@ -29,11 +29,11 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class Found:
+class DescentResult:
     """Where a search ended."""
 
-    stand: Stand
-    missed: Misses
+    stand: BeamState
+    missed: TargetResiduals
     multipliers: Array  # (n,) of the bounds in `stand.hands.bounds`; positive where one holds the shape back
     converged: bool
     near_buckling: bool  # the way down was barred by instability
@@ -45,9 +45,9 @@ class Found:
         return float(self.missed.cost[0])
 
 
-def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Found:
+def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSettings) -> DescentResult:
     """Newton's method with a trust in the turn; a step counts if it leads down and the beam is stable there."""
-    stand, missed = start, misses(start.solved, targets, arm)
+    stand, missed = start, target_residuals(start.solved, targets, arm)
     bounds, damping = start.hands.bounds, settings.damping
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
     for step in range(settings.most):
@@ -60,11 +60,11 @@ def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Fo
         z = z * min(1.0, settings.stride / max(_turn(stand, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
         turn = _turn(stand, z)
         if turn < _LAST and (damping < 1e-6 or np.linalg.norm(model.slope) < 1e-14):
-            return Found(stand, missed, multipliers, True, barred, step)
-        after = moved(stand, z, turn * (1.0 + _BEND) + 1e-3)
+            return DescentResult(stand, missed, multipliers, True, barred, step)
+        after = next_state(stand, z, turn * (1.0 + _BEND) + 1e-3)
         stable = after is not None and after.margin > settings.least_margin
         if after is not None and stable:
-            seen = misses(after.solved, targets, arm)
+            seen = target_residuals(after.solved, targets, arm)
             gain = _merit(stand, missed, price) - _merit(after, seen, price)
             promised = -float(model.slope @ z + 0.5 * z @ model.hessian @ z)
             if gain > 1e-4 * abs(promised) or (turn < _TINY and gain > -1e-9 * _merit(stand, missed, price) - 1e-28):
@@ -75,16 +75,16 @@ def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Fo
         barred = after is not None and not stable
         damping = max(8.0 * damping, _FIRST_DAMPING)
         if damping > 1e8 or (barred and stand.margin < _AT_THE_EDGE * settings.least_margin):
-            return Found(stand, missed, multipliers, False, barred, step)
-    return Found(stand, missed, multipliers, False, barred, settings.most)
+            return DescentResult(stand, missed, multipliers, False, barred, step)
+    return DescentResult(stand, missed, multipliers, False, barred, settings.most)
 
 
-def _turn(stand: Stand, z: Array) -> float:
+def _turn(stand: BeamState, z: Array) -> float:
     """rad, the largest turn of a node."""
     return float(np.max(np.abs(stand.hands.problem.to_nodes @ (stand.plane[0] @ z))))
 
 
-def _merit(stand: Stand, missed: Misses, price: float) -> float:
+def _merit(stand: BeamState, missed: TargetResiduals, price: float) -> float:
     """Half the cost, and what lies beyond the bounds at its price."""
     beyond = [np.linalg.norm(stand.u[one.columns]) / one.most - 1.0 for one in stand.hands.bounds]
     return 0.5 * float(missed.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))

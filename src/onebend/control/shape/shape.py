@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, Rod
-from onebend.control.goals.targets import Targets, check_metres, misses
-from onebend.control.shape.descent import Descent, Found, descend
-from onebend.control.shape.grip import Grip, Hands, Push, Stand, refined, rest
-from onebend.control.shape.spread import Spread, spread
-from onebend.control.shape.steps import model_of
+from onebend.control.goals.targets import Targets, check_metres, target_residuals
+from onebend.control.shape.actuators import Actuators, BeamState, Grip, Pusher, resting_state, state_on_grid
+from onebend.control.shape.descent import DescentResult, DescentSettings, descend
+from onebend.control.shape.newton_step import model_of
+from onebend.control.shape.spread import ShapeSpread, spread
 from onebend.records import Array
 
 _FINEST = 1.0 / 16.0  # widest panel at the end of refinement
@@ -33,21 +33,21 @@ class ShapeSettings:
     starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
     seed: int = 0  # of those shapes
     warn_margin: float = 0.1  # of stability, below which is warned
-    descent: Descent = field(default_factory=Descent)
+    descent: DescentSettings = field(default_factory=DescentSettings)
     # To begin with; it is refined at the end.
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
 @dataclass(frozen=True)
-class Shaped:
+class ShapeResult:
     """A shape as close to the targets as was found, and what holds the beam in it."""
 
     targets: Targets
-    stand: Stand
+    stand: BeamState
     xy_error: Array  # (N, 2) m: where the shape is less where it is wanted; NaN where of no concern
     angle_error: Array  # (N,) rad
     rms: float  # m: root of the weighted mean square, angles times the arm: as close as physics and the limits allow
-    spread: Spread | None  # what the band on k(s) makes of the shape; None where no band was given
+    spread: ShapeSpread | None  # what the band on k(s) makes of the shape; None where no band was given
     limits: tuple[str, ...]  # the limits that hold the shape back
     open_freedoms: int  # directions in which the controls may change without a change of the sum of squares
     converged: bool  # no stable shape nearby is closer
@@ -92,16 +92,16 @@ def shape(
     beam: Rod,
     targets: Targets,
     *,
-    pushes: Sequence[Push] = (),
+    pushes: Sequence[Pusher] = (),
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
     uncertain: UncertainStiffness | None = None,
-    start: Stand | None = None,
+    start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
-) -> Shaped:
+) -> ShapeResult:
     """The stable shape under these hands that is closest to the targets, weighted least squares.
 
-    The search goes over stable equilibria alone, from rest or from `start` (`Shaped.stand` of a shape before, under the
+    The search goes over stable equilibria alone, from rest or from `start` (`ShapeResult.stand` of a shape before, under the
     same hands); where it does not meet the targets, also from other bent shapes, and the best is taken. It is a local
     optimum with an exact second derivative; that no other is better is not proved.
 
@@ -119,7 +119,7 @@ def shape(
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
-    resting = rest(beam, tuple(pushes), grip, gravity, settings.resolution)
+    resting = resting_state(beam, tuple(pushes), grip, gravity, settings.resolution)
     begin = resting if start is None else start
     found = descend(begin, targets, arm, settings.descent)
     tried = 1
@@ -133,7 +133,7 @@ def shape(
     return _result(found, targets, arm, tried, uncertain, settings)
 
 
-def _bent(resting: Stand, settings: ShapeSettings) -> list[Stand]:
+def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
     """Stable shapes under controls drawn at random, within the bounds."""
     hands, rng, out = resting.hands, np.random.default_rng(settings.seed), []
     for _ in range(settings.starts):
@@ -142,18 +142,18 @@ def _bent(resting: Stand, settings: ShapeSettings) -> list[Stand]:
             u[one.columns] *= min(1.0, 0.9 * one.most / float(np.linalg.norm(u[one.columns])))
         solved = follow(hands.loaded(u[None]))
         if solved.stable[0]:
-            out.append(Stand(hands, solved.q[0], u))
+            out.append(BeamState(hands, solved.q[0], u))
     return out
 
 
 def _resolved(
-    found: Found, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
-) -> Found:
+    found: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
+) -> DescentResult:
     """The same on a grid that carries the curvature, as far as `_FINEST` goes."""
     resolution = settings.resolution
     while not found.stand.solved.resolved[0] and resolution.widest > _FINEST:
         resolution = resolution.finer()
-        start = refined(found.stand, beam, gravity, resolution)
+        start = state_on_grid(found.stand, beam, gravity, resolution)
         if start is None:
             break
         found = descend(start, targets, arm, settings.descent)
@@ -161,15 +161,15 @@ def _resolved(
 
 
 def _result(
-    found: Found,
+    found: DescentResult,
     targets: Targets,
     arm: float,
     tried: int,
     uncertain: UncertainStiffness | None,
     settings: ShapeSettings,
-) -> Shaped:
+) -> ShapeResult:
     stand = found.stand
-    seen = misses(stand.solved, targets, arm)
+    seen = target_residuals(stand.solved, targets, arm)
     values = np.abs(np.linalg.eigvalsh(model_of(stand, seen).hessian))
     limits = tuple(
         one.name
@@ -177,7 +177,7 @@ def _result(
         if price > 0.0 and np.linalg.norm(stand.u[one.columns]) > (1.0 - _TIGHT) * one.most
     )
     open_freedoms = int(np.sum(values < _OPEN * np.max(values))) if not limits else 0
-    return Shaped(
+    return ShapeResult(
         targets=targets,
         stand=stand,
         xy_error=stand.solved.xy(targets.s)[0] - targets.xy,
@@ -192,7 +192,7 @@ def _result(
     )
 
 
-def _warnings(found: Found, hands: Hands, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
+def _warnings(found: DescentResult, hands: Actuators, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
     out, margin = [], found.stand.margin
     if found.near_buckling:
         out.append("nearer to the targets the beam loses its stability; this is as close as it stands")

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.control.shape.grip import Stand
+from onebend.control.shape.actuators import BeamState
 from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class Spread:
+class ShapeSpread:
     """Standard deviations of the shape at N places, given the forces of the pushes and the pose of the grip."""
 
     xy: Array  # (N, 2) m
@@ -25,7 +25,7 @@ class Spread:
         return float(np.sqrt(np.mean(np.sum(self.xy**2, axis=1))))
 
 
-def spread(stand: Stand, s: Array, uncertain: UncertainStiffness) -> Spread:
+def spread(stand: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSpread:
     """The spread at places s (N,).
 
     A gripped end stays where it is, whatever k(s): a common factor of k then changes the wrench, and not the shape
@@ -54,4 +54,4 @@ def spread(stand: Stand, s: Array, uncertain: UncertainStiffness) -> Spread:
         return np.asarray(np.sqrt(np.maximum(np.einsum("np,pr,nr->n", rows, covariance, rows), 0.0)))
 
     wrench = sd(unit[:, None] * answer[count:]) if held else None
-    return Spread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)
+    return ShapeSpread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)

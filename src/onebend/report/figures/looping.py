@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.control.loop.feedback import Controller
-from onebend.control.loop.prospect import SETTLED, Trial
+from onebend.control.loop.controller import Controller
+from onebend.control.loop.robustness import SETTLED, LoopTrial
 from onebend.report.figures.style import BLUE, GREEN, MUTED, ORANGE, blank, styled
 
 MM = 1000.0
@@ -16,7 +16,7 @@ LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 
 
 @styled
-def looping(control: Controller, trials: tuple[Trial, ...]) -> Figure:
+def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
     """One curve a beam."""
     figure, (away, force) = blank(5.0, 2, 1)
     for one, (colour, dash) in zip(trials, LINES, strict=False):

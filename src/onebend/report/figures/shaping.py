@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
-from onebend.control.path.path import Path
-from onebend.control.shape.shape import Shaped
+from onebend.control.path.follow import FollowedPath
+from onebend.control.shape.shape import ShapeResult
 from onebend.records import Array
 from onebend.report.figures.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, plane, styled
 from onebend.report.wording import significant
@@ -21,7 +21,7 @@ S = np.linspace(0.0, 1.0, 121)
 
 
 @styled
-def shaping(beam: Beam, found: Shaped) -> Figure:
+def shaping(beam: Beam, found: ShapeResult) -> Figure:
     """The beam in its found shape, what was wanted, and what holds it there."""
     figure, (axes,) = blank(4.4)
     resting = beam.equilibrium([0.0, 0.0]).xy(S)
@@ -44,7 +44,7 @@ def shaping(beam: Beam, found: Shaped) -> Figure:
 
 
 @styled
-def path_figure(way: Path) -> Figure:
+def path_figure(way: FollowedPath) -> Figure:
     """The beam on its way, what the hands do in time, and what is missing to the goals."""
     figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
     shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, SNAPSHOTS)).astype(int))
@@ -64,7 +64,7 @@ def path_figure(way: Path) -> Figure:
     return figure
 
 
-def _hands_in_time(axes: Axes, way: Path) -> None:
+def _hands_in_time(axes: Axes, way: FollowedPath) -> None:
     """Forces of the pushes; of a grip the pose."""
     for i, one in enumerate(way.hands.pushes):
         axes.plot(way.time, way.forces[:, i, 0], color=colour(i), label=f"$F_x$ at s = {one.at_s:.3g}")
@@ -83,13 +83,13 @@ def _hands_in_time(axes: Axes, way: Path) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.0 if other is axes else 1.08, 0.5))
 
 
-def _acting(way: Path) -> str:
+def _acting(way: FollowedPath) -> str:
     if way.wrench is None:
         return "Force" if len(way.hands.pushes) == 1 else "Forces"
     return "Forces and gripper" if way.hands.pushes else "Gripper"
 
 
-def _spread(axes: Axes, found: Shaped) -> None:
+def _spread(axes: Axes, found: ShapeResult) -> None:
     """Two standard deviations, where positions are wanted, by the band on k(s)."""
     assert found.spread is not None
     at, sd = MM * found.xy(found.targets.s), 2.0 * MM * found.spread.xy
@@ -97,7 +97,7 @@ def _spread(axes: Axes, found: Shaped) -> None:
     axes.errorbar(at[:, 0], at[:, 1], xerr=sd[:, 0], yerr=sd[:, 1], fmt="none", ecolor=GREEN, lw=1.2, label=label)
 
 
-def _targets(axes: Axes, found: Shaped, length: float) -> None:
+def _targets(axes: Axes, found: ShapeResult, length: float) -> None:
     targets = found.targets
     wanted = MM * targets.xy[targets.placed]
     axes.plot(*wanted.T, "x", color=ORANGE, markersize=7, markeredgewidth=1.8, zorder=6, label="wanted")

@@ -16,7 +16,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     seen = findings.recordings[0]
     found = [_stiffness_card(findings)]
     if findings.posterior is not None:
-        found.append(sureness_card(findings.posterior.stiffness))
+        found.append(band_card(findings.posterior.stiffness))
     found.append(_training_card(findings))
     if findings.validations:
         worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
@@ -64,7 +64,7 @@ def stiffness_range(findings: Findings) -> tuple[float, float]:
     return float(k.min()), float(k.max())
 
 
-def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
+def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     """How narrow the band is, and over which part of the beam; whether it may be relied on."""
     what = "k(s) is known to"
     if uncertain.doubts:

@@ -13,7 +13,7 @@ from onebend.report.findings import Findings
 from onebend.report.page.page import page
 from onebend.results.folder import files_in
 from onebend.results.model import FILE_NAME, origin_of, save_model
-from onebend.results.observed import save_observations
+from onebend.results.observations_file import save_observations
 from onebend.results.summary import write_summary
 from onebend.results.tables import (
     write_markers,

@@ -11,18 +11,18 @@ from onebend.errors import RecordingError
 from onebend.lab.designs import Design
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.viewpoint import Camera
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import FRANKA, WRIST, ForceSensor
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, Clock, Tag
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualTag
 
 PushName = Literal["slow", "fast", "s08", "s06", "free"]
 CameraName = Literal["hd", "full-hd", "phone", "webcam", "wide", "tilted"]
 SensorName = Literal["franka", "wrist", "ideal"]
 
-SLOW = Push(nan, before=1.5, rise=6.0, hold=1.0, fall=6.0, after=1.5)
-FAST = Push(nan, before=1.0, rise=2.2, hold=0.5, fall=1.6, after=1.7)
-PUSHES: dict[str, Push] = {
+SLOW = PushProfile(nan, before=1.5, rise=6.0, hold=1.0, fall=6.0, after=1.5)
+FAST = PushProfile(nan, before=1.0, rise=2.2, hold=0.5, fall=1.6, after=1.7)
+PUSHES: dict[str, PushProfile] = {
     "slow": SLOW,
     "fast": FAST,
     "s08": replace(SLOW, at_s=0.8, rise=3.5, fall=3.0),
@@ -46,7 +46,7 @@ SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls
 
 
 @dataclass(frozen=True)
-class Wish:
+class FilmRequest:
     """What is asked of a film; NaN: as the named push has it."""
 
     push: PushName = "slow"
@@ -65,7 +65,7 @@ class Wish:
     calibrated: bool = True
 
 
-def push_of(wish: Wish, beam: Beam) -> Push:
+def push_of(wish: FilmRequest, beam: Beam) -> PushProfile:
     """The push that is asked for, with a peak that bends this beam as far.
 
     Raises:
@@ -93,7 +93,7 @@ def push_of(wish: Wish, beam: Beam) -> Push:
     return replace(push, peak=force_that_bends(beam, wish.bend, push.direction, push.at_s))
 
 
-def camera_of(wish: Wish) -> tuple[Camera, float]:
+def camera_of(wish: FilmRequest) -> tuple[Camera, float]:
     """The camera that is asked for, and its frames/s."""
     camera, fps = CAMERAS[check_name(wish.camera, CameraName, "camera")]
     if not isnan(wish.tilt):
@@ -101,7 +101,7 @@ def camera_of(wish: Wish) -> tuple[Camera, float]:
     return replace(camera, distance=wish.distance), fps if isnan(wish.fps) else wish.fps
 
 
-def filming_of(design: Design, wish: Wish, name: str) -> Filming:
+def filming_of(design: Design, wish: FilmRequest, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
 
     Raises:
@@ -110,13 +110,13 @@ def filming_of(design: Design, wish: Wish, name: str) -> Filming:
     beam = design.beam()
     camera, fps = camera_of(wish)
     sensor, called = SENSORS[check_name(wish.sensor, SensorName, "sensor")]
-    bench = Bench(
+    bench = VirtualBench(
         beam=beam,
         push=push_of(wish, beam),
-        tags=(Tag(1, 0.333333), Tag(2, 0.666667), Tag(3, 1.0)),
+        tags=(VirtualTag(1, 0.333333), VirtualTag(2, 0.666667), VirtualTag(3, 1.0)),
         sensor=sensor,
         fps=fps,
-        clock=Clock(offset=250.0, said=250.4, uncertainty=2.0),
+        clock=VirtualClock(offset=250.0, said=250.4, uncertainty=2.0),
         name=name,
     )
     return Filming(

@@ -11,7 +11,7 @@ from math import inf
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.virtual import Bench, Virtual
+from onebend.lab.virtual import VirtualBench, VirtualRecording
 from onebend.recording.beam_frame import to_beam_frame
 from onebend.recording.force.cleaning import clean_force, force_at
 from onebend.recording.toml.entries import Recording
@@ -20,8 +20,8 @@ from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observati
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
 
-def observe_quickly(
-    virtual: Virtual,
+def observe_from_truth(
+    virtual: VirtualRecording,
     *,
     error: Array | None = None,
     clock_error: float = 0.0,
@@ -82,19 +82,19 @@ def _as_stated(made: Observations, rec: Recording) -> Observations:
     )
 
 
-def _untouched(bench: Bench, time: Array) -> BoolArray:
+def _untouched(bench: VirtualBench, time: Array) -> BoolArray:
     """(T,) film times [s] at which nothing pushes."""
     begin, end = bench.push.contact
     return np.asarray((time < begin) | (time > end))
 
 
-def _clock(bench: Bench, error: float, sd: float) -> ClockOffset | None:
+def _clock(bench: VirtualBench, error: float, sd: float) -> ClockOffset | None:
     """What is found of the clocks where they are not known."""
     return ClockOffset(bench.clock.offset + error, sd, bench.clock.said, True) if sd > 0.0 else None
 
 
 def _force_seen(
-    virtual: Virtual, error: Array | None, at: Array, cutoff: float
+    virtual: VirtualRecording, error: Array | None, at: Array, cutoff: float
 ) -> tuple[CleanForce | None, Array, Array]:
     """The cleaned log if it is used, the force (T, 2) N that frames at `at` (T,) [s] of its clock are given, its sd."""
     if error is not None:

@@ -19,9 +19,9 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
-from onebend.control.loop.margins import Gains, Loop, Margins, Timing, margins
+from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
-from onebend.control.loop.tuning import Wanted, tuned
+from onebend.control.loop.tuning import RequiredMargins, tuned
 from onebend.control.reach.loaded_beam import prepared
 from onebend.control.reach.reach import ReachSettings, reach
 from onebend.errors import ControlError
@@ -41,7 +41,7 @@ class ControllerSettings:
     timing: Timing = field(default_factory=Timing)  # as known or guessed
     longest_delay: float = 0.1  # s: the margins are kept up to here
     damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
-    wanted: Wanted = field(default_factory=Wanted)
+    wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest that keep the margins
     weak: float = 0.01  # a direction that yields less than this share of what the softest does is corrected slowly
     most_force: float = inf  # N, the robot's bound on the force's size
@@ -137,7 +137,7 @@ class Controller:
 
     def margins(self) -> Margins:
         """How far the loop at the goal is from ringing, k(s) being the model's."""
-        return margins(Loop(self.plant, self.inverse, self.gains, self.settings.timing))
+        return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
 
     def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
         """After one frame. A gap counts as one frame, so that what was not seen is not corrected for."""

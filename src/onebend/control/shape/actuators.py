@@ -33,7 +33,7 @@ _RANK = 1e-9  # share of the largest singular value below which one is nothing
 
 
 @dataclass(frozen=True)
-class Push:
+class Pusher:
     """A hand that pushes at `at_s` with a force no larger than `max_force` [N]."""
 
     at_s: float = 1.0
@@ -59,7 +59,7 @@ class Grip:
 
 
 @dataclass(frozen=True)
-class Bound:
+class LoadBound:
     """`|u[columns]| <= most`."""
 
     columns: slice
@@ -68,11 +68,11 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Hands:
+class Actuators:
     """All hands on one beam: the controls u are the pushes' forces in turn, then the grip's force and moment."""
 
     problem: Problem  # one frame, under the weight alone; an edge at every push
-    pushes: tuple[Push, ...]
+    pushes: tuple[Pusher, ...]
     grip: Grip | None
 
     @property
@@ -99,16 +99,16 @@ class Hands:
         return np.concatenate([*rows, *([] if self.grip is None else [np.ones((3, len(self.problem.weights)))])])
 
     @property
-    def bounds(self) -> tuple[Bound, ...]:
+    def bounds(self) -> tuple[LoadBound, ...]:
         """The limits that are finite."""
         every = [
-            Bound(slice(2 * i, 2 * i + 2), one.max_force, f"force at s = {one.at_s:g}")
+            LoadBound(slice(2 * i, 2 * i + 2), one.max_force, f"force at s = {one.at_s:g}")
             for i, one in enumerate(self.pushes)
         ]
         if self.grip is not None:
             a = 2 * len(self.pushes)
-            every.append(Bound(slice(a, a + 2), self.grip.max_force, "the gripper's force"))
-            every.append(Bound(slice(a + 2, a + 3), self.grip.max_moment, "the gripper's moment"))
+            every.append(LoadBound(slice(a, a + 2), self.grip.max_force, "the gripper's force"))
+            every.append(LoadBound(slice(a + 2, a + 3), self.grip.max_moment, "the gripper's moment"))
         return tuple(one for one in every if np.isfinite(one.most))
 
     def loaded(self, u: Array) -> Problem:
@@ -125,10 +125,10 @@ class Hands:
 
 
 @dataclass(frozen=True)
-class Stand:
+class BeamState:
     """One equilibrium under hands."""
 
-    hands: Hands
+    hands: Actuators
     q: Array  # (Q,)
     u: Array  # (m,)
 
@@ -185,7 +185,7 @@ class Stand:
         return np.asarray(end_pose(self.hands.problem, self.q[None])[0])
 
 
-def actions(hands: Hands, solved: Equilibrium) -> Array:
+def actions(hands: Actuators, solved: Equilibrium) -> Array:
     """(T, m, Q) A: derivative of the pushed places' positions and the gripped end's pose with the curvature."""
     problem, alpha = solved.problem, solved.alpha
     count = 2 * len(hands.pushes)
@@ -198,9 +198,9 @@ def actions(hands: Hands, solved: Equilibrium) -> Array:
     return np.asarray(np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
 
 
-def rest(
-    beam: Rod, pushes: tuple[Push, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
-) -> Stand:
+def resting_state(
+    beam: Rod, pushes: tuple[Pusher, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
+) -> BeamState:
     """The beam under its weight, hands on it but idle.
 
     Raises:
@@ -211,14 +211,14 @@ def rest(
     loads = sum((push((0.0, 0.0), one.at_s) for one in pushes), Loads())
     if gravity is not None:
         loads = loads + weight(gravity)
-    hands = Hands(pose(beam, loads, resolution), pushes, grip)
+    hands = Actuators(pose(beam, loads, resolution), pushes, grip)
     solved = equilibrium(beam, loads, resolution=resolution)
     if not solved.stable[0]:
         raise ControlError("the beam buckles under its own weight; there is no stable shape at rest to start from")
-    return Stand(hands, solved.q[0], np.zeros(hands.count))
+    return BeamState(hands, solved.q[0], np.zeros(hands.count))
 
 
-def moved(stand: Stand, z: Array, trust: float) -> Stand | None:
+def next_state(stand: BeamState, z: Array, trust: float) -> BeamState | None:
     """The equilibrium a step z (m,) along the tangent plane away; None if it was not found within `trust` rad of there.
 
     With forces alone the controls are the step's end, exactly; with a grip the way back is square to the plane.
@@ -233,7 +233,7 @@ def moved(stand: Stand, z: Array, trust: float) -> Stand | None:
     else:
         sides[:, :count], sides[:, count:] = (dq / (root * stand.unbend[:, None])).T, (du / unit[:, None]).T
     for _ in range(_MOST):
-        here = Stand(hands, q, u)
+        here = BeamState(hands, q, u)
         out, matrix = balance(here.solved.problem, q[None])
         scale = here.unbend
         top = np.concatenate([scaled(here.solved.problem, matrix)[0], -here.actions.T * (unit / root)], axis=1)
@@ -247,13 +247,13 @@ def moved(stand: Stand, z: Array, trust: float) -> Stand | None:
         if not np.max(np.abs(problem.to_nodes @ (q - begin))) < trust:
             return None
         if np.max(np.abs(problem.to_nodes @ change)) < _SETTLED:
-            return Stand(hands, q, u)
+            return BeamState(hands, q, u)
     return None
 
 
-def refined(stand: Stand, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> Stand | None:
+def state_on_grid(stand: BeamState, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> BeamState | None:
     """The same equilibrium on another grid; None where it is not close by."""
-    finer = rest(beam, stand.hands.pushes, stand.hands.grip, gravity, resolution)
+    finer = resting_state(beam, stand.hands.pushes, stand.hands.grip, gravity, resolution)
     grid = stand.hands.problem.grid
-    start = Stand(finer.hands, grid.value_at(finer.hands.problem.grid.nodes) @ stand.q, stand.u)
-    return moved(start, np.zeros(start.hands.count), 0.05)
+    start = BeamState(finer.hands, grid.value_at(finer.hands.problem.grid.nodes) @ stand.q, stand.u)
+    return next_state(start, np.zeros(start.hands.count), 0.05)

@@ -16,14 +16,14 @@ from scipy.interpolate import CubicSpline
 from onebend.beam.clamped_ends.end_pose import end_pose
 from onebend.beam.statics.problem import Rod
 from onebend.control.goals.moving_goals import Goals
-from onebend.control.goals.targets import check_metres, misses, misses_along
-from onebend.control.path.first_pass import knots_of, march
-from onebend.control.path.timing import Moving, Rates, refuse, stretched
-from onebend.control.path.track import Frames, settle
-from onebend.control.shape.descent import Descent, Found, descend
-from onebend.control.shape.grip import Grip, Hands, Push, Stand
+from onebend.control.goals.targets import check_metres, target_residuals, target_residuals_along
+from onebend.control.path.batch_newton import PathSamples, settle
+from onebend.control.path.first_pass import first_pass, knots_of
+from onebend.control.path.timing import LimitedQuantities, RateLimits, refuse, stretched
+from onebend.control.shape.actuators import Actuators, BeamState, Grip, Pusher
+from onebend.control.shape.descent import DescentResult, DescentSettings, descend
+from onebend.control.shape.newton_step import multipliers
 from onebend.control.shape.shape import ShapeSettings
-from onebend.control.shape.steps import multipliers
 from onebend.errors import ControlError
 from onebend.records import Array, IntArray
 
@@ -38,19 +38,19 @@ class PathSettings:
     """How a path is made."""
 
     rate: float = 1000.0  # Hz, samples of what comes out
-    limits: Rates = field(default_factory=Rates)
+    limits: RateLimits = field(default_factory=RateLimits)
     too_fast: Literal["stretch", "refuse"] = "stretch"
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 
 
 @dataclass(frozen=True)
-class Path:
+class FollowedPath:
     """T samples of what the hands do, and how close the beam comes to its goals."""
 
     time: Array  # (T,) s, from 0 on, evenly spaced
     goal_time: Array  # (T,) s, the time of the goals that each sample serves; other than `time` where stretched
     goals: Goals
-    hands: Hands
+    hands: Actuators
     q: Array  # (T, Q) rad
     u: Array  # (T, m) N, N m: the pushes' forces in turn, then the gripper's wrench
     miss: Array  # (T,) m: root of the weighted mean square distance from the goals
@@ -87,11 +87,11 @@ def follow_goals(
     beam: Rod,
     goals: Goals,
     *,
-    pushes: tuple[Push, ...] = (),
+    pushes: tuple[Pusher, ...] = (),
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
     settings: PathSettings = PathSettings(),
-) -> Path:
+) -> FollowedPath:
     """What the hands have to do for the beam to follow the goals, as closely as it can at every moment.
 
     The first sample serves the first goal: how the hands come there is not part of the path.
@@ -109,7 +109,7 @@ def follow_goals(
     resolution = settings.shape.resolution
     while True:
         trying = replace(settings.shape, resolution=resolution)
-        found = march(beam, goals, knots, arm, pushes, grip, gravity, trying)
+        found = first_pass(beam, goals, knots, arm, pushes, grip, gravity, trying)
         tail = max(float(one.stand.solved.problem.grid.legendre_tail(one.stand.q)) for one in found)
         if tail < _RESOLVED or resolution.widest <= _FINEST:
             break
@@ -117,7 +117,9 @@ def follow_goals(
     return _sampled(found, goals, knots, arm, settings)
 
 
-def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, settings: PathSettings) -> Path:
+def _sampled(
+    found: list[DescentResult], goals: Goals, knots: Array, arm: float, settings: PathSettings
+) -> FollowedPath:
     """Samples at the asked rate, the time stretched where a limit wants it."""
     hands, near = found[0].stand.hands, _between(found, goals, knots, arm)
     duration = goals.time[-1] - goals.time[0]
@@ -135,18 +137,18 @@ def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, setting
     else:
         raise ControlError("the limits on rates could not be kept by stretching the path; are they far too low?")
     xy, angle = goals.along(goal_time)
-    missed = misses_along(hands.solved(frames.q, frames.u), goals.targets, xy, angle, arm)
+    missed = target_residuals_along(hands.solved(frames.q, frames.u), goals.targets, xy, angle, arm)
     length = float(hands.problem.length)
     miss = length * np.sqrt(missed.cost / np.sum(goals.targets.weight))
     margin = np.array([one.stand.margin for one in found])
     warnings = _warnings(miss, goal_time, margin, knots, hands, frames, settings, length)
-    return Path(time, goal_time, goals, hands, frames.q, frames.u, miss, margin, knots, warnings)
+    return FollowedPath(time, goal_time, goals, hands, frames.q, frames.u, miss, margin, knots, warnings)
 
 
 def _slower(
-    moving: Moving,
-    hands: Hands,
-    frames: Frames,
+    moving: LimitedQuantities,
+    hands: Actuators,
+    frames: PathSamples,
     time: Array,
     goal_time: Array,
     settings: PathSettings,
@@ -174,31 +176,31 @@ def _even(duration: float, rate: float) -> Array:
     return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
 
 
-def _between(found: list[Found], goals: Goals, knots: Array, arm: float) -> CubicSpline:
+def _between(found: list[DescentResult], goals: Goals, knots: Array, arm: float) -> CubicSpline:
     """Shapes, controls and multipliers between the knots."""
     rows = []
     for time, one in zip(knots, found, strict=True):
-        missed = misses(one.stand.solved, goals.at(float(time)), arm)
+        missed = target_residuals(one.stand.solved, goals.at(float(time)), arm)
         rows.append(np.concatenate([one.stand.q, one.stand.u, multipliers(one.stand, missed)]))
     return CubicSpline(knots, np.array(rows))
 
 
-def _split(values: Array, hands: Hands) -> Frames:
+def _split(values: Array, hands: Actuators) -> PathSamples:
     """Interpolated values as what they stand for."""
     count = len(hands.problem.weights)
-    return Frames(values[:, :count], values[:, count : count + hands.count], values[:, count + hands.count :])
+    return PathSamples(values[:, :count], values[:, count : count + hands.count], values[:, count + hands.count :])
 
 
 def _corrected(
-    hands: Hands,
-    start: Frames,
-    found: list[Found],
+    hands: Actuators,
+    start: PathSamples,
+    found: list[DescentResult],
     goals: Goals,
     knots: Array,
     goal_time: Array,
     arm: float,
     settings: PathSettings,
-) -> Frames:
+) -> PathSamples:
     """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
     xy, angle = goals.along(goal_time)
     frames, ok = settle(hands, start, goals.targets, xy, angle, arm)
@@ -214,18 +216,18 @@ def _corrected(
 
 
 def _alone(
-    found: list[Found],
+    found: list[DescentResult],
     after: IntArray,
-    frames: Frames,
+    frames: PathSamples,
     i: int,
     goals: Goals,
     time: float,
     arm: float,
-    warm: Descent,
+    warm: DescentSettings,
 ) -> tuple[Array, Array]:
     """One sample, from the one before it."""
     first = found[after[i] - 1].stand
-    begin = first if i == 0 else Stand(first.hands, frames.q[i - 1], frames.u[i - 1])
+    begin = first if i == 0 else BeamState(first.hands, frames.q[i - 1], frames.u[i - 1])
     one = descend(begin, goals.at(time), arm, warm)
     if not one.converged:
         raise ControlError(
@@ -234,7 +236,7 @@ def _alone(
     return one.stand.q, one.stand.u
 
 
-def _moving(hands: Hands, frames: Frames, limits: Rates) -> Moving:
+def _moving(hands: Actuators, frames: PathSamples, limits: RateLimits) -> LimitedQuantities:
     """What has a finite limit."""
     rows: list[tuple[str, str, Array, float]] = [
         (f"the force at s = {one.at_s:g}", "N/s", frames.u[:, 2 * i : 2 * i + 2], limits.force)
@@ -246,7 +248,7 @@ def _moving(hands: Hands, frames: Frames, limits: Rates) -> Moving:
         rows.append(("the gripper's angle", "rad/s", poses[:, 2:], limits.turning))
     rows = [row for row in rows if np.isfinite(row[3])]
     names, units, values, most = (tuple(row[i] for row in rows) for i in range(4))
-    return Moving(names, units, values, most)  # type: ignore[arg-type]
+    return LimitedQuantities(names, units, values, most)  # type: ignore[arg-type]
 
 
 def _warnings(
@@ -254,8 +256,8 @@ def _warnings(
     goal_time: Array,
     margin: Array,
     knots: Array,
-    hands: Hands,
-    frames: Frames,
+    hands: Actuators,
+    frames: PathSamples,
     settings: PathSettings,
     length: float,
 ) -> tuple[str, ...]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.statics.equilibrium import pulls
-from onebend.control.goals.targets import Misses
-from onebend.control.shape.grip import Bound, Hands, Stand
+from onebend.control.goals.targets import TargetResiduals
+from onebend.control.shape.actuators import Actuators, BeamState, LoadBound
 from onebend.records import Array
 
 _DUAL = 60  # iterations for the multipliers
@@ -17,14 +17,14 @@ _FLATTEST = 1e-11  # share of the largest curvature of the cost below which it c
 
 
 @dataclass(frozen=True)
-class Model:
+class QuadraticModel:
     """The cost near an equilibrium, in coordinates z of its tangent plane: `slope . z + z H z / 2`."""
 
     slope: Array  # (m,)
     hessian: Array  # (m, m), exact: with the curvature of the surface itself
 
 
-def model_of(stand: Stand, missed: Misses) -> Model:
+def model_of(stand: BeamState, missed: TargetResiduals) -> QuadraticModel:
     """The cost half the sum of squares, to second order along the surface.
 
     With the multipliers l of equilibrium, `T l = -r_q^T r` (and with a grip `A l = 0`, both as nearly as can be), the
@@ -36,11 +36,11 @@ def model_of(stand: Stand, missed: Misses) -> Model:
     _, across = pulls(solved.problem, solved.q)
     flow, seen = b @ dq, missed.rows[0] @ dq  # (Q, m) turn of the nodes
     bent = flow.T @ ((missed.bent[0] + across[0] * turned)[:, None] * flow)
-    coupled = du.T @ mixed(stand.hands, solved.alpha, turned[None])[0] @ flow
-    return Model(seen.T @ missed.value[0], seen.T @ seen + bent + coupled + coupled.T)
+    coupled = du.T @ control_coupling(stand.hands, solved.alpha, turned[None])[0] @ flow
+    return QuadraticModel(seen.T @ missed.value[0], seen.T @ seen + bent + coupled + coupled.T)
 
 
-def multipliers(stand: Stand, missed: Misses) -> Array:
+def multipliers(stand: BeamState, missed: TargetResiduals) -> Array:
     """(Q,) l of `model_of`, 1/(N m)."""
     rows, right = stand.tangent, -(missed.value[0] @ missed.rows[0]) * stand.unbend
     if stand.hands.grip is not None:
@@ -50,7 +50,7 @@ def multipliers(stand: Stand, missed: Misses) -> Array:
     return np.asarray(stand.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])
 
 
-def mixed(hands: Hands, alpha: Array, turned: Array) -> Array:
+def control_coupling(hands: Actuators, alpha: Array, turned: Array) -> Array:
     """(T, m, Q) derivative of `-u . A l` with the controls and the nodes' angles; `turned` (T, Q) is B l."""
     problem, forces = hands.problem, hands.count - (0 if hands.grip is None else 1)
     out = problem.length * problem.weights * hands.beyond * turned[:, None]
@@ -67,7 +67,9 @@ def convex(hessian: Array, damping: float) -> Array:
     return np.asarray((vectors * size) @ vectors.T)
 
 
-def bounded_step(slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[Bound, ...]) -> tuple[Array, Array]:
+def bounded_step(
+    slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[LoadBound, ...]
+) -> tuple[Array, Array]:
     """(m,) minimum of `slope . z + z H z / 2` with every bounded part of `u + du z` within its bound; (n,) multipliers.
 
     Newton's method on the multipliers of the bounds that bind, in the form in which it hardly overshoots: the

@@ -28,7 +28,7 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         ResultsError: as `write_file`.
     """
-    free_place(path, overwrite=overwrite)
+    check_free(path, overwrite=overwrite)
     with _said(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
@@ -43,7 +43,7 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         beside.unlink(missing_ok=True)
 
 
-def free_place(path: Path, *, overwrite: bool) -> None:
+def check_free(path: Path, *, overwrite: bool) -> None:
     """Raises `ResultsError` where `path` is a folder, or a file that is not to be replaced. Before long work."""
     if path.is_dir():
         raise ResultsError(f"{path}: this is a folder. Name a file in it")

@@ -14,9 +14,9 @@ from onebend.beam.clamped_ends.end_pose import stands
 from onebend.beam.grid import transposed
 from onebend.beam.statics.equilibrium import balance, is_stable, pulls, scaled
 from onebend.beam.statics.newton import solve_batch
-from onebend.control.goals.targets import Targets, misses_along
-from onebend.control.shape.grip import Hands, actions
-from onebend.control.shape.steps import mixed
+from onebend.control.goals.targets import Targets, target_residuals_along
+from onebend.control.shape.actuators import Actuators, actions
+from onebend.control.shape.newton_step import control_coupling
 from onebend.records import Array, BoolArray
 
 _SETTLED = 1e-10  # rad, of the last step
@@ -26,26 +26,26 @@ _CHUNK = 128  # frames solved together: what stays in the cache
 
 
 @dataclass(frozen=True)
-class Frames:
+class PathSamples:
     """T equilibria under the same hands, and their multipliers."""
 
     q: Array  # (T, Q) rad
     u: Array  # (T, m) N, N m
     multipliers: Array  # (T, Q)
 
-    def take(self, chosen: slice | BoolArray) -> Frames:
+    def take(self, chosen: slice | BoolArray) -> PathSamples:
         """Some of them."""
-        return Frames(self.q[chosen], self.u[chosen], self.multipliers[chosen])
+        return PathSamples(self.q[chosen], self.u[chosen], self.multipliers[chosen])
 
 
 def settle(
-    hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array, arm: float
-) -> tuple[Frames, BoolArray]:
+    hands: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
+) -> tuple[PathSamples, BoolArray]:
     """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from ones `near`; True where found there.
 
     Bounds on forces are not looked at.
     """
-    out = Frames(near.q.copy(), near.u.copy(), near.multipliers.copy())
+    out = PathSamples(near.q.copy(), near.u.copy(), near.multipliers.copy())
     found = np.zeros(len(near.q), dtype=bool)
     for i in range(0, len(found), _CHUNK):
         part = slice(i, i + _CHUNK)
@@ -55,23 +55,23 @@ def settle(
 
 
 def _settle(
-    hands: Hands, near: Frames, targets: Targets, xy: Array, angle: Array, arm: float
-) -> tuple[Frames, BoolArray]:
+    hands: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
+) -> tuple[PathSamples, BoolArray]:
     q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
     settled, b = np.zeros(len(q), dtype=bool), hands.problem.to_nodes
     for _ in range(_MOST):
         todo = np.flatnonzero(~settled)
         if todo.size == 0:
             break
-        dq, du, new = _step(hands, Frames(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
+        dq, du, new = _step(hands, PathSamples(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
         q[todo], u[todo], prices[todo] = q[todo] + dq, u[todo] + du, new
         settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _SETTLED
     settled &= np.max(np.abs((q - near.q) @ b.T), axis=1) < _NEAR
     settled[settled] &= stable(hands, q[settled], u[settled])
-    return Frames(q, u, prices), settled
+    return PathSamples(q, u, prices), settled
 
 
-def stable(hands: Hands, q: Array, u: Array) -> BoolArray:
+def stable(hands: Actuators, q: Array, u: Array) -> BoolArray:
     """(T,) whether the shapes stand: pushes are dead loads, a gripped end stays where it is."""
     if len(q) == 0:
         return np.zeros(0, dtype=bool)
@@ -83,12 +83,12 @@ def stable(hands: Hands, q: Array, u: Array) -> BoolArray:
 
 
 def _step(
-    hands: Hands, at: Frames, targets: Targets, xy: Array, angle: Array, arm: float
+    hands: Actuators, at: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[Array, Array, Array]:
     """Newton's step of q and u, and the new multipliers; curvature and controls in units that make numbers about 1."""
     solved, b = hands.solved(at.q, at.u), hands.problem.to_nodes
     problem, count, controls = solved.problem, at.q.shape[1], hands.count
-    missed = misses_along(solved, targets, xy, angle, arm)
+    missed = target_residuals_along(solved, targets, xy, angle, arm)
     out, matrix = balance(problem, at.q)
     stiff, root = scaled(problem, matrix), np.sqrt(hands.mean_stiffness)
     unbend, unit = 1.0 / np.sqrt(problem.weights * problem.k), hands.scale / root
@@ -96,7 +96,7 @@ def _step(
     bent = missed.bent + pulls(problem, at.q)[1] * turned
     rows = missed.rows * unbend
     second = transposed(rows) @ rows + scaled(problem, transposed(b) @ (bent[..., None] * b))
-    coupled = unit[:, None] * (mixed(hands, solved.alpha, turned) @ b) * unbend
+    coupled = unit[:, None] * (control_coupling(hands, solved.alpha, turned) @ b) * unbend
     acting = unit[:, None] * actions(hands, solved) * unbend
     a, z = count + controls, np.s_[:]
     system = np.zeros((len(at.q), a + count, a + count))
