@@ -66,13 +66,13 @@ def misplaced(bench: VirtualBench, seed: int, *, along: float) -> VirtualRecordi
 def elsewhere(bench: VirtualBench, seed: int, *, at_s: float) -> VirtualRecording:
     """The push is said to act at `at_s`; it acts at the tip."""
     tip = replace(bench.push, at_s=1.0)
-    return virtual_recording(replace(bench, push=tip, said=replace(bench.said, push_s=at_s)), seed=seed)
+    return virtual_recording(replace(bench, push=tip, declared=replace(bench.declared, push_s=at_s)), seed=seed)
 
 
 def wrong_length(bench: VirtualBench, seed: int, *, share: float) -> VirtualRecording:
     """The length is said too large by `share`."""
-    said = replace(bench.said, length=bench.beam.length * (1.0 + share))
-    return virtual_recording(replace(bench, said=said), seed=seed)
+    declared = replace(bench.declared, length=bench.beam.length * (1.0 + share))
+    return virtual_recording(replace(bench, declared=declared), seed=seed)
 
 
 def creeping(bench: VirtualBench, seed: int, *, turn: float) -> VirtualRecording:

@@ -75,8 +75,8 @@ def rms(values: Array) -> float:
 
 def twin(design: str, push: PushName, calibrated: bool, seed: int) -> Filming:
     """A named design before a camera that is drawn."""
-    wish = FilmRequest(push=push, calibrated=calibrated, fps=FPS, seconds=SECONDS)
-    filming = filming_of(DESIGNS[design], wish, f"{design}-{push}")
+    request = FilmRequest(push=push, calibrated=calibrated, fps=FPS, seconds=SECONDS)
+    filming = filming_of(DESIGNS[design], request, f"{design}-{push}")
     return replace(filming, camera=random_camera(np.random.default_rng([seed, 78]), DRAWN))
 
 

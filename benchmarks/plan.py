@@ -14,8 +14,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.pushes import PushProfile
-from onebend.lab.virtual import VirtualBench
-from onebend.lab.virtual import observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.design.instruments import Bench, Push, push_of
 from onebend.learning.design.instruments import bench_of as bench_of_fit
 from onebend.learning.design.planning import PlanSettings, after_push, plan
@@ -116,7 +115,7 @@ def _anew(bench: VirtualBench, push: Push, seed: int, number: int) -> VirtualBen
     return replace(
         bench,
         push=PushProfile(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
-        said=replace(bench.said, push_s=push.at_s, axes=float(axes)),
+        declared=replace(bench.declared, push_s=push.at_s, axes=float(axes)),
         base=(float(x), float(y), float(turn)),
         name=f"{bench.name} {number + 2}",
     )

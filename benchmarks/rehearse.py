@@ -42,12 +42,12 @@ class Case:
 
     @property
     def setup(self) -> Setup:
-        wish = FilmRequest(
+        request = FilmRequest(
             sensor=self.sensor, seconds=self.seconds, camera=self.camera, bend=float(np.deg2rad(self.bend_deg))
         )
         return setup_of(
             known_beam(self.design),
-            [replace(wish, at_s=s) for s in self.at],
+            [replace(request, at_s=s) for s in self.at],
             tags=self.tags,
             placement_sd=self.placement_sd,
             clock_sd=self.clock_sd,

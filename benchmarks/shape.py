@@ -74,12 +74,12 @@ def why_not(found: ShapeResult) -> str:
     return "another local optimum" if found.converged else "the search ended early"
 
 
-def recovered(name: str, wanted: Array, hands: Hands) -> Row:
+def recovered(name: str, wanted: Array, actuators: Hands) -> Row:
     """How many shapes were found again, and why not the others."""
     reasons: Counter[str] = Counter()
     first, seconds = 0, time.process_time()
     for xy in wanted:
-        found = shape(BEAM, curve(S, xy), pushes=hands[0], grip=hands[1])
+        found = shape(BEAM, curve(S, xy), pushes=actuators[0], grip=actuators[1])
         if found.rms < FOUND * BEAM.length:
             first += found.starts == 1
             reasons["found"] += 1

@@ -129,7 +129,7 @@ def bench_of(kind: Kind, errors: str, seed: int) -> VirtualBench:
         sensor=sensor_of(errors, peak, bias, gain),
         camera=lasting if everything else TagNoise(),
         clock=VirtualClock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if late else VirtualClock(250.0, 250.0, 0.01),
-        said=DeclaredValues(
+        declared=DeclaredValues(
             push_s=PUSHED,
             placement_sd=placement,
             axes=DIRECTION_SD * float(rng.standard_normal()),
@@ -177,7 +177,7 @@ def run(cell: str, seed: int) -> Run:
     try:
         bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
         seen = observe_virtual(virtual_recording(bench, seed=seed))
-        found = fit_from_nothing(seen, gain_sd=bench.said.gain_sd)
+        found = fit_from_nothing(seen, gain_sd=bench.declared.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
     assert seen.clock is not None

@@ -184,7 +184,7 @@ def test_every_run_draws_its_own_errors_and_pushes_share_them() -> None:
     inner = replace(WRIST, pushes=(replace(WRIST.pushes[0], at_s=0.8),))
     missed = np.array([benches(inner, seed)[0].push.at_s - 0.8 for seed in range(200)]) * inner.beam.length
     assert np.std(missed) == pytest.approx(PLACE_SD, rel=0.2)
-    assert {benches(inner, seed)[0].said.push_s for seed in range(3)} == {0.8}
+    assert {benches(inner, seed)[0].declared.push_s for seed in range(3)} == {0.8}
     assert all(benches(WRIST, seed)[0].push.at_s <= 1.0 for seed in range(20))
 
 
@@ -208,7 +208,7 @@ def test_ranges_are_those_of_the_mask() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tags", "wish", "says"),
+    ("tags", "request", "says"),
     [
         ((0.5, 1.2), FilmRequest(), "beyond the tip"),
         ((0.5, 0.505), FilmRequest(), "overlap"),
@@ -220,9 +220,9 @@ def test_ranges_are_those_of_the_mask() -> None:
         ((), FilmRequest(force=1e-3), "Push harder"),
     ],
 )
-def test_nonsense_is_refused(tags: tuple[float, ...], wish: FilmRequest, says: str) -> None:
+def test_nonsense_is_refused(tags: tuple[float, ...], request: FilmRequest, says: str) -> None:
     with pytest.raises((RecordingError, MechanicsError), match=says):
-        rehearse(setup_of(known_beam("quadratic"), [wish], tags=tags), runs=0)
+        rehearse(setup_of(known_beam("quadratic"), [request], tags=tags), runs=0)
 
 
 def test_counts_that_cannot_be_are_refused() -> None:

@@ -113,7 +113,7 @@ def test_camera_and_sensor_draw_from_streams_of_their_own() -> None:
 
 
 def test_what_is_said_may_be_wrong() -> None:
-    wrong = made(said=DeclaredValues(length=0.16, push_s=0.9, placement_sd=1e-4, rest="unknown")).recording
+    wrong = made(declared=DeclaredValues(length=0.16, push_s=0.9, placement_sd=1e-4, rest="unknown")).recording
     assert (wrong.beam.length, wrong.beam.rest, wrong.tags.placement_sd) == (0.16, "unknown", 1e-4)
     assert wrong.push is not None
     assert wrong.push.at == 0.9

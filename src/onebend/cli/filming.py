@@ -64,7 +64,7 @@ def film(
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
     seen = FilmRequest(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
-    wish = replace(
+    request = replace(
         seen,
         push=push,
         at_s=or_nan(push_at),
@@ -78,7 +78,7 @@ def film(
         calibrated=not uncalibrated,
     )
     with clean_errors(), progress_of(quiet) as progress:
-        filming, folder = _filming(design, wish, seed, output)
+        filming, folder = _filming(design, request, seed, output)
         make_film(filming, folder, seed=seed, progress=progress)
     bench = filming.bench
     if as_json:
@@ -91,11 +91,11 @@ def film(
     )
 
 
-def _filming(design: str, wish: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:
+def _filming(design: str, request: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:
     """What is filmed, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")
         return random_bench(np.random.default_rng([seed, 20]), name=folder.resolve().name), folder
     found = find_design(design)
-    folder = output or Path(f"{found.name}-{wish.push}")
-    return filming_of(found, wish, folder.resolve().name), folder
+    folder = output or Path(f"{found.name}-{request.push}")
+    return filming_of(found, request, folder.resolve().name), folder

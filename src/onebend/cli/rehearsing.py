@@ -77,7 +77,7 @@ def rehearse(
         first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
         setup = setup_of(
             known_beam(design),
-            wishes_of(first, push_at or [], force or [], direction or []),
+            requests_of(first, push_at or [], force or [], direction or []),
             tags=places_of(tags),
             gain_sd=or_nan(gain_sd),
             placement_sd=1e-3 * placement,
@@ -105,8 +105,8 @@ def _carried_out(work: Callable[..., Rehearsal], output: Path | None, *, overwri
     return found
 
 
-def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
-    """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
+def requests_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
+    """One film request a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
     given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
     count = max(1, *map(len, given.values()))
     for name, values in given.items():

@@ -88,10 +88,10 @@ def export(
 
 
 def _table(beam: Beam, uncertain: UncertainStiffness | None, *, parquet_file: bool) -> bytes:
-    found = columns(beam, uncertain)
+    table = columns(beam, uncertain)
     memory = io.BytesIO()
     if parquet_file:
-        parquet.write_table(pa.table(found), memory)
+        parquet.write_table(pa.table(table), memory)
     else:
-        np.savez(memory, **found)  # type: ignore[arg-type]
+        np.savez(memory, **table)  # type: ignore[arg-type]
     return memory.getvalue()

@@ -61,7 +61,7 @@ def advise(
     if count < 1:
         return ()
     thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]
-    found = []
+    changes = []
     for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):
         try:
             used = instruments(changed)
@@ -69,8 +69,8 @@ def advise(
         except MechanicsError:
             continue  # stands where it was looked for, but not on its way there
         quality = with_information(now, used, information).quality
-        found.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
-    return _distinct(sorted(found, key=lambda one: -one.share))[:count]
+        changes.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
+    return _distinct(sorted(changes, key=lambda change: -change.share))[:count]
 
 
 Candidate = tuple[str, str, Setup]
@@ -147,11 +147,11 @@ def push_words(push: PushProfile) -> str:
 def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
     """Near-duplicates and what hardly helps left out."""
     kept: list[SetupChange] = []
-    for one in ranked:
-        alike = [k for k in kept if k.kind == one.kind]
-        near = [k for k in alike if "push" in k.kind and abs(_last(k) - _last(one)) < APART]
-        if one.share >= LEAST_SHARE and len(alike) < 2 and not near:
-            kept.append(one)
+    for change in ranked:
+        alike = [k for k in kept if k.kind == change.kind]
+        near = [k for k in alike if "push" in k.kind and abs(_last(k) - _last(change)) < APART]
+        if change.share >= LEAST_SHARE and len(alike) < 2 and not near:
+            kept.append(change)
     return tuple(kept)
 
 

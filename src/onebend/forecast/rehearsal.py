@@ -111,7 +111,7 @@ def rehearse(
 def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
     """What the runs gave; None where none came out."""
     error, sd, known = errors_of(runs)
-    failures = [one.failure for one in runs if one.failure]
+    failures = [run.failure for run in runs if run.failure]
     if not len(error):
         return None
     inside = np.asarray(np.abs(error) <= LEVEL_SD * sd)

@@ -85,7 +85,7 @@ def benches(setup: Setup, seed: int) -> tuple[VirtualBench, ...]:
             camera=setup.noise,
             fps=setup.fps,
             clock=VirtualClock(OFFSET, OFFSET + float(rng.uniform(-CLOCK_SAID, CLOCK_SAID)), 2.0),
-            said=DeclaredValues(
+            declared=DeclaredValues(
                 placement_sd=setup.placement_sd, rest=setup.rest, gain_sd=setup.gain_sd, push_s=push.at_s
             ),
             name=f"push {i + 1}",
@@ -99,14 +99,14 @@ def simulate_run(setup: Setup, seed: int) -> SimulatedRun:
     """Film, log, observe and fit once. A fit that fails is a run with its reason, not an error."""
     began = time.perf_counter()
     try:
-        seen = [_observed(setup, bench, seed * 100 + i) for i, bench in enumerate(benches(setup, seed))]
+        recordings = [_observed(setup, bench, seed * 100 + i) for i, bench in enumerate(benches(setup, seed))]
         settings = FitSettings(functions=FUNCTIONS, most_frames=MOST_FRAMES)
-        found = fit(seen, start_of(seen, None), settings=settings, gain_sd=setup.gain_sd)
+        posterior = fit(recordings, start_of(recordings, None), settings=settings, gain_sd=setup.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return SimulatedRun(seed, failure=str(wrong), seconds=time.perf_counter() - began)
-    band = found.band(PLACES)
-    mean, own = found.stiffness.log_at(PLACES)
-    clocks = [o.clock.offset - OFFSET for o in seen if o.clock is not None]
+    band = posterior.band(PLACES)
+    mean, own = posterior.stiffness.log_at(PLACES)
+    clocks = [o.clock.offset - OFFSET for o in recordings if o.clock is not None]
     return SimulatedRun(
         seed,
         error=tuple((mean - np.log(np.asarray(setup.beam.stiffness(PLACES)))).tolist()),
@@ -149,11 +149,11 @@ def simulate(
     file = None if keep is None else keep / f"runs-{key_of(setup)}.jsonl"
     done = {} if file is None else read_runs(file)
     todo = [seed for seed in wanted if seed not in done]
-    for one in track(progress, "pushing simulated beams", _each(setup, todo, jobs), len(todo)):
-        done[one.seed] = one
+    for run in track(progress, "pushing simulated beams", _each(setup, todo, jobs), len(todo)):
+        done[run.seed] = run
         if file is not None:
             with file.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(one.as_dict()) + "\n")
+                lines.write(json.dumps(run.as_dict()) + "\n")
     return tuple(done[seed] for seed in wanted)
 
 
@@ -163,10 +163,10 @@ def read_runs(file: Path) -> dict[int, SimulatedRun]:
     if file.is_file():
         for line in file.read_text(encoding="utf-8").splitlines():
             try:
-                one = SimulatedRun.from_dict(json.loads(line))
+                run = SimulatedRun.from_dict(json.loads(line))
             except (json.JSONDecodeError, KeyError, TypeError):
                 continue
-            found[one.seed] = one
+            found[run.seed] = run
     return found
 
 
@@ -183,15 +183,15 @@ def _each(setup: Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context, initializer=leave_interrupts_to_parent)
     try:
-        for one in as_completed([pool.submit(simulate_run, setup, seed) for seed in seeds]):
-            yield one.result()
+        for future in as_completed([pool.submit(simulate_run, setup, seed) for seed in seeds]):
+            yield future.result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def errors_of(runs: Iterable[SimulatedRun]) -> tuple[Array, Array, BoolArray]:
     """(R, 101) of the runs that came out: error and sd of log k, and where k was identified."""
-    good = [one for one in runs if not one.failure]
+    good = [run for run in runs if not run.failure]
     shape = (len(good), len(PLACES))
-    error, sd = (np.array([getattr(one, name) for one in good], dtype=float).reshape(shape) for name in ("error", "sd"))
-    return error, sd, np.array([one.identified for one in good], dtype=bool).reshape(shape)
+    error, sd = (np.array([getattr(run, name) for run in good], dtype=float).reshape(shape) for name in ("error", "sd"))
+    return error, sd, np.array([run.identified for run in good], dtype=bool).reshape(shape)

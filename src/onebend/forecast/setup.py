@@ -81,9 +81,9 @@ def _check_tags(tags: tuple[float, ...]) -> None:
         if not 0.0 < s <= 1.0:
             where = "beyond the tip (s = 1)" if s > 1.0 else "not on the beam: s = 0 is the clamp"
             raise RecordingError(f"a tag at s = {s:g} is {where}. Give places in (0, 1]")
-    for one, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
-        if other - one < NEAREST_TAGS:
-            raise RecordingError(f"tags at s = {one:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
+    for place, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
+        if other - place < NEAREST_TAGS:
+            raise RecordingError(f"tags at s = {place:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
 
 
 def _check_push(setup: Setup, push: PushProfile) -> None:
@@ -128,13 +128,13 @@ def known_beam(name_or_path: str) -> KnownBeam:
             raise MechanicsError(f"{path}: k(s) is not positive everywhere, so this beam cannot be rehearsed")
         tags = stored.bench.tags if stored.bench is not None else stored.origin.marker_s if stored.origin else THIRDS
         return KnownBeam(path.resolve().parent.name if path.suffix else path.resolve().name, stored.beam, tuple(tags))
-    found = find_design(name_or_path)
-    return KnownBeam(found.name, found.beam())
+    design = find_design(name_or_path)
+    return KnownBeam(design.name, design.beam())
 
 
 def setup_of(
     known: KnownBeam,
-    wishes: Sequence[FilmRequest],
+    requests: Sequence[FilmRequest],
     *,
     tags: Sequence[float] = (),
     gain_sd: float = nan,
@@ -142,21 +142,23 @@ def setup_of(
     turn_sd: float = Setup.turn_sd,
     clock_sd: float = nan,
 ) -> Setup:
-    """The setup that is asked for; camera, frame rate and sensor are those of the first wish.
+    """The setup that is asked for; camera, frame rate and sensor are those of the first request.
 
     Raises:
         RecordingError: a number that cannot be, or a push in which the beam swings.
         MechanicsError: the beam snaps through under a push.
     """
-    first = wishes[0]
-    for wish in wishes:
-        if wish.push in SWINGING:
-            raise RecordingError(f"a {wish.push} push makes the beam swing, and is not learned from. Take a slow one")
+    first = requests[0]
+    for request in requests:
+        if request.push in SWINGING:
+            raise RecordingError(
+                f"a {request.push} push makes the beam swing, and is not learned from. Take a slow one"
+            )
     camera, fps = camera_of(first)
     sensor = SENSORS[check_name(first.sensor, SensorName, "sensor")][0]
     sensor = sensor if isnan(gain_sd) else replace(sensor, gain_sd=gain_sd)
     places = tuple(sorted(float(s) for s in tags)) or known.tags
-    pushes = tuple(push_of(wish, known.beam) for wish in wishes)
+    pushes = tuple(push_of(request, known.beam) for request in requests)
     setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, placement_sd, turn_sd, clock_sd)
     for push in pushes:
         if push.peak < 1e-9:

@@ -241,12 +241,12 @@ def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] |
         "modulus_Pa": lambda: ModulusEstimate(entry.modulus, 0.0, "given"),
     }
     try:
-        found = ways[given[0]]()
+        estimate = ways[given[0]]()
     except MechanicsError as wrong:
         mistakes.add(("material", given[0]), f"[material] {wrong}.")
         return None
-    log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else found.log_sd
+    log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else estimate.log_sd
     usual = silicone(entry.silicone).density if entry.silicone else TYPICAL_DENSITY
-    return ModulusEstimate(found.modulus, log_sd, found.source), entry.density if math.isfinite(
+    return ModulusEstimate(estimate.modulus, log_sd, estimate.source), entry.density if math.isfinite(
         entry.density
     ) else usual

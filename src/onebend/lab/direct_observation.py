@@ -39,7 +39,7 @@ def observe_from_truth(
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
     still = _untouched(bench, markers.time)
-    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
+    in_frame, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
     known = np.all(np.isfinite(force), axis=1)
     made = Observations(
@@ -49,9 +49,9 @@ def observe_from_truth(
         frame=np.flatnonzero(known).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
-        xy=seen.xy[known],
-        angle=seen.angle[known],
-        covariance=seen.covariance[known],
+        xy=in_frame.xy[known],
+        angle=in_frame.angle[known],
+        covariance=in_frame.covariance[known],
         force=force[known],
         force_sd=noise,
         push_s=np.full(int(np.sum(known)), rec.push.at if rec.push else np.nan),
@@ -90,7 +90,7 @@ def _untouched(bench: VirtualBench, time: Array) -> BoolArray:
 
 def _clock(bench: VirtualBench, error: float, sd: float) -> ClockOffset | None:
     """What is found of the clocks where they are not known."""
-    return ClockOffset(bench.clock.offset + error, sd, bench.clock.said, True) if sd > 0.0 else None
+    return ClockOffset(bench.clock.offset + error, sd, bench.clock.declared, True) if sd > 0.0 else None
 
 
 def _force_seen(

@@ -65,58 +65,58 @@ class FilmRequest:
     calibrated: bool = True
 
 
-def push_of(wish: FilmRequest, beam: Beam) -> PushProfile:
+def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
     """The push that is asked for, with a peak that bends this beam as far.
 
     Raises:
         RecordingError: a time, place or force that cannot be.
     """
-    push = PUSHES[check_name(wish.push, PushName, "push")]
-    if not isnan(wish.at_s):
-        push = replace(push, at_s=wish.at_s)
-    if not isnan(wish.direction):
-        push = replace(push, direction=wish.direction)
-    if not isnan(wish.seconds):
+    push = PUSHES[check_name(request.push, PushName, "push")]
+    if not isnan(request.at_s):
+        push = replace(push, at_s=request.at_s)
+    if not isnan(request.direction):
+        push = replace(push, direction=request.direction)
+    if not isnan(request.seconds):
         begin, end = push.contact
-        share = wish.seconds / (end - begin)
-        sudden = wish.push == "free"
+        share = request.seconds / (end - begin)
+        sudden = request.push == "free"
         push = replace(
             push,
             rise=share * push.rise,
             hold=share * push.hold,
             fall=push.fall if sudden else share * push.fall,
         )
-    if not isnan(wish.force):
-        if not wish.force > 0.0:
-            raise RecordingError(f"a push needs a force above zero, got {wish.force} N")
-        return replace(push, peak=wish.force)
-    return replace(push, peak=force_that_bends(beam, wish.bend, push.direction, push.at_s))
+    if not isnan(request.force):
+        if not request.force > 0.0:
+            raise RecordingError(f"a push needs a force above zero, got {request.force} N")
+        return replace(push, peak=request.force)
+    return replace(push, peak=force_that_bends(beam, request.bend, push.direction, push.at_s))
 
 
-def camera_of(wish: FilmRequest) -> tuple[Camera, float]:
+def camera_of(request: FilmRequest) -> tuple[Camera, float]:
     """The camera that is asked for, and its frames/s."""
-    camera, fps = CAMERAS[check_name(wish.camera, CameraName, "camera")]
-    if not isnan(wish.tilt):
-        camera = replace(camera, tilt=(wish.tilt, 0.0))
-    return replace(camera, distance=wish.distance), fps if isnan(wish.fps) else wish.fps
+    camera, fps = CAMERAS[check_name(request.camera, CameraName, "camera")]
+    if not isnan(request.tilt):
+        camera = replace(camera, tilt=(request.tilt, 0.0))
+    return replace(camera, distance=request.distance), fps if isnan(request.fps) else request.fps
 
 
-def filming_of(design: Design, wish: FilmRequest, name: str) -> Filming:
+def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
 
     Raises:
         RecordingError: a name that is not known, or a number that cannot be.
     """
     beam = design.beam()
-    camera, fps = camera_of(wish)
-    sensor, called = SENSORS[check_name(wish.sensor, SensorName, "sensor")]
+    camera, fps = camera_of(request)
+    sensor, called = SENSORS[check_name(request.sensor, SensorName, "sensor")]
     bench = VirtualBench(
         beam=beam,
-        push=push_of(wish, beam),
+        push=push_of(request, beam),
         tags=(VirtualTag(1, 0.333333), VirtualTag(2, 0.666667), VirtualTag(3, 1.0)),
         sensor=sensor,
         fps=fps,
-        clock=VirtualClock(offset=250.0, said=250.4, uncertainty=2.0),
+        clock=VirtualClock(offset=250.0, declared=250.4, uncertainty=2.0),
         name=name,
     )
     return Filming(
@@ -124,11 +124,11 @@ def filming_of(design: Design, wish: FilmRequest, name: str) -> Filming:
         width=design.width,
         rotary_inertia=design.along.rotary_inertia,
         camera=camera,
-        swings=wish.push in SWINGING,
-        gravity=wish.gravity,
-        base_angle=wish.base_angle,
+        swings=request.push in SWINGING,
+        gravity=request.gravity,
+        base_angle=request.base_angle,
         sensor_name=called,
-        calibrated=wish.calibrated,
+        calibrated=request.calibrated,
     )
 
 

@@ -47,8 +47,8 @@ class Silicone:
         if math.isfinite(self.stress_100):
             return from_stress_100(self.stress_100, f"{self.name}, stress at 100 % stretch by {self.maker}")
         by = from_shore_a if self.scale == "A" else from_shore_00
-        found = by(self.shore)
-        return ModulusEstimate(found.modulus, found.log_sd, f"{self.name}: {found.source}")
+        estimate = by(self.shore)
+        return ModulusEstimate(estimate.modulus, estimate.log_sd, f"{self.name}: {estimate.source}")
 
 
 def _silicone(name: str, shore: float, scale: str, psi: float, density: float, maker: str = "Smooth-On") -> Silicone:

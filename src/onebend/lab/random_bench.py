@@ -56,7 +56,7 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
         sensor=sensor,
         fps=float(rng.choice(chance.fps)),
         clock=VirtualClock(offset, round(offset + float(rng.uniform(-1.0, 1.0)), 2), 2.0),
-        said=DeclaredValues(placement_sd=round(placement, 5), gain_sd=gain_sd),
+        declared=DeclaredValues(placement_sd=round(placement, 5), gain_sd=gain_sd),
         name=name,
     )
     return Filming(

@@ -47,8 +47,8 @@ class VirtualClock:
     """`log time = film time + offset`, and what the user wrote down of it."""
 
     offset: float = 250.0  # s
-    said: float = 250.0  # s
-    uncertainty: float = 2.0  # s, largest error of `said`
+    declared: float = 250.0  # s
+    uncertainty: float = 2.0  # s, largest error of `declared`
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class VirtualBench:
     camera: TagNoise = field(default_factory=TagNoise)
     fps: float = 15.0
     clock: VirtualClock = field(default_factory=VirtualClock)
-    said: DeclaredValues = field(default_factory=DeclaredValues)
+    declared: DeclaredValues = field(default_factory=DeclaredValues)
     axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the model of the fit does not know
     name: str = "virtual"
 
@@ -107,13 +107,13 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     time = np.arange(0.0, bench.push.duration, 1.0 / bench.fps)
     force = bench.push.force(time)
     pose = tag_poses(bench, force)
-    seen, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
+    poses, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
     markers = Markers(
         time=time,
         tag_id=np.array([tag.id for tag in bench.tags], dtype=np.int64),
         s=np.array([tag.s for tag in bench.tags]),
-        xy=seen[..., :2],
-        angle=seen[..., 2],
+        xy=poses[..., :2],
+        angle=poses[..., 2],
         covariance=covariance,
         base_angle=np.zeros(len(time)),
         view=None,
@@ -173,20 +173,25 @@ def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
 
 def declared_recording(bench: VirtualBench) -> Recording:
     """What recording.toml would say."""
-    said, clock, at = bench.said, bench.clock, Path("virtual") / bench.name
+    declared, clock, at = bench.declared, bench.clock, Path("virtual") / bench.name
     return Recording(
         folder=at,
         name=bench.name,
-        beam=BeamEntry(length=bench.beam.length if isnan(said.length) else said.length, rest=said.rest),
+        beam=BeamEntry(length=bench.beam.length if isnan(declared.length) else declared.length, rest=declared.rest),
         tags=TagsEntry(
             size=0.012,
-            placement_sd=said.placement_sd,
+            placement_sd=declared.placement_sd,
             on_base=(TagEntry(id=0, s=0.0),),
             on_beam=tuple(TagEntry(id=tag.id, s=tag.s) for tag in bench.tags),
         ),
         camera=None,
-        video=VideoEntry(file=at / "video.mp4", start=clock.said, start_uncertainty=clock.uncertainty),
-        force=ForceEntry(file=at / "force.csv", rotation=said.axes, rotation_sd=said.axes_sd, gain_sd=said.gain_sd),
-        push=PushEntry(at=bench.push.at_s if isnan(said.push_s) else said.push_s, at_sd=said.place_sd),
+        video=VideoEntry(file=at / "video.mp4", start=clock.declared, start_uncertainty=clock.uncertainty),
+        force=ForceEntry(
+            file=at / "force.csv",
+            rotation=declared.axes,
+            rotation_sd=declared.axes_sd,
+            gain_sd=declared.gain_sd,
+        ),
+        push=PushEntry(at=bench.push.at_s if isnan(declared.push_s) else declared.push_s, at_sd=declared.place_sd),
         gravity=None,
     )

@@ -53,17 +53,19 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     """Sentences on where the data are blind; empty where they are not. One alone where all of k(s) is in doubt."""
     if uncertain.doubts:
         return [f"NOT TO BE TRUSTED: {'; '.join(uncertain.doubts)}. No place of k(s) counts as identified."]
-    found = identified_ranges(uncertain)
+    ranges = identified_ranges(uncertain)
     whose = "this recording says" if recordings == 1 else "these recordings say"
-    if not found:
+    if not ranges:
         return [f"At no place {whose} enough: k(s) is not known to a factor of {FACTOR:.1f} (95 %) anywhere."]
     rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
     words = []
-    if found[0][0] > 0.0:
-        words.append(f"Nearer to the clamp than s = {np.ceil(100 * found[0][0]) / 100:.2f} {whose} {rest}")
-    words += [f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(found)]
-    if found[-1][1] < 1.0:
-        words.append(f"Beyond s = {found[-1][1]:.2f} {whose} {rest}")
+    if ranges[0][0] > 0.0:
+        words.append(f"Nearer to the clamp than s = {np.ceil(100 * ranges[0][0]) / 100:.2f} {whose} {rest}")
+    words += [
+        f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(ranges)
+    ]
+    if ranges[-1][1] < 1.0:
+        words.append(f"Beyond s = {ranges[-1][1]:.2f} {whose} {rest}")
     return words
 
 
@@ -133,18 +135,18 @@ class ModelTestRow:
 
 def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
     """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
-    if any(one.hopeless for one in posterior.misses):
+    if any(misfit.hopeless for misfit in posterior.misses):
         return []
     critic = posterior.criticism
     return [
         ModelTestRow(
-            what=supposed_words(one, posterior),
-            odds=_odds(one.score.log10_p),
-            size=millimetres(one.score.size),
-            shift=f"{100.0 * float(np.expm1(one.shift)):.2g} %",
-            alarm=one in critic.alarms,
+            what=supposed_words(finding, posterior),
+            odds=_odds(finding.score.log10_p),
+            size=millimetres(finding.score.size),
+            shift=f"{100.0 * float(np.expm1(finding.shift)):.2g} %",
+            alarm=finding in critic.alarms,
         )
-        for one in critic.findings[:most]
+        for finding in critic.findings[:most]
     ]
 
 
@@ -162,13 +164,13 @@ def alarm_words(posterior: Posterior) -> str:
 def tradeoff_words(posterior: Posterior) -> list[str]:
     """The strongest pairs, one sentence each; first what the level of k(s) itself depends on."""
     level = with_level(posterior)
-    words = [f"{_pair(one)}" for one in level]
-    return words + [_pair(one) for one in tradeoffs(posterior) if one not in level]
+    words = [f"{_pair(pair)}" for pair in level]
+    return words + [_pair(pair) for pair in tradeoffs(posterior) if pair not in level]
 
 
-def _pair(one: Tradeoff) -> str:
-    how = "rise and fall together" if one.correlation > 0.0 else "go against each other"
-    return f"{one.first} and {one.second} {how} (correlation {one.correlation:+.2f})"
+def _pair(pair: Tradeoff) -> str:
+    how = "rise and fall together" if pair.correlation > 0.0 else "go against each other"
+    return f"{pair.first} and {pair.second} {how} (correlation {pair.correlation:+.2f})"
 
 
 def _odds(log10_p: float) -> str:

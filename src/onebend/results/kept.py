@@ -34,11 +34,11 @@ class KeptDetections:
         files = files if video.frame_times == "container" else (*files, video.frame_times)
         ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
         key = key_of(files, self.version, tags.family, video.fps, ids, video.topic, video.damaged)
-        found = self.load(key)
-        if found is None:
-            found = detect_tags(video, tags, threads=threads, progress=progress)
-            self.save(key, found)
-        return found
+        detections = self.load(key)
+        if detections is None:
+            detections = detect_tags(video, tags, threads=threads, progress=progress)
+            self.save(key, detections)
+        return detections
 
     def load(self, key: str) -> Detections | None:
         """What was kept under `key`, or None: a file that cannot be read counts as not there."""

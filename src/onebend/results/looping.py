@@ -44,12 +44,12 @@ def loop_summary(
         },
         "rehearsals": [
             {
-                "k_factor": one.factor,
-                "stands": one.run is not None,
-                "steady_m": _finite(one.steady),
-                "settled_s": _finite(one.settled(SETTLED)),
+                "k_factor": trial.factor,
+                "stands": trial.run is not None,
+                "steady_m": _finite(trial.steady),
+                "settled_s": _finite(trial.settled(SETTLED)),
             }
-            for one in trials
+            for trial in trials
         ],
     }
 
@@ -61,10 +61,10 @@ def _finite(value: float) -> float | None:
 def write_loop(path: Path, trials: tuple[LoopTrial, ...]) -> None:
     """One row a moment of every rehearsal."""
     rows = (
-        (one.factor, time, *one.run.xy[i], *one.run.asked[i], *one.run.force[i], one.run.error[i])
-        for one in trials
-        if one.run is not None
-        for i, time in enumerate(one.run.time)
+        (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
+        for trial in trials
+        if trial.run is not None
+        for i, time in enumerate(trial.run.time)
     )
     write_csv(path, LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))
 

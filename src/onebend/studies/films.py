@@ -59,10 +59,10 @@ def make_recording(job: FilmJob) -> FilmJob:
     """
     if job.observed.exists():
         return job
-    seen = _filmed(job) if job.setting.video else _without_video(job)
+    observations = _filmed(job) if job.setting.video else _without_video(job)
     job.observed.parent.mkdir(parents=True, exist_ok=True)
     unfinished = job.observed.with_suffix(".tmp")
-    save_observations(unfinished, seen)
+    save_observations(unfinished, observations)
     unfinished.replace(job.observed)
     return job
 

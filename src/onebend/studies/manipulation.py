@@ -73,9 +73,9 @@ def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Tas
             if beam is None:
                 continue
             settings = ReachSettings(method="newton" if way == "fit" else "paper")
-            found = reach(beam, goal, push_s=task.s, point_s=task.s, settings=settings)
-            landed = true_place(true, found.force, task.s) if found.converged else np.full(2, np.nan)
-            out.append(TaskResult(name, task, way, goal, found, landed))
+            result = reach(beam, goal, push_s=task.s, point_s=task.s, settings=settings)
+            landed = true_place(true, result.force, task.s) if result.converged else np.full(2, np.nan)
+            out.append(TaskResult(name, task, way, goal, result, landed))
     return out
 
 

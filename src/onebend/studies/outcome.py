@@ -28,7 +28,7 @@ class ValidatedFilm:
     """One recording against the beams: learned, and true."""
 
     strategy: Strategy
-    seen: Observations
+    observations: Observations
     paper: Comparison | None
     fit: Comparison
     true: Comparison  # the true beam under the logged force: what no learner can get below, but by luck
@@ -97,16 +97,16 @@ def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedB
 
 
 def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> ValidatedFilm:
-    seen = job.load()
+    observations = job.load()
     return ValidatedFilm(
         strategy=job.strategy,
-        seen=seen,
-        paper=None if learned.paper is None else validate(learned.paper, seen),
-        fit=validate(learned.fit, seen),
-        true=validate(true, seen),
+        observations=observations,
+        paper=None if learned.paper is None else validate(learned.paper, observations),
+        fit=validate(learned.fit, observations),
+        true=validate(true, observations),
     )
 
 
-def rms_or_nan(one: Comparison | None, count: int = 3) -> Array:
+def rms_or_nan(comparison: Comparison | None, count: int = 3) -> Array:
     """(m,) m; NaN where there was no beam to compare."""
-    return np.full(count, np.nan) if one is None else one.rms
+    return np.full(count, np.nan) if comparison is None else comparison.rms

@@ -94,8 +94,8 @@ def seen_through(design: Design, gain: float) -> Design:
 def filmed_push(setting: StudySettings, beam: str, strategy: Strategy) -> Filming:
     """One of the twelve recordings."""
     seconds = strategy.quick if setting.quick else strategy.seconds
-    wish = FilmRequest(push=strategy.name, bend=strategy.bend, seconds=seconds, fps=setting.fps)
-    asked = filming_of(DESIGNS[beam], wish, name_of(beam, strategy))
+    request = FilmRequest(push=strategy.name, bend=strategy.bend, seconds=seconds, fps=setting.fps)
+    asked = filming_of(DESIGNS[beam], request, name_of(beam, strategy))
     push = replace(asked.bench.push, before=REST, after=REST)
     return replace(asked, bench=replace(asked.bench, push=push, sensor=sensor_of(setting)))
 
@@ -107,5 +107,5 @@ def name_of(beam: str, strategy: Strategy) -> str:
 
 def seed_of(setting: StudySettings, beam: str, strategy: Strategy) -> int:
     """A seed of its own for every recording."""
-    place = BEAMS.index(beam) * len(STRATEGIES) + [one.name for one in STRATEGIES].index(strategy.name)
+    place = BEAMS.index(beam) * len(STRATEGIES) + [strategy.name for strategy in STRATEGIES].index(strategy.name)
     return int(np.random.SeedSequence([setting.seed, 31, place]).generate_state(1)[0])

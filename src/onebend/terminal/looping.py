@@ -51,17 +51,17 @@ def show_loop(
     table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
     console.print(table, highlight=False)
     rehearsed = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for one in trials:
-        steady = "the beam snapped away" if one.run is None else f"{1e3 * one.steady:.2f}"
-        settled = one.settled(SETTLED)
-        rehearsed.add_row(trial_name(one), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
+    for trial in trials:
+        steady = "the beam snapped away" if trial.run is None else f"{1e3 * trial.steady:.2f}"
+        settled = trial.settled(SETTLED)
+        rehearsed.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
     console.print(rehearsed, highlight=False)
     say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
-def trial_name(one: LoopTrial) -> str:
+def trial_name(trial: LoopTrial) -> str:
     """Which beam a rehearsal was made on."""
-    if one.factor == 1.0:
+    if trial.factor == 1.0:
         return "as the model"
-    return f"{100 * abs(one.factor - 1.0):.0f} % {'lower' if one.factor < 1.0 else 'higher'}"
+    return f"{100 * abs(trial.factor - 1.0):.0f} % {'lower' if trial.factor < 1.0 else 'higher'}"

@@ -26,39 +26,39 @@ HANDS: list[tuple[tuple[Pusher, ...], Grip | None]] = [
 
 def wandered(pushes: tuple[Pusher, ...], grip: Grip | None, seed: int) -> BeamState:
     """An equilibrium some random steps from rest."""
-    stand, rng = resting_state(BENT, pushes, grip, (0.0, -9.81), GRID), np.random.default_rng(seed)
+    state, rng = resting_state(BENT, pushes, grip, (0.0, -9.81), GRID), np.random.default_rng(seed)
     for _ in range(6):
-        z = 0.4 * rng.standard_normal(stand.hands.count)
-        after = next_state(stand, z, 0.8)
-        stand = stand if after is None or after.margin < 0.1 else after
-    return stand
+        z = 0.4 * rng.standard_normal(state.actuators.count)
+        after = next_state(state, z, 0.8)
+        state = state if after is None or after.margin < 0.1 else after
+    return state
 
 
 @pytest.mark.parametrize(("pushes", "grip"), HANDS)
 def test_steps_end_in_equilibrium_and_leave_along_the_plane(pushes: tuple[Pusher, ...], grip: Grip | None) -> None:
-    stand = wandered(pushes, grip, 0)
-    assert np.max(np.abs(gradient(stand.solved.problem, stand.q[None]))) < 1e-12
-    z = np.eye(stand.hands.count)[0]
-    far, near = (next_state(stand, h * z, 0.5) for h in (1e-3, 5e-4))
+    state = wandered(pushes, grip, 0)
+    assert np.max(np.abs(gradient(state.solved.problem, state.q[None]))) < 1e-12
+    z = np.eye(state.actuators.count)[0]
+    far, near = (next_state(state, h * z, 0.5) for h in (1e-3, 5e-4))
     assert far is not None
     assert near is not None
-    dq, _ = stand.plane
-    away = [np.max(np.abs(one.q - stand.q - dq @ (h * z))) for one, h in ((far, 1e-3), (near, 5e-4))]
+    dq, _ = state.plane
+    away = [np.max(np.abs(one.q - state.q - dq @ (h * z))) for one, h in ((far, 1e-3), (near, 5e-4))]
     assert away[1] == pytest.approx(away[0] / 4.0, rel=0.05)  # what is left is of second order
 
 
 @pytest.mark.parametrize(("pushes", "grip"), HANDS)
 def test_slope_and_hessian_are_those_of_differences(pushes: tuple[Pusher, ...], grip: Grip | None) -> None:
-    stand, rng = wandered(pushes, grip, 1), np.random.default_rng(2)
+    state, rng = wandered(pushes, grip, 1), np.random.default_rng(2)
     wanted = curve(S, 0.1 * rng.standard_normal((10, 2))) + angles(1.0, 0.3)
 
     def cost(z: Array) -> float:
-        after = next_state(stand, z, 0.5)
+        after = next_state(state, z, 0.5)
         assert after is not None
         return 0.5 * float(target_residuals(after.solved, wanted, 0.15).cost[0])
 
-    model, h = model_of(stand, target_residuals(stand.solved, wanted, 0.15)), 3e-4
-    step = h * np.eye(stand.hands.count)
+    model, h = model_of(state, target_residuals(state.solved, wanted, 0.15)), 3e-4
+    step = h * np.eye(state.actuators.count)
     slope = [(cost(a) - cost(-a)) / (2 * h) for a in step]
     hessian = [[(cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)) / (4 * h * h) for b in step] for a in step]
     np.testing.assert_allclose(model.slope, slope, atol=1e-6)
@@ -71,7 +71,7 @@ def test_margin_of_a_column_is_what_eulers_load_leaves() -> None:
     start = resting_state(straight, (Pusher(1.0),), None, None, GRID)
     for share in (0.0, 0.3, 0.9, 1.1):
         load = np.array([-share * np.pi**2 / 4.0 * 0.03 / 0.2, 0.0])
-        assert BeamState(start.hands, start.q, load).margin == pytest.approx(1.0 - share, abs=1e-9)
+        assert BeamState(start.actuators, start.q, load).margin == pytest.approx(1.0 - share, abs=1e-9)
 
 
 def test_margin_of_a_column_held_at_both_ends() -> None:
@@ -80,18 +80,18 @@ def test_margin_of_a_column_held_at_both_ends() -> None:
     start = resting_state(straight, (), Grip(), None, GRID)
     for share in (0.3, 0.9, 1.1):
         load = np.array([-share * 4.0 * np.pi**2 * 0.03 / 0.2, 0.0, 0.0])
-        assert BeamState(start.hands, start.q, load).margin == pytest.approx(1.0 - share, abs=1e-6)
+        assert BeamState(start.actuators, start.q, load).margin == pytest.approx(1.0 - share, abs=1e-6)
 
 
 def test_gripped_shapes_are_those_of_the_mechanics() -> None:
-    stand = resting_state(SOFT, (), Grip(), None, GRID)
+    state = resting_state(SOFT, (), Grip(), None, GRID)
     for z in ([0.0, 0.3, 0.4], [0.2, -0.5, 0.3], [0.3, 0.1, 0.5]):
-        after = next_state(stand, np.array(z), 0.8)
+        after = next_state(state, np.array(z), 0.8)
         assert after is not None
-        stand = after
-    held = hold(SOFT, stand.end, resolution=GRID)
-    np.testing.assert_allclose(held.solved.xy(S)[0], stand.solved.xy(S)[0], atol=1e-10)
-    np.testing.assert_allclose(held.wrench[0], stand.u, rtol=1e-7, atol=1e-10)
+        state = after
+    held = hold(SOFT, state.end, resolution=GRID)
+    np.testing.assert_allclose(held.solved.xy(S)[0], state.solved.xy(S)[0], atol=1e-10)
+    np.testing.assert_allclose(held.wrench[0], state.u, rtol=1e-7, atol=1e-10)
 
 
 def test_bounded_step_is_the_minimum_within_the_bounds() -> None:

@@ -187,7 +187,7 @@ def test_benches_are_drawn_again_from_the_same_seed_and_never_alike_from_another
     one, same, other = (random_bench(np.random.default_rng(seed)) for seed in (5, 5, 6))
     assert one == same
     assert one != other
-    assert abs(one.bench.clock.said - one.bench.clock.offset) <= one.bench.clock.uncertainty
+    assert abs(one.bench.clock.declared - one.bench.clock.offset) <= one.bench.clock.uncertainty
 
 
 def test_drawn_tags_have_the_tolerance_that_is_told() -> None:

@@ -88,7 +88,9 @@ def learned(
     """A push of known beam, place and axes, through the real way, with the tolerances that are said (Observations)."""
     peak = force_that_bends(SOFT, bend, 1.75) / at_s
     sensor = ForceSensor(white_sd=0.02 * peak, coloured_sd=0.02 * peak)
-    bench = VirtualBench(beam=SOFT, push=PushProfile(peak, at_s=at_s), sensor=sensor, said=DeclaredValues(push_s=said))
+    bench = VirtualBench(
+        beam=SOFT, push=PushProfile(peak, at_s=at_s), sensor=sensor, declared=DeclaredValues(push_s=said)
+    )
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))

@@ -20,7 +20,7 @@ PUSH_S = 0.98
 
 def made(errors: str, seed: int) -> VirtualRecording:
     bench = bench_of("smooth", errors, seed)
-    late = replace(bench.clock, said=bench.clock.offset + 0.7, uncertainty=2.0)  # so that the data decide
+    late = replace(bench.clock, declared=bench.clock.offset + 0.7, uncertainty=2.0)  # so that the data decide
     return virtual_recording(replace(bench, clock=late), seed=seed)
 
 
@@ -112,7 +112,7 @@ def misses(errors: str, seeds: range) -> tuple[np.ndarray, np.ndarray]:
     for seed in seeds:
         virtual = made(errors, seed)
         clock = virtual.bench.clock
-        found = fit_clock(virtual.markers, virtual.log, clock.said, clock.uncertainty, push_s=PUSH_S).clock
+        found = fit_clock(virtual.markers, virtual.log, clock.declared, clock.uncertainty, push_s=PUSH_S).clock
         assert found.found
         error.append(found.offset - clock.offset - virtual.bench.sensor.lag)
         sd.append(found.sd)

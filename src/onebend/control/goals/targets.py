@@ -130,8 +130,8 @@ class TargetResiduals:
     """How far T shapes are from their targets, and how that goes with the curvature at the nodes. Lengths over L."""
 
     value: Array  # (T, R) weighted
-    rows: Array  # (T, R, Q) derivative of `value`
-    bent: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(bent) B`
+    jacobian: Array  # (T, R, Q) derivative of `value`
+    curvature_term: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(curvature_term) B`
 
     @property
     def cost(self) -> Array:

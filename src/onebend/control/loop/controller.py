@@ -163,17 +163,17 @@ class Controller:
         this force: under c times the force the model has its shape, and c times the model's compliance is its own.
         Where the model has no stable shape, the map is that of the goal.
         """
-        at = np.array([self.point_s])
+        point = np.array([self.point_s])
         x, y = self.gravity.tolist()
         under = prepared(self.beam, self.push_s, self.point_s, (x, y), _COARSE).loaded(np.append(force, 0.0))
         solved = follow(under.take(np.zeros(len(_SCALES), dtype=int)).loaded(_SCALES))
-        off = solved.xy(at)[:, 0] - self.reference.position(since)
+        off = solved.xy(point)[:, 0] - self.reference.position(since)
         cost = np.sum(off**2, axis=1) + (_TRUST * self.beam.length * np.log(_SCALES)) ** 2
         cost[~(solved.converged & solved.stable)] = inf
         best = int(np.argmin(cost))
         if not isfinite(cost[best]):
             return self.inverse
-        compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(at)[best, 0]
+        compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(point)[best, 0]
         return damped_inverse(_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
@@ -201,10 +201,10 @@ def controller(
 ) -> Controller:
     """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
     wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
-    found = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
-    if not found.converged:
-        raise ControlError(found.reason)
-    ends = found.force
+    result = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
+    if not result.converged:
+        raise ControlError(result.reason)
+    ends = result.force
     forces = begins + np.linspace(0.0, 1.0, _PLACES)[:, None] * (ends - begins)
     solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
     xy = solved.xy(np.array([point_s]))[:, 0]

@@ -159,8 +159,8 @@ def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
 
 def phase_margin(loop: SampledLoop) -> float:
     """rad: the least further lag, in all directions alike, at which a locus meets -1."""
-    found = loop.loci(frequencies(loop.timing))
-    return min((_least_lag(curve) for curve in found.T), default=np.inf)
+    loci = loop.loci(frequencies(loop.timing))
+    return min((_least_lag(curve) for curve in loci.T), default=np.inf)
 
 
 def frequencies(timing: Timing) -> Array:

@@ -71,8 +71,8 @@ def plant_at(
     solved = equilibrium(beam, loads)
     if not (solved.converged[0] and solved.stable[0]):
         raise MechanicsError(f"the beam has no stable shape under {np.asarray(force)} N to control it about")
-    at = np.array([point_s])
-    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(at)[0, 0]
+    point = np.array([point_s])
+    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(point)[0, 0]
     if not has_mass(beam):
         return Plant(np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), compliance)
     small = vibration(beam, solved, most=MODES)

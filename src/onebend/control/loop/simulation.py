@@ -104,8 +104,8 @@ def simulate_loop(
         while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
             before = rows[max(0, int(exposed / tick)) : i + 1]
-            seen = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
-            state, row[3:5] = control.step(state, seen, row[0])
+            position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
+            state, row[3:5] = control.step(state, position, row[0])
         moving.advance(row[3:5], row[0])
     return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
 
@@ -134,13 +134,13 @@ class _MovingBeam:
     def advance(self, asked: Array, now: float) -> None:
         """One tick with the force going to what is asked for, by the actuator's lag."""
         goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
-        left = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
-        force = goes_to + left[:, None] * (self.force - goes_to)
+        decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
+        force = goes_to + decay[:, None] * (self.force - goes_to)
         pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
         acts = replace(self._weight, pull=pull, force=force[:-1])
-        found = self._stepper.advance(self._theta, self._momentum, self._guess, acts, now)
-        self._theta, self._momentum, self.force = found.theta, found.momentum, force[-1]
-        self._guess = found.velocity @ self._numbers.ahead.T
+        step = self._stepper.advance(self._theta, self._momentum, self._guess, acts, now)
+        self._theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
+        self._guess = step.velocity @ self._numbers.ahead.T
 
 
 def damped_body(truth: TrueSystem) -> Body:

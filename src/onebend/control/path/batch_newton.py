@@ -39,67 +39,67 @@ class PathSamples:
 
 
 def settle(
-    hands: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
+    actuators: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[PathSamples, BoolArray]:
     """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from ones `near`; True where found there.
 
     Bounds on forces are not looked at.
     """
     out = PathSamples(near.q.copy(), near.u.copy(), near.multipliers.copy())
-    found = np.zeros(len(near.q), dtype=bool)
-    for i in range(0, len(found), _CHUNK):
+    converged = np.zeros(len(near.q), dtype=bool)
+    for i in range(0, len(converged), _CHUNK):
         part = slice(i, i + _CHUNK)
-        here, ok = _settle(hands, near.take(part), targets, xy[part], angle[part], arm)
-        out.q[part], out.u[part], out.multipliers[part], found[part] = here.q, here.u, here.multipliers, ok
-    return out, found
+        here, ok = _settle(actuators, near.take(part), targets, xy[part], angle[part], arm)
+        out.q[part], out.u[part], out.multipliers[part], converged[part] = here.q, here.u, here.multipliers, ok
+    return out, converged
 
 
 def _settle(
-    hands: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
+    actuators: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[PathSamples, BoolArray]:
     q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
-    settled, b = np.zeros(len(q), dtype=bool), hands.problem.to_nodes
+    settled, b = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes
     for _ in range(_MOST):
         todo = np.flatnonzero(~settled)
         if todo.size == 0:
             break
-        dq, du, new = _step(hands, PathSamples(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
+        dq, du, new = _step(actuators, PathSamples(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
         q[todo], u[todo], prices[todo] = q[todo] + dq, u[todo] + du, new
         settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _SETTLED
     settled &= np.max(np.abs((q - near.q) @ b.T), axis=1) < _NEAR
-    settled[settled] &= stable(hands, q[settled], u[settled])
+    settled[settled] &= stable(actuators, q[settled], u[settled])
     return PathSamples(q, u, prices), settled
 
 
-def stable(hands: Actuators, q: Array, u: Array) -> BoolArray:
+def stable(actuators: Actuators, q: Array, u: Array) -> BoolArray:
     """(T,) whether the shapes stand: pushes are dead loads, a gripped end stays where it is."""
     if len(q) == 0:
         return np.zeros(0, dtype=bool)
-    if hands.grip is None:
-        return is_stable(hands.loaded(u), q)
+    if actuators.grip is None:
+        return is_stable(actuators.loaded(u), q)
     bare = u.copy()
     bare[:, -3:] = 0.0
-    return stands(hands.loaded(bare), q, u[:, -3:])
+    return stands(actuators.loaded(bare), q, u[:, -3:])
 
 
 def _step(
-    hands: Actuators, at: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
+    actuators: Actuators, samples: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[Array, Array, Array]:
     """Newton's step of q and u, and the new multipliers; curvature and controls in units that make numbers about 1."""
-    solved, b = hands.solved(at.q, at.u), hands.problem.to_nodes
-    problem, count, controls = solved.problem, at.q.shape[1], hands.count
-    missed = target_residuals_along(solved, targets, xy, angle, arm)
-    out, matrix = balance(problem, at.q)
-    stiff, root = scaled(problem, matrix), np.sqrt(hands.mean_stiffness)
-    unbend, unit = 1.0 / np.sqrt(problem.weights * problem.k), hands.scale / root
-    turned = at.multipliers @ b.T
-    bent = missed.bent + pulls(problem, at.q)[1] * turned
-    rows = missed.rows * unbend
+    solved, b = actuators.solved(samples.q, samples.u), actuators.problem.to_nodes
+    problem, count, controls = solved.problem, samples.q.shape[1], actuators.count
+    residuals = target_residuals_along(solved, targets, xy, angle, arm)
+    out, matrix = balance(problem, samples.q)
+    stiff, root = scaled(problem, matrix), np.sqrt(actuators.mean_stiffness)
+    unbend, unit = 1.0 / np.sqrt(problem.weights * problem.k), actuators.scale / root
+    turned = samples.multipliers @ b.T
+    bent = residuals.curvature_term + pulls(problem, samples.q)[1] * turned
+    rows = residuals.jacobian * unbend
     second = transposed(rows) @ rows + scaled(problem, transposed(b) @ (bent[..., None] * b))
-    coupled = unit[:, None] * (control_coupling(hands, solved.alpha, turned) @ b) * unbend
-    acting = unit[:, None] * actions(hands, solved) * unbend
+    coupled = unit[:, None] * (control_coupling(actuators, solved.alpha, turned) @ b) * unbend
+    acting = unit[:, None] * actions(actuators, solved) * unbend
     a, z = count + controls, np.s_[:]
-    system = np.zeros((len(at.q), a + count, a + count))
+    system = np.zeros((len(samples.q), a + count, a + count))
     system[z, :count, :count], system[z, :count, count:a], system[z, count:a, :count] = (
         second,
         transposed(coupled),
@@ -107,8 +107,8 @@ def _step(
     )
     system[z, :count, a:], system[z, a:, :count] = stiff, stiff
     system[z, count:a, a:], system[z, a:, count:a] = -acting, -transposed(acting)
-    right = np.zeros((len(at.q), a + count))
-    right[:, :count] = -np.einsum("trq,tr->tq", rows, missed.value) / root
+    right = np.zeros((len(samples.q), a + count))
+    right[:, :count] = -np.einsum("trq,tr->tq", rows, residuals.value) / root
     right[:, a:] = -out * unbend / root
     answer = solve_batch(system, right)
-    return root * unbend * answer[:, :count], hands.scale * answer[:, count:a], root * unbend * answer[:, a:]
+    return root * unbend * answer[:, :count], actuators.scale * answer[:, count:a], root * unbend * answer[:, a:]

@@ -47,27 +47,29 @@ def first_pass(
     first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings)
     if first.open_freedoms:
         raise ControlError(
-            f"the goals leave {first.open_freedoms} of {first.stand.hands.count} freedoms of the forces and the "
+            f"the goals leave {first.open_freedoms} of {first.state.actuators.count} freedoms of the forces and the "
             "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
             "a force or the gripper"
         )
     resting = resting_state(beam, pushes, grip, gravity, settings.resolution)
-    grid = first.stand.hands.problem.grid
-    stand = BeamState(resting.hands, grid.value_at(resting.hands.problem.grid.nodes) @ first.stand.q, first.stand.u)
-    found = [descend(stand, goals.at(knots[0]), arm, settings.descent)]
+    grid = first.state.actuators.problem.grid
+    state = BeamState(
+        resting.actuators, grid.value_at(resting.actuators.problem.grid.nodes) @ first.state.q, first.state.u
+    )
+    results = [descend(state, goals.at(knots[0]), arm, settings.descent)]
     warm = replace(settings.descent, damping=0.0)
     for before, time in pairwise(knots):
-        _check(found[-1], float(before))
-        found.append(descend(found[-1].stand, goals.at(float(time)), arm, warm))
-    _check(found[-1], float(knots[-1]))
-    return found
+        _check(results[-1], float(before))
+        results.append(descend(results[-1].state, goals.at(float(time)), arm, warm))
+    _check(results[-1], float(knots[-1]))
+    return results
 
 
-def _check(found: DescentResult, time: float) -> None:
-    if found.near_buckling:
+def _check(result: DescentResult, time: float) -> None:
+    if result.near_buckling:
         raise ControlError(
-            f"at {time:.4g} s the beam is about to buckle (margin {found.stand.margin:.3g}) on its way to the goal; "
+            f"at {time:.4g} s the beam is about to buckle (margin {result.state.margin:.3g}) on its way to the goal; "
             "lead it another way, or give it a grip"
         )
-    if not found.converged:
+    if not result.converged:
         raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found; give more goals before it")

@@ -26,5 +26,7 @@ class PathSpread:
 def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
     """The spread of a path at up to `moments` of its samples, evenly spaced, the first and the last among them."""
     chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))
-    stands = [BeamState(way.hands, way.q[i], way.u[i]) for i in chosen]
-    return PathSpread(way.time[chosen], np.array([spread(one, way.goals.targets.s, uncertain).rms for one in stands]))
+    stands = [BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen]
+    return PathSpread(
+        way.time[chosen], np.array([spread(state, way.goals.targets.s, uncertain).rms for state in stands])
+    )

@@ -39,7 +39,7 @@ class LimitedQuantities:
     def excess(self, time: Array) -> Array:
         """(T - 1, n) rate over limit between one moment and the next."""
         step = np.diff(time)
-        rates = [np.linalg.norm(np.diff(one, axis=0), axis=1) / step for one in self.values]
+        rates = [np.linalg.norm(np.diff(quantity, axis=0), axis=1) / step for quantity in self.values]
         return np.stack([rate / most for rate, most in zip(rates, self.most, strict=True)], axis=1)
 
 

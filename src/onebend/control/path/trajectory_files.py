@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -138,7 +139,7 @@ def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
         if node == Nodetype.NAME:
             value = _typed(store, inner, value)
         elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
-            value = [_typed(store, inner[0][1], one) for one in value]
+            value = [_typed(store, inner[0][1], item) for item in value]
         fields[field] = value
     return store.types[name](**fields)
 
@@ -168,8 +169,8 @@ def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
             yield from _block(value, indent + "  ")
         elif isinstance(value, list) and value:
             yield f"{indent}{key}:"
-            for one in value:
-                yield from _item(one, indent)
+            for item in value:
+                yield from _item(item, indent)
         else:
             yield f"{indent}{key}: {'[]' if isinstance(value, list) else value}"
 

@@ -70,10 +70,10 @@ class PushedBeam:
         self.start = LoadedState(self._hanging() if heavy else self.rest, np.zeros(3))
 
     def _hanging(self) -> Array:
-        found = follow(self.problem)
-        if not (found.converged[0] and found.stable[0]):
+        hanging = follow(self.problem)
+        if not (hanging.converged[0] and hanging.stable[0]):
             raise ControlError("the beam does not stand under its own weight. Turn the clamp, or the gravity")
-        return np.asarray(found.q[0])
+        return np.asarray(hanging.q[0])
 
     def loaded(self, load: Array) -> Problem:
         """What the beam's own statics solves under the load (3,)."""
@@ -145,7 +145,7 @@ class PushedBeam:
         x, y = float(self.row @ cos), float(self.row @ sin)
         return np.array([x, y]) if size == 2 else np.array([x, y, self._turn(q)])
 
-    def sees(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
+    def point_motion(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
         """(2 or 3, P): how the point moves with turns (Q, P) of the nodes by curvatures (n, P)."""
         rows = np.empty((2, len(cos)))
         np.multiply(self._minus_row, sin, out=rows[0])

@@ -25,25 +25,25 @@ class ShapeSpread:
         return float(np.sqrt(np.mean(np.sum(self.xy**2, axis=1))))
 
 
-def spread(stand: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSpread:
+def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSpread:
     """The spread at places s (N,).
 
     A gripped end stays where it is, whatever k(s): a common factor of k then changes the wrench, and not the shape
     (without weight).
     """
-    problem, solved = stand.hands.problem, stand.solved
+    problem, solved = state.actuators.problem, state.solved
     basis = uncertain.basis(problem.grid.nodes)
-    strain = problem.weights * problem.k * (stand.q - problem.q0)
-    right = -(stand.unbend * strain)[:, None] * np.column_stack([basis, np.ones(len(strain))])
-    held = 0 if stand.hands.grip is None else 3
+    strain = problem.weights * problem.k * (state.q - problem.q0)
+    right = -(state.unbend * strain)[:, None] * np.column_stack([basis, np.ones(len(strain))])
+    held = 0 if state.actuators.grip is None else 3
     count = len(strain)
     # Controls in their units, curvature scaled: all entries are numbers about 1.
-    unit = stand.hands.scale[stand.hands.count - held :]
-    rows = stand.actions[stand.hands.count - held :]
+    unit = state.actuators.scale[state.actuators.count - held :]
+    rows = state.actions[state.actuators.count - held :]
     system = np.zeros((count + held, count + held))
-    system[:count, :count], system[:count, count:], system[count:, :count] = stand.tangent, -rows.T * unit, rows
+    system[:count, :count], system[:count, count:], system[count:, :count] = state.tangent, -rows.T * unit, rows
     answer = np.linalg.solve(system, np.concatenate([right, np.zeros((held, right.shape[1]))]))
-    dq, alpha, to = stand.unbend[:, None] * answer[:count], solved.alpha[0], problem.grid.integral_to(s)
+    dq, alpha, to = state.unbend[:, None] * answer[:count], solved.alpha[0], problem.grid.integral_to(s)
     turned = problem.to_nodes @ dq
     x = float(problem.length) * to @ (-np.sin(alpha)[:, None] * turned)
     y = float(problem.length) * to @ (np.cos(alpha)[:, None] * turned)

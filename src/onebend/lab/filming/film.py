@@ -111,7 +111,7 @@ def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
         scene=filming.scene,
         push=filming.bench.push,
         half_width=0.5 * np.asarray(filming.width(PLACES), dtype=float),
-        tags=tuple(as_printed(one, filming.tag_size, dot, rng.random(2)) for one in made),
+        tags=tuple(as_printed(outline, filming.tag_size, dot, rng.random(2)) for outline in made),
         base_angle=filming.base_angle,
     )
 

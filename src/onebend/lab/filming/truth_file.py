@@ -74,8 +74,8 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
         "s_a": bench.push.at_s,
         "clock": {
             "log_minus_video_true": clock.offset,
-            "said": clock.said,
-            "error_said_minus_true": clock.said - clock.offset,
+            "said": clock.declared,
+            "error_said_minus_true": clock.declared - clock.offset,
         },
         "camera": {
             "K": view.matrix.tolist(),
