@@ -66,10 +66,12 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     push = Push(peak, direction=direction, turn=own.uniform(0.2, 0.8))
     exact = virtual_recording(Bench(beam, push, sensor=ForceSensor()), seed=seed)
     template = observe_quickly(exact, clock_sd=CLOCK)
-    assert template.clean_force is not None
+    assert template.source.clean_force is not None
     noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=MEMORY, walk=WALK * peak)
-    clean = replace(template.clean_force, noise=noise)
-    template = replace(template, clean_force=clean, force_sd=np.full(2, COLOURED * peak))
+    clean = replace(template.source.clean_force, noise=noise)
+    template = replace(
+        template, force_sd=np.full(2, COLOURED * peak), source=replace(template.source, clean_force=clean)
+    )
     seen, at = prepared(template, spline)
     x = np.zeros(at.size)
     for block in at.blocks:
@@ -84,7 +86,7 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     logged = replace(clean, force=clean.force + log_error + rest_noise)
     force = template.force.copy()
     force[seen.frames] += seen.error.weights @ errors
-    template = replace(template, force=force, clean_force=logged)
+    template = replace(template, force=force, source=replace(template.source, clean_force=logged))
     seen, at = prepared(template, spline)
     poses = noisy_poses(seen, at, x, rng)
     quick = WHITE * peak * rng.standard_normal((int(seen.frames.sum()), 2))

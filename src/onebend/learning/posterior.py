@@ -103,8 +103,8 @@ class Posterior:
         if not self.criticism.trusted:
             found.append("the recording contradicts the model of the fit")
         for o in (one.observations for one in self.films):
-            if any(remark.doubt for remark in o.remarks):
-                found.append(f"{o.name}: {CONTRADICTED}" if several else CONTRADICTED)
+            if any(remark.doubt for remark in o.source.remarks):
+                found.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
         return tuple(found)
 
     @property
@@ -156,23 +156,23 @@ class Posterior:
         if block.start < 0 or weighed is None:
             return None
         change, left = self.mean[block.where], self.covariance[block.where, block.where]
-        written = np.nan if np.isfinite(weighed.mass_sd) else weighed.mass
+        written = np.nan if np.isfinite(weighed.stated.mass_sd) else weighed.stated.mass
         lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
-        value, s = weighed.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
+        value, s = weighed.stated.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
         pull = 2.0 * weighed.length * float(np.trapezoid(s * self._mass_per_length()(s), s))
-        if weighed.mass_along != "unknown":
+        if weighed.stated.mass_along != "unknown":
             lever = np.array([pull / value, 0.0, 0.0, 0.0])
         gain = self.gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
         sd = np.sqrt(np.diag(left)[0] + gain**2)
         even_sd = float(np.sqrt(lever @ left @ lever + (lever[0] * gain) ** 2))
         return LearnedMass(
             value=value,
-            sd=float(weighed.mass * sd),
+            sd=float(weighed.stated.mass * sd),
             even=pull,
-            even_sd=weighed.mass * even_sd,
+            even_sd=weighed.stated.mass * even_sd,
             written=written,
             identified=even_sd < self._told(written, block),
-            along=weighed.mass_along,
+            along=weighed.stated.mass_along,
         )
 
     def _told(self, written: float, block: Block) -> float:
@@ -184,22 +184,22 @@ class Posterior:
 
     def _weighed(self) -> Observations | None:
         """The recording whose mass the fit changed."""
-        return next((f.observations for f in self.films if np.isfinite(f.observations.mass)), None)
+        return next((f.observations for f in self.films if np.isfinite(f.observations.stated.mass)), None)
 
     def _mass_per_length(self) -> Profile:
         """kg/m: what was written down and what the fit changed of it."""
         weighed, change = self._weighed(), self.at.get(self.mean, "mass")
         if weighed is None:
             return Uniform(0.0)
-        along = following(weighed, self.stiffness, weighed.mass * (1.0 + float(change[0])))
+        along = following(weighed, self.stiffness, weighed.stated.mass * (1.0 + float(change[0])))
         if along is not None:
             return along
-        even = weighed.mass / weighed.length
-        if weighed.mass_along == "table":
+        even = weighed.stated.mass / weighed.length
+        if weighed.stated.mass_along == "table":
             return Scaled(1.0 + float(change[0]), mass_profile(weighed))
-        if weighed.mass_line is None:
+        if weighed.stated.mass_line is None:
             return _from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
-        s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.mass_line.s]))
+        s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.stated.mass_line.s]))
         value = mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
         return Table(tuple(s.tolist()), tuple(value.tolist()))
 
@@ -239,7 +239,7 @@ def fit(
     try:
         return _fit(recordings, start, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
-        names = ", ".join(one.name for one in recordings)
+        names = ", ".join(one.source.name for one in recordings)
         raise LearningError(
             f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
             "`onebend learn --method regression`"
@@ -262,13 +262,14 @@ def _fit(
     way = replace(settings.effort, tolerance=settings.effort.on_the_way)
     progress.start("fitting k(s) in marker space", way.rounds + end.rounds)
     near = search(first, at, x, level, expected, expected, way, progress)
-    if any(np.isfinite(o.mass_sd) for o in recordings):  # the mass was guessed: its unevenness counts over what it is
+    if any(np.isfinite(o.stated.mass_sd) for o in recordings):  # a guessed mass: its unevenness counts over what it is
         mass = at.index["mass", -1].where
         more = 1.0 + max(float(near.x[mass.start]), -0.9)
         x = near.x.copy()
         x[mass] = (x[mass] + np.array([1.0, 0.0, 0.0, 0.0])) / more - np.array([1.0, 0.0, 0.0, 0.0])
         near = replace(near, x=x)
-        films = _films([replace(o, mass=more * o.mass) for o in recordings], settings.most_frames, spline)
+        heavier = [replace(o, stated=replace(o.stated, mass=more * o.stated.mass)) for o in recordings]
+        films = _films(heavier, settings.most_frames, spline)
     same = all(np.array_equal(one.frames, other.frames) for one, other in zip(first, films, strict=True))
     shapes = [p.solved.q for p in near.predictions] if same else None
     found = search(films, at, near.x, level, near.scales, expected, end, progress, shapes)

@@ -14,6 +14,7 @@ from onebend.learning.model.forward import predict
 from onebend.learning.model.parameters import Priors, layout
 from onebend.learning.model.spline import RHO, TAU, Spline
 from tests.learning.bench import SOFT, forces, observed
+from tests.made_up import with_source
 
 LEVEL = float(np.log(0.02))
 
@@ -22,7 +23,9 @@ def known(count: int) -> tuple[Known, Scales]:
     """What `count` recordings of one beam say, whose force logs have errors of their own; 0: one without any force."""
     spline, strength = Spline(8), forces(12) * (count > 0)
     made = observed(SOFT, strength, noise=(2e-5, 1e-3))
-    recordings = [replace(made, name=str(i), time=(1.0 + 0.2 * i) * made.time) for i in range(max(count, 1))]
+    recordings = [
+        with_source(replace(made, time=(1.0 + 0.2 * i) * made.time), name=str(i)) for i in range(max(count, 1))
+    ]
     films = [film(o, i, np.ones(len(o.time), dtype=bool), spline) for i, o in enumerate(recordings)]
     at = layout(spline, recordings, [len(f.error.knots) for f in films], Priors())
     x = np.concatenate([LEVEL + 0.3 * np.cos(np.arange(8)), 1e-3 * np.sin(np.arange(at.size - 8))])

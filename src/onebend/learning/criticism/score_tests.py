@@ -90,7 +90,7 @@ def pulls(line: Linear) -> list[Score]:
     for block in line.at.blocks:
         if block.start < 0 or block.name in ("stiffness", "force", "place", "direction", "end", "end turn"):
             continue
-        whose = "" if block.recording < 0 else line.films[block.recording].observations.name
+        whose = "" if block.recording < 0 else line.films[block.recording].observations.source.name
         tags = line.films[0].observations.tag_id.tolist() if block.name in ("along", "across", "turn") else [-1]
         for i, tag in enumerate(tags):
             own = np.array([i]) if tag >= 0 else np.arange(len(block.labels))
