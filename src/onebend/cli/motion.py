@@ -8,7 +8,7 @@ from rich.console import Console
 
 from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted
 from onebend.learning.swing.damping import DampingSettings, learn_damping
-from onebend.learning.swing.free_swing import Part
+from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
@@ -45,7 +45,7 @@ def damp(
                 stored.beam,
                 seen,
                 uncertain=stored.uncertain,
-                part=Part(begin, end),
+                part=FilmPart(begin, end),
                 settings=DampingSettings(mass_along=mass_along),
                 progress=progress,
             )

@@ -20,7 +20,7 @@ from onebend.beam.statics.sensitivity import (
     of_stiffness,
     respond,
 )
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
@@ -56,7 +56,7 @@ class Slopes:
 class Prediction:
     """Tags where the parameters put them."""
 
-    seen: Film
+    seen: FitData
     at: Layout
     x: Array  # (P,) the parameters
     solved: Equilibrium
@@ -70,7 +70,7 @@ class Prediction:
         return _slopes(self)
 
 
-def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+def predict(seen: FitData, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
     warm-started from shapes `start` (F, Q) where given."""
     r = seen.number
@@ -143,7 +143,7 @@ def _slopes(now: Prediction) -> Slopes:
     return Slopes(out, by_force, axes, seen.error_weights)
 
 
-def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
+def _changes(seen: FitData, at: Layout, x: Array, now: Prediction) -> Changes:
     """How the coefficients of log k, rest curvature, clamp angle, force, its place, and the mass where something weighs
     enter the balance."""
     solved, k = now.solved, now.solved.problem.k
@@ -160,7 +160,7 @@ def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
     return change if seen.mass is None else change + seen.mass.by_mass(seen.problem, k)
 
 
-def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
+def tag_places(seen: FitData, at: Layout, x: Array) -> tuple[Array, Array]:
     """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
     length = seen.observations.length
     s = seen.observations.marker_s + at.get(x, "along") / length
@@ -194,7 +194,7 @@ def _put(out: Array, columns: slice | None, values: Array) -> None:
         out[..., columns] = values
 
 
-def _pushed(seen: Film, at: Layout, x: Array) -> Array:
+def _pushed(seen: FitData, at: Layout, x: Array) -> Array:
     """(F, Q) share of the push that acts beyond the node."""
     return np.asarray(seen.beyond + at.get(x, "place", seen.number)[0] * seen.farther)
 
