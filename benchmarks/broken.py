@@ -144,9 +144,9 @@ def moved(one: Virtual, away: Array) -> Virtual:
 def quickly(one: Virtual) -> Observations:
     """Observations with clock and contact from the truth, and the sensor's noise as it is."""
     seen, sensor = observe_quickly(one, cutoff=CUTOFF), one.bench.sensor
-    assert seen.clean_force is not None
+    assert seen.source.clean_force is not None
     noise = ForceNoise(sensor.white_sd, sensor.coloured_sd, sensor.coloured_time, 0.1 * sensor.coloured_sd, 0.005)
-    return replace(seen, clean_force=replace(seen.clean_force, noise=noise))
+    return replace(seen, source=replace(seen.source, clean_force=replace(seen.source.clean_force, noise=noise)))
 
 
 def run(cell: str, seed: int) -> Outcome:

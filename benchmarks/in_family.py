@@ -58,10 +58,12 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     push = Push(peak, direction=direction, turn=own.uniform(0.2, 0.8))
     exact = virtual_recording(Bench(beam, push, sensor=ForceSensor()), seed=seed)
     template = observe_quickly(exact, clock_sd=CLOCK)
-    assert template.clean_force is not None
+    assert template.source.clean_force is not None
     noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=MEMORY, walk=WALK * peak)
-    clean = replace(template.clean_force, noise=noise)
-    template = replace(template, clean_force=clean, force_sd=np.full(2, COLOURED * peak))
+    clean = replace(template.source.clean_force, noise=noise)
+    template = replace(
+        template, force_sd=np.full(2, COLOURED * peak), source=replace(template.source, clean_force=clean)
+    )
     problem = prepared(template, spline)
     (data,), layout = problem.recordings, problem.layout
     x = np.zeros(layout.size)
@@ -77,7 +79,7 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     logged = replace(clean, force=clean.force + log_error + rest_noise)
     force = template.force.copy()
     force[data.frames] += data.error.weights @ errors
-    template = replace(template, force=force, clean_force=logged)
+    template = replace(template, force=force, source=replace(template.source, clean_force=logged))
     problem = prepared(template, spline)
     (data,) = problem.recordings
     poses = noisy_poses(data, layout, x, rng)

@@ -62,7 +62,7 @@ def row(name: str, fit: SwingFit, tau: float, frequency: float, mass: float) -> 
 def rows(seen: Observations, learned: Beam, band: UncertainStiffness, true: Beam) -> Iterator[tuple[str, SwingFit]]:
     """Every way to ask."""
     bare, width = replace(learned, mass_per_length=Uniform(0.0)), DampingSettings(mass_along="width")
-    unweighed = replace(seen, mass=float("nan"))
+    unweighed = replace(seen, stated=replace(seen.stated, mass=float("nan")))
     yield "learned k, weighed, mass as the width", learn_damping(bare, seen, uncertain=band, settings=width)
     yield "the same, mass even", learn_damping(bare, seen, uncertain=band)
     yield "as the width, not weighed", learn_damping(bare, unweighed, uncertain=band, settings=width)

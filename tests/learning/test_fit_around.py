@@ -26,6 +26,7 @@ from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.recording.folder import read_recording
 from onebend.records import Observations, Remark
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_source, with_stated
 
 NOISE = (2e-5, 1e-3)
 EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-beam"
@@ -141,7 +142,9 @@ def test_a_fit_that_misses_hopelessly_says_so_once_and_nothing_else() -> None:
 def test_a_force_that_contradicts_the_bending_puts_k_in_doubt() -> None:
     one = fitted()
     (recording,) = one.recordings
-    odd = replace(recording.observations, remarks=(Remark("warning", "turned", doubt=True), Remark("warning", "other")))
+    odd = with_source(
+        recording.observations, remarks=(Remark("warning", "turned", doubt=True), Remark("warning", "other"))
+    )
     problem = replace(one.problem, recordings=(replace(recording, observations=odd),))
     assert replace(one, problem=problem).doubts == ("the force contradicts the bending",)
 
@@ -170,7 +173,7 @@ def test_the_fit_comes_as_near_to_the_tags_as_their_noise() -> None:
 
 def test_a_curved_beam_is_compared_from_its_own_shape_at_rest() -> None:
     beam = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
-    seen = replace(observed(beam, forces(10)), rest="unknown")
+    seen = with_stated(observed(beam, forces(10)), rest="unknown")
     np.testing.assert_allclose(mounting(beam, seen), 0.0, atol=1e-9)
     assert np.max(validate(beam, seen).rms) < 1e-7
     hidden = replace(seen, rest_xy=np.where(np.arange(3)[:, None] == 1, np.nan, seen.rest_xy))
@@ -213,7 +216,7 @@ def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pyte
 
 
 def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = iter([replace(made(), gain_sd=0.02), replace(made(1), name="again", gain_sd=0.05)])
+    seen = iter([with_stated(made(), gain_sd=0.02), with_stated(with_source(made(1), name="again"), gain_sd=0.05)])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
     run = pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
     assert run.posterior is not None
@@ -232,7 +235,7 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
 
 
 def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    other = replace(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
+    other = with_source(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
     assert fitted().misses == ()
     seen = iter([made(), other])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))

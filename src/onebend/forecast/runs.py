@@ -96,7 +96,7 @@ def run(setup: Setup, seed: int) -> Run:
         return Run(seed, failure=str(wrong), seconds=time.perf_counter() - began)
     band = found.band(PLACES)
     mean, own = found.stiffness.log_at(PLACES)
-    clocks = [o.clock.offset - OFFSET for o in seen if o.clock is not None]
+    clocks = [o.source.clock.offset - OFFSET for o in seen if o.source.clock is not None]
     return Run(
         seed,
         error=tuple((mean - np.log(np.asarray(setup.beam.stiffness(PLACES)))).tolist()),

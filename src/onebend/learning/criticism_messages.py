@@ -88,7 +88,7 @@ def unseen_words(posterior: Posterior) -> str:
             share = _SLIP / posterior.recordings[0].observations.length / abs(float(value[0]))
             seen = -ALARM_WRITTEN * float(one.score.sd[0])  # about 3 sd
             change = 100.0 * float(np.expm1(share * one.shift))
-            said = _millimetres(max(f.observations.place_sd for f in posterior.recordings))
+            said = _millimetres(max(f.observations.stated.place_sd for f in posterior.recordings))
             return (
                 f"A push {_millimetres(_SLIP)} from where at_s says it acts would change k(s) by up to {change:.2g} % "
                 f"({share * one.sds:.1f} sd). The band allows for {said} (at_sd_m); more would be noticed only if it "

@@ -25,7 +25,7 @@ def _one(posterior: Posterior, film: FitData, found: Prediction, rms: Array) -> 
     used = slice(0, int(np.sum(film.frames)))  # beyond them stands the beam at rest
     scale, origin = 1.0 + at.get(x, "scale", film.number), at.get(x, "origin", film.number)
     comparison = Comparison(
-        name=seen.name,
+        name=seen.source.name,
         frame=seen.frame[film.frames],
         time=seen.time[film.frames],
         tag_id=seen.tag_id,

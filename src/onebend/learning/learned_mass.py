@@ -31,24 +31,24 @@ def learned_mass(
     if block.start < 0 or weighed is None:
         return None
     change, spread = mean[block.where], covariance[block.where, block.where]
-    written = np.nan if np.isfinite(weighed.mass_sd) else weighed.mass
+    written = np.nan if np.isfinite(weighed.stated.mass_sd) else weighed.stated.mass
     lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
-    value, s = weighed.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
+    value, s = weighed.stated.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
     line = mass_per_length(recordings, layout, mean, stiffness)
     pull = 2.0 * weighed.length * float(np.trapezoid(s * line(s), s))
-    if weighed.mass_along != "unknown":
+    if weighed.stated.mass_along != "unknown":
         lever = np.array([pull / value, 0.0, 0.0, 0.0])
     gain = gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
     sd = np.sqrt(np.diag(spread)[0] + gain**2)
     even_sd = float(np.sqrt(lever @ spread @ lever + (lever[0] * gain) ** 2))
     return LearnedMass(
         value=value,
-        sd=float(weighed.mass * sd),
+        sd=float(weighed.stated.mass * sd),
         even=pull,
-        even_sd=weighed.mass * even_sd,
+        even_sd=weighed.stated.mass * even_sd,
         written=written,
         identified=even_sd < _largest_sd(written, block),
-        along=weighed.mass_along,
+        along=weighed.stated.mass_along,
     )
 
 
@@ -59,15 +59,15 @@ def mass_per_length(
     weighed, change = _weighed(recordings), layout.get(mean, "mass")
     if weighed is None:
         return Uniform(0.0)
-    along = following(weighed, stiffness, weighed.mass * (1.0 + float(change[0])))
+    along = following(weighed, stiffness, weighed.stated.mass * (1.0 + float(change[0])))
     if along is not None:
         return along
-    even = weighed.mass / weighed.length
-    if weighed.mass_along == "table":
+    even = weighed.stated.mass / weighed.length
+    if weighed.stated.mass_along == "table":
         return Scaled(1.0 + float(change[0]), mass_profile(weighed))
-    if weighed.mass_line is None:
+    if weighed.stated.mass_line is None:
         return from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
-    s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.mass_line.s]))
+    s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.stated.mass_line.s]))
     value = mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
     return Table(tuple(s.tolist()), tuple(value.tolist()))
 
@@ -81,7 +81,7 @@ def from_legendre(states: Array) -> Profile:
 
 def _weighed(recordings: Sequence[FitData]) -> Observations | None:
     """The recording whose mass the fit changes."""
-    return next((r.observations for r in recordings if np.isfinite(r.observations.mass)), None)
+    return next((r.observations for r in recordings if np.isfinite(r.observations.stated.mass)), None)
 
 
 def _largest_sd(written: float, block: Block) -> float:

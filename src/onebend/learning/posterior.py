@@ -118,8 +118,8 @@ class Posterior:
         if not self.criticism.trusted:
             doubts.append("the recording contradicts the model of the fit")
         for o in (recording.observations for recording in self.recordings):
-            if any(remark.doubt for remark in o.remarks):
-                doubts.append(f"{o.name}: {CONTRADICTED}" if several else CONTRADICTED)
+            if any(remark.doubt for remark in o.source.remarks):
+                doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
         return tuple(doubts)
 
     @property
@@ -198,7 +198,7 @@ def fit(
     try:
         return _fit(recordings, start, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
-        names = ", ".join(one.name for one in recordings)
+        names = ", ".join(one.source.name for one in recordings)
         raise LearningError(
             f"{names}: the equations of the fit cannot be solved ({error}). Look at the force and the tags with "
             "`onebend learn --method regression`"
@@ -260,12 +260,13 @@ def _with_mass_found(
 ) -> tuple[Sequence[Observations], MapEstimate]:
     """Recordings and estimate with a guessed mass replaced by what came out: the prior of its unevenness is relative to
     the mass."""
-    if not any(np.isfinite(o.mass_sd) for o in recordings):
+    if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
         return recordings, near
     mass, even = problem.layout.index["mass", -1].where, np.array([1.0, 0.0, 0.0, 0.0])
     factor, x = 1.0 + max(float(near.x[mass.start]), -0.9), near.x.copy()
     x[mass] = (x[mass] + even) / factor - even
-    return [replace(o, mass=factor * o.mass) for o in recordings], replace(near, x=x)
+    heavier = [replace(o, stated=replace(o.stated, mass=factor * o.stated.mass)) for o in recordings]
+    return heavier, replace(near, x=x)
 
 
 def _carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem) -> MapEstimate:

@@ -60,7 +60,7 @@ def _clamp(posterior: Posterior) -> list[Remark]:
 
 def _usual_clamp(one: Observations) -> float:
     """rad, the clamp's sd where nobody says more of it; of poses, what their recording says."""
-    return clamp_sd(one if one.static else replace(one, clamp_sd=np.nan), Priors())
+    return clamp_sd(one if one.static else replace(one, stated=replace(one.stated, clamp_sd=np.nan)), Priors())
 
 
 def _nuisances(posterior: Posterior) -> list[Remark]:
@@ -87,7 +87,7 @@ def _noise(posterior: Posterior) -> list[Remark]:
     out = []
     for seen, noise in zip(posterior.recordings, posterior.optimum.hyperparameters.noise, strict=True):
         if noise.marker > _LOUD:
-            whose = _whose(posterior, seen.observations.name)
+            whose = _whose(posterior, seen.observations.source.name)
             text = (
                 f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
                 f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"

@@ -49,7 +49,7 @@ class Findings(Protocol):
 
 def name_of(findings: Findings) -> str:
     """The recordings that were learned from, in one line."""
-    return " + ".join(one.name for one in findings.recordings)
+    return " + ".join(one.source.name for one in findings.recordings)
 
 
 POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
@@ -102,7 +102,7 @@ def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
     for one, seen in zip(findings.trainings, findings.recordings, strict=True):
-        groups.append((one.name, [*seen.remarks, *one.remarks, *poor_fit(one)]))
+        groups.append((one.name, [*seen.source.remarks, *one.remarks, *poor_fit(one)]))
     for one, seen in zip(findings.validations, findings.validation_observations, strict=True):
         groups.append((one.name, pair_remarks(one, seen)))
     for whose, remarks in groups:
@@ -113,4 +113,4 @@ def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
 
 def pair_remarks(one: Comparison, seen: Observations) -> list[Remark]:
     """What is to be known of one validation."""
-    return [*seen.remarks, *one.remarks, *(poor_fit(one, other=True) or another_beam(one))]
+    return [*seen.source.remarks, *one.remarks, *(poor_fit(one, other=True) or another_beam(one))]

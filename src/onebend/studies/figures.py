@@ -94,7 +94,7 @@ def frames(found: Outcome) -> Figure:
     for at, (one, film) in zip(axes, pairs, strict=True):
         at.set_axis_off()
         t = largest_push(film.fit)
-        file = found.work / RECORDINGS / film.seen.name / "video.mp4"
+        file = found.work / RECORDINGS / film.seen.source.name / "video.mp4"
         at.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
         at.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
     return figure

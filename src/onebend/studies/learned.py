@@ -90,7 +90,7 @@ def by_fit(seen: Observations) -> Posterior:
         start = learn(seen)
     except LearningError:
         start = None
-    return fit([seen], start_of([seen], start), gain_sd=seen.gain_sd)
+    return fit([seen], start_of([seen], start), gain_sd=seen.stated.gain_sd)
 
 
 def _save(

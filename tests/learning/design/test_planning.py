@@ -18,6 +18,7 @@ from onebend.learning.design.proposals import PLACES, Plan, direction_words, wid
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, Observations
 from tests.learning.bench import SOFT, observed
+from tests.made_up import with_source
 
 NOISE = (2e-5, 1e-3)
 FUNCTIONS = FitSettings(functions=10)
@@ -32,7 +33,7 @@ def ramp(push: PlannedPush, seed: int, count: int = 60) -> Observations:
     made = observed(SOFT, force, at_s=push.at_s, noise=NOISE, seed=seed)
     walk = np.cumsum(np.random.default_rng(seed).normal(size=force.shape), axis=0)
     walk *= 0.003 / np.std(walk)
-    return replace(made, name=f"push {seed}", force=force + walk, force_sd=np.full(2, 0.003))
+    return with_source(replace(made, force=force + walk, force_sd=np.full(2, 0.003)), name=f"push {seed}")
 
 
 @pytest.fixture(scope="module")

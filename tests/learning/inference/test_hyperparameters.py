@@ -15,6 +15,7 @@ from onebend.learning.model.forward import predict
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import RHO, TAU, Spline
 from tests.learning.bench import SOFT, forces, observed
+from tests.made_up import with_source
 
 LEVEL = float(np.log(0.02))
 
@@ -24,7 +25,8 @@ def evidence_of(count: int) -> tuple[Evidence, Hyperparameters]:
     force."""
     spline, strength = Spline(8), forces(12) * (count > 0)
     made = observed(SOFT, strength, noise=(2e-5, 1e-3))
-    observations = [replace(made, name=str(i), time=(1.0 + 0.2 * i) * made.time) for i in range(max(count, 1))]
+    stretched = [replace(made, time=(1.0 + 0.2 * i) * made.time) for i in range(max(count, 1))]
+    observations = [with_source(o, name=str(i)) for i, o in enumerate(stretched)]
     data = tuple(fit_data(o, i, np.ones(len(o.time), dtype=bool), spline) for i, o in enumerate(observations))
     layout = make_layout(spline, observations, [len(d.error.knots) for d in data], Priors())
     x = np.concatenate([LEVEL + 0.3 * np.cos(np.arange(8)), 1e-3 * np.sin(np.arange(layout.size - 8))])

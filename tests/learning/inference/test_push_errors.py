@@ -19,6 +19,7 @@ from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.verdict import fit_remarks
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_stated
 
 FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
 
@@ -92,7 +93,7 @@ def learned(
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))
-    seen = replace(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
+    seen = with_stated(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
     return fit([seen], 0.02, settings=FitSettings(functions=16, most_frames=80, first_frames=40))
 
 

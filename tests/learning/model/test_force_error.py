@@ -16,6 +16,7 @@ from onebend.lab.virtual import Bench, Virtual, virtual_recording
 from onebend.learning.model.force_error import force_error
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
+from tests.made_up import with_source, with_stated
 
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))
@@ -65,7 +66,7 @@ def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
     growing = (time > begin + 0.8) & (time < begin + push.rise - 0.3)
     falling = (time > end - push.fall + 0.3) & (time < end - 0.8)
     error, sd = error_of(found)
-    clean = o.clean_force
+    clean = o.source.clean_force
     assert clean is not None
     zero = np.stack([np.interp(o.time[found.recordings[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
     for rows, step in zip((growing, falling), STEPS, strict=True):
@@ -108,12 +109,12 @@ def test_what_is_expected_is_alike_in_a_stage_and_anew_in_the_next() -> None:
 
 def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
     o = seen(stepped(STEPS))
-    clean, error = o.clean_force, force_error(o, o.time[o.loaded])
+    clean, error = o.source.clean_force, force_error(o, o.time[o.loaded])
     assert clean is not None
     assert clean.zero[1] - clean.zero[0] == pytest.approx(STEPS[1], abs=0.002)
     assert error.mean[0] == pytest.approx(np.zeros(2))
     assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1])
-    one = replace(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
+    one = with_source(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
     assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
 
 
@@ -121,4 +122,4 @@ def test_a_declared_size_is_what_is_expected() -> None:
     o = seen(stepped(STEPS))
     largest = float(np.max(np.linalg.norm(o.force[o.loaded], axis=1)))
     assert force_error(o, o.time[o.loaded]).load == pytest.approx(0.03 * largest)
-    assert force_error(replace(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07
+    assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07

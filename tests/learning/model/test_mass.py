@@ -24,6 +24,7 @@ from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe
 from onebend.records import Array, MassAlong, Observations
+from tests.made_up import with_stated
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
 G = 9.81
@@ -100,7 +101,7 @@ def test_contradicting_words_on_the_mass_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match='did you mean "width"'):
         bench(tmp_path, ROD, "widht")
     even = bench(tmp_path, ROD, "even", entry="mass_kg = 0.03\n")
-    both = shared_mass([even, replace(even, mass_along="unknown")])
-    assert [o.mass_along for o in both] == ["even", "even"]
+    both = shared_mass([even, with_stated(even, mass_along="unknown")])
+    assert [o.stated.mass_along for o in both] == ["even", "even"]
     with pytest.raises(LearningError, match="even and width"):
-        shared_mass([even, replace(even, mass_along="width")])
+        shared_mass([even, with_stated(even, mass_along="width")])

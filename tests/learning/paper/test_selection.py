@@ -15,6 +15,7 @@ from onebend.learning.paper.learn import learn
 from onebend.learning.paper.selection import RegressionSettings, information_criterion, pairs
 from onebend.learning.validation import validate
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_stated
 
 S = np.linspace(0.05, 0.9, 50)
 # Table II of the paper: M1, M2, M3 [m] and BIC as printed.
@@ -105,7 +106,7 @@ def test_mounting_errors_seen_at_rest_are_taken_off() -> None:
 
 def test_natural_curvature_is_found_at_rest() -> None:
     curved = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
-    made = replace(observed(curved, forces()), rest="unknown")
+    made = with_stated(observed(curved, forces()), rest="unknown")
     result = learn(made, RegressionSettings(n=6, m=3, width=0.5))
     np.testing.assert_allclose(result.beam.rest_curvature(S), 0.3, atol=0.05)
     np.testing.assert_allclose(result.beam.stiffness(S), curved.stiffness(S), rtol=0.05)
@@ -152,6 +153,8 @@ def test_weight_alone_teaches_the_stiffness() -> None:
     gravity = 9.81 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     shape = heavy.equilibrium(np.zeros((60, 2)), gravity=gravity)
     made = observed(SOFT, np.zeros((60, 2)), xy=shape.xy(MARKERS), angle=shape.angle(MARKERS))
-    hanging = replace(made, gravity=gravity, mass=0.1, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool))
+    hanging = with_stated(
+        replace(made, gravity=gravity, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool)), mass=0.1
+    )
     found = learn(hanging, RegressionSettings(n=6, m=3, width=0.5)).beam
     np.testing.assert_allclose(found.stiffness(S), SOFT.stiffness(S), rtol=0.02)

@@ -18,6 +18,7 @@ from onebend.report.figures import curves, recordings
 from onebend.report.figures.simulated import centreline, largest_push, spread_of_pushes
 from onebend.report.figures.style import BLUE, png_of
 from tests import made_up
+from tests.made_up import with_source
 
 ONE = made_up.comparison()
 SEEN = made_up.observations(one=ONE)
@@ -27,12 +28,12 @@ IMAGE = np.full((500, 640, 3), 128, dtype=np.uint8)
 
 def every_figure() -> dict[str, Figure]:
     learned = made_up.learned(ONE)
-    assert SEEN.view is not None
+    assert SEEN.source.view is not None
     return {
         "stiffness": curves.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
         "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
         "nuisances": curves.nuisances(FIT.nuisances()),
-        "fit": recordings.fit_over_frame(IMAGE, SEEN.view, learned.beam, ONE, SEEN),
+        "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, learned.beam, ONE, SEEN),
         "shapes": recordings.shapes(learned.beam, ONE, SEEN),
         "markers": recordings.markers(ONE),
         "residuals": recordings.residuals(ONE),
@@ -164,8 +165,8 @@ def test_the_line_runs_through_the_predicted_markers() -> None:
 def test_a_beam_that_cannot_stand_draws_its_markers_only() -> None:
     beam = Beam(0.15, Uniform(-0.1))
     assert centreline(beam, ONE, SEEN, 60) is None
-    assert SEEN.view is not None
-    png_of(recordings.fit_over_frame(IMAGE, SEEN.view, beam, ONE, SEEN))
+    assert SEEN.source.view is not None
+    png_of(recordings.fit_over_frame(IMAGE, SEEN.source.view, beam, ONE, SEEN))
     png_of(recordings.shapes(beam, ONE, SEEN))
 
 
@@ -173,7 +174,7 @@ def test_few_frames_unknown_sensor_and_no_force_log() -> None:
     short = made_up.comparison(frames=2)
     png_of(recordings.residuals(short))
     png_of(recordings.markers(short))
-    png_of(recordings.force(replace(SEEN, clean_force=None)))
+    png_of(recordings.force(with_source(SEEN, clean_force=None)))
     unknown = replace(ONE, rms=np.full(3, np.nan), sensor_rms=np.full(3, np.nan))
     png_of(recordings.validation((unknown,)))
 

@@ -168,7 +168,7 @@ def _clamp_moment(solved: Equilibrium) -> Array:
 
 def _changes(seen: FitData, run: Course, found: dict[str, Array]) -> list[Alternative]:
     """What may change in the course of one recording: by the bending so far, and after the largest one."""
-    name = seen.observations.name
+    name = seen.observations.source.name
     frames, tags = found["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
     place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
@@ -194,7 +194,7 @@ def _trends(seen: FitData, run: Course) -> list[Alternative]:
         for c, axis in enumerate(AXES):
             pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
             pattern[:, i, c] = functions
-            out.append(Alternative(Suspect("trend", axis, tag, seen.observations.name), pattern))
+            out.append(Alternative(Suspect("trend", axis, tag, seen.observations.source.name), pattern))
     return out
 
 

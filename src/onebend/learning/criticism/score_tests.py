@@ -89,7 +89,7 @@ def pulls(fit: LinearisedFit) -> list[Score]:
     for block in fit.problem.layout.blocks:
         if block.start < 0 or block.name in ("stiffness", "force", "place", "direction", "end", "end turn"):
             continue
-        whose = "" if block.recording < 0 else fit.problem.recordings[block.recording].observations.name
+        whose = "" if block.recording < 0 else fit.problem.recordings[block.recording].observations.source.name
         tags = (
             fit.problem.recordings[0].observations.tag_id.tolist()
             if block.name in ("along", "across", "turn")

@@ -203,7 +203,7 @@ def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDo
     if not pushed:
         raise LearningError("no recording has a force log with a push, so nothing says how well a force can be known")
     noises = [expected_noise(f.observations, push_of(f.observations).largest) for f, _ in pushed]
-    logs = [f.observations.clean_force for f, _ in pushed]
+    logs = [f.observations.source.clean_force for f, _ in pushed]
     cutoffs = [log.cutoff for log in logs if log is not None and np.isfinite(log.cutoff)]
     return ForceDoubt(
         level=float(np.median([f.error.level for f, _ in pushed])),
@@ -229,7 +229,7 @@ def _tag_sd(observations: Observations) -> Array:
 
 def _rests(observations: Observations) -> tuple[float, float]:
     """Seconds of force log before and after the push."""
-    clean, loaded = observations.clean_force, observations.time[observations.loaded]
+    clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or len(loaded) == 0:
         return 0.0, 0.0
     before = 0.0 if observations.loaded[0] else max(float(loaded[0] - clean.time[0]), 0.0)

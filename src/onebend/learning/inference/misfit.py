@@ -65,4 +65,4 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
     if not missing[worst] > MISS:
         return None
     share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
-    return Miss(o.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+    return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)

@@ -47,6 +47,6 @@ def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
     shift = float(np.max(np.linalg.norm(rest.offset, axis=1)))
     turn = float(np.rad2deg(np.max(np.abs(rest.turn))))
     text = f"at rest the tags sit up to {1e3 * shift:.2f} mm and {turn:.2f} deg off their places; taken off every frame"
-    if shift > 4.0 * observations.placement_sd:
+    if shift > 4.0 * observations.stated.placement_sd:
         return (Remark("warning", text + ". That is more than the placement tolerance allows: check the tags' s"),)
     return (Remark("note", text),)

@@ -144,6 +144,6 @@ def _weight_beyond(observations: Observations) -> Array:
     """(T, Q, 2) N: the weight of the beam beyond each node, its mass spread evenly."""
     if not weighs(observations):
         return np.zeros((len(observations.time), len(_GRID.nodes), 2))
-    if not np.isfinite(observations.mass):
-        raise LearningError(f"{observations.name}: {NEEDS_MASS}")
-    return observations.mass * (1.0 - _GRID.nodes)[None, :, None] * observations.gravity[:, None, :]
+    if not np.isfinite(observations.stated.mass):
+        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    return observations.stated.mass * (1.0 - _GRID.nodes)[None, :, None] * observations.gravity[:, None, :]

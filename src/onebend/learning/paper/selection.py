@@ -93,11 +93,11 @@ def table(
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
     if still := nothing_moves(observations):
-        raise LearningError(f"{observations.name}: {still}. Film a push, and let the force log cover it")
+        raise LearningError(f"{observations.source.name}: {still}. Film a push, and let the force log cover it")
     if np.sum(frames) < needed:
         raise LearningError(
-            f"{observations.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be found; "
-            "film a longer push, or fix smaller n and m"
+            f"{observations.source.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be "
+            "found; film a longer push, or fix smaller n and m"
         )
     out: list[Candidate] = []
     states: States | None = None
@@ -155,7 +155,7 @@ def _try(
 
 def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:
     """The learned beam: stiffness, rest curvature and an even mass."""
-    mass = observations.mass if np.isfinite(observations.mass) else 0.0
+    mass = observations.stated.mass if np.isfinite(observations.stated.mass) else 0.0
     theta0 = states.theta0
     curvature: Profile = Uniform(0.0)
     if np.any(theta0 != 0.0):

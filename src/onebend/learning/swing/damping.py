@@ -142,7 +142,7 @@ def learn_damping(
         model_sd = _model_sd(weighed, uncertain, swing, settings)
         return _result(problem, fitted, weighed, model_sd)
     except MechanicsError as error:
-        raise LearningError(f"{recording.name}: the learned beam cannot swing so ({error})") from error
+        raise LearningError(f"{recording.source.name}: the learned beam cannot swing so ({error})") from error
 
 
 def _with_mass(beam: Beam, recording: Observations, settings: DampingSettings) -> tuple[Beam, bool]:
@@ -150,8 +150,8 @@ def _with_mass(beam: Beam, recording: Observations, settings: DampingSettings) -
     own = beam.mass_per_length(_GRID)
     if np.all(own > 0.0) and not isinstance(beam.mass_per_length, Uniform):
         return beam, True
-    known = bool(np.all(own > 0.0) or recording.mass > 0.0)  # NaN is not
-    total = float(own[0]) * beam.length if np.all(own > 0.0) else recording.mass if known else beam.length
+    known = bool(np.all(own > 0.0) or recording.stated.mass > 0.0)  # NaN is not
+    total = float(own[0]) * beam.length if np.all(own > 0.0) else recording.stated.mass if known else beam.length
     along: Profile = Uniform(total / beam.length)
     if settings.mass_along == "width":
         share = np.cbrt(np.maximum(beam.stiffness(_GRID), 0.0))

@@ -93,12 +93,16 @@ def draw(wanted: dict[str, Draw], progress: Progress) -> dict[str, bytes]:
 
 def fit(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | None = None) -> Figure | None:
     """The fit over the video frame; None where there is no video any more, or no camera."""
-    if seen.view is None or seen.video is None:
+    if seen.source.view is None or seen.source.video is None:
         return None
     shown = one if fitted is None else fitted.comparison
     try:
-        film = VideoEntry(file=seen.video, topic=seen.video_topic, damaged="keep" if seen.video_topic else "refuse")
+        film = VideoEntry(
+            file=seen.source.video,
+            topic=seen.source.video_topic,
+            damaged="keep" if seen.source.video_topic else "refuse",
+        )
         image = frame_at(film, int(shown.frame[largest_push(shown)]))
     except OnebendError:
         return None
-    return recordings.fit_over_frame(image, seen.view, beam, one, seen, fitted)
+    return recordings.fit_over_frame(image, seen.source.view, beam, one, seen, fitted)

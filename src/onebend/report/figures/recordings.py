@@ -220,7 +220,7 @@ def _cell(trial: Trial) -> str:
 @styled
 def force(seen: Observations, fitted: Explained | None = None) -> Figure:
     """The force on the beam over time: what was filmed, when contact was, what was taken off; the fit's own dashed."""
-    clean = seen.clean_force
+    clean = seen.source.clean_force
     figure, (axes,) = blank(3.0)
     time, values = (seen.time, seen.force) if clean is None else (clean.time, clean.force)
     start = float(seen.time[0])
