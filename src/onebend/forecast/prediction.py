@@ -14,21 +14,17 @@ import numpy as np
 from scipy.optimize import minimize
 
 from onebend.beam.profiles.uncertain import IDENTIFIED_SD
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import of_moment, respond
 from onebend.blas import one_blas_thread
 from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
 from onebend.learning.design.identifiability import (
-    STEPS,
-    Seen,
+    TagDerivatives,
     alone,
     eliminate,
     joint_information,
     mass_of,
-    see,
     solve_push,
+    tag_derivatives,
 )
 from onebend.learning.design.proposals import PLACES, Quality
 from onebend.learning.model.spline import RHO, SPREAD, TAU, Spline
@@ -133,33 +129,20 @@ def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]
     }
 
 
-def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[Seen, ...]:
+def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
     """Of the tags along every push, with what is not known; behind the coefficients of log k stand a push's own."""
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        one = see(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
-        out.append(replace(one, functions=np.concatenate([one.functions, own_derivatives(solved, one, push)], axis=-1)))
+        one = tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
+        own = [one.blocks[name] for name in ("place", "direction", "push")]  # m, rad, N x and y
+        functions = np.concatenate([one.blocks["stiffness"], *own], axis=-1)
+        out.append(replace(one, blocks=one.blocks | {"stiffness": functions}))
     return tuple(out)
 
 
-def own_derivatives(solved: Equilibrium, seen: Seen, push: Push) -> Array:
-    """(F, M, 3, 4) of the tags' poses with the push's place [m], the turn of its axes [rad] and its force's error [N].
-
-    A force that acts farther out by d along the tangent u is the same force with a moment d u x F beside it.
-    """
-    steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)[:, None]
-    force = push.peak * steps * np.array([np.cos(push.direction), np.sin(push.direction)])
-    response = respond(solved, of_moment(solved.problem, np.asarray(push.at_s))).poses(seen.tags)
-    angle = solved.angle(np.array([push.at_s]))[:, 0]
-    lever = np.cos(angle) * force[:, 1] - np.sin(angle) * force[:, 0]
-    turned = np.stack([-force[:, 1], force[:, 0]], axis=-1)
-    along = np.einsum("tmad,td->tma", seen.force, turned)[..., None]
-    return np.concatenate([lever[:, None, None, None] * response, along, seen.force], axis=-1)
-
-
-def told_by(setup: Setup, used: RehearsalInstruments, seen: tuple[Seen, ...]) -> Array:
+def told_by(setup: Setup, used: RehearsalInstruments, seen: tuple[TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes together on the coefficients, tags and rest shape being the same in all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)

@@ -14,10 +14,11 @@ import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import Change, Changes, of_clamp_angle, of_moment, of_rest_curvature, respond
+from onebend.beam.statics.sensitivity import Change, of_clamp_angle, of_rest_curvature
 from onebend.learning.model.fit_data import REST_MODES, FitData
-from onebend.learning.model.forward import Prediction, tag_places
+from onebend.learning.model.forward import Prediction, tag_places, tag_ride
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.tag_jacobian import along_and_across, place_responses, push_moment
 from onebend.records import Array
 
 Kind = Literal["prior", "mechanics", "change", "trend"]
@@ -97,18 +98,13 @@ def alternatives(seen: FitData, at: Layout, x: Array, now: Prediction) -> list[A
 
 def mechanics(seen: FitData, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
-    changes = _entering(seen, now)
-    carried = _carried(seen, at, x, now)
-    everything = Changes(tuple(changes.values()))
-    response = respond(now.solved, everything).poses(tag_places(seen, at, x)[0])
-    found, start = {}, 0
-    for name, change in changes.items():
-        part = response[..., start : start + len(change.clamp)].copy()
+    carried, ride = _carried(seen, at, x, now), tag_ride(seen, at, x, now.solved)
+    patterns = {}
+    for name, part in place_responses(now.solved, _entering(seen, now), tag_places(seen, at, x)[0]).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
-        found[name] = _ridden(seen, at, x, now.solved, part)
-        start += len(change.clamp)
-    return found
+        patterns[name] = ride.carry(part)
+    return patterns
 
 
 def _entering(seen: FitData, now: Prediction) -> dict[str, Change]:
@@ -122,19 +118,15 @@ def _entering(seen: FitData, now: Prediction) -> dict[str, Change]:
     product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
     pushed = seen.beyond[..., None] * now.force[:, None, :]
     turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
-    angle = solved.angle(seen.push_s[:, None])[:, 0]
-    cos, sin = np.cos(angle), np.sin(angle)
-    along, across = (now.force[:, 0] * a + now.force[:, 1] * b for a, b in ((cos, sin), (-sin, cos)))
-    lever = of_moment(problem, seen.push_s).moment
-    assert lever is not None
+    along, across = along_and_across(now.force, solved.angle(seen.push_s[:, None])[:, 0])
     loaded = (np.arange(len(force)) < int(np.sum(seen.frames))).astype(float)
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
     return {
         "stretch": _force(product),
         "shear": _force(-product),
         "length": _force(force),
-        "push place": Change(None, float(problem.length) * across[:, None, None] * lever, None, np.zeros(1)),
-        "push beside": Change(None, -along[:, None, None] * lever, None, np.zeros(1)),
+        "push place": push_moment(problem, seen.push_s, float(problem.length) * across),
+        "push beside": push_moment(problem, seen.push_s, -along),
         "force direction": _force(turned),
         "weight": Change(sag, None, None, np.zeros(2)),
         "viscous": Change(None, None, (_rate(seen, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
@@ -221,13 +213,3 @@ def _rate(seen: FitData, solved: Equilibrium) -> Array:
     if len(time) > 1:
         out[: len(time)] = np.gradient(solved.q[: len(time)], time, axis=0)
     return out
-
-
-def _ridden(seen: FitData, at: Layout, x: Array, solved: Equilibrium, response: Array) -> Array:
-    """(F, m, 3, n) of the tags, which ride on the beam, from that of the beam's places under them."""
-    s, over = tag_places(seen, at, x)
-    angle, across = solved.angle(s), at.get(x, "across")
-    cos, sin = np.cos(angle), np.sin(angle)
-    lever = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
-    turn = response[:, :, 2:]
-    return np.concatenate([response[:, :, :2] + lever[..., None] * turn, turn], axis=2)

@@ -17,11 +17,11 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.design.candidates import LargestPush, Limits, largest_pushes, same_push
 from onebend.learning.design.identifiability import (
-    Seen,
+    TagDerivatives,
     joint_information,
     mass_of,
-    see,
     solve_push,
+    tag_derivatives,
     with_better_sensor,
 )
 from onebend.learning.design.instruments import Instruments, PlannedPush
@@ -50,7 +50,7 @@ class _Thought:
     """A candidate that has been solved."""
 
     push: PlannedPush
-    seen: Seen
+    seen: TagDerivatives
     tip_moves: float
     tip_turns: float
     repeats: bool
@@ -137,7 +137,7 @@ def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Instruments, pu
     beam = replace(beam, stiffness=uncertain.profile)
     solved = solve_push(beam, bench, push)
     tags = np.asarray(bench.tags)
-    seen = see(solved, bench, push, mass_of(beam), uncertain.basis(solved.problem.grid.nodes), tags)
+    seen = tag_derivatives(solved, bench, push, mass_of(beam), uncertain.basis(solved.problem.grid.nodes), tags)
     told = joint_information(seen, bench, push, np.arange(len(tags)))
     p = len(uncertain.mean)
     return replace(uncertain, covariance=_updated(bench.joint(uncertain.covariance), told)[:p, :p])
@@ -163,7 +163,7 @@ def _thoughts(
             solved = solve_push(beam, bench, candidate)
         except MechanicsError:
             continue  # a push that was made once stands on its way there, but perhaps not when it grows straight
-        seen = see(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
+        seen = tag_derivatives(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
         ends = solved.xy(np.ones(1))[[-2, -1], 0]
         turns = solved.angle(np.ones(1))[[-2, -1], 0]
         yield _Thought(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)
