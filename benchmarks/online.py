@@ -43,7 +43,7 @@ class Row:
 @one_blas_thread
 def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
-    mass = o.mass if np.isfinite(o.mass) else 0.0
+    mass = o.stated.mass if np.isfinite(o.stated.mass) else 0.0
     learner = OnlineLearner(o.length, o.marker_s, START, mass=mass, settings=settings_for(o))
     wall, processor = [], []
     for frame in live_frames(o):

@@ -180,11 +180,11 @@ def run(cell: str, seed: int) -> Run:
         found = fit_from_nothing(seen, gain_sd=bench.declared.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    assert seen.clock is not None
+    assert seen.source.clock is not None
     return replace(
         compared(found, np.asarray(bench.beam.stiffness(S)), cell, seed),
-        clock_error=seen.clock.offset - bench.clock.offset - bench.sensor.lag,  # a lag is part of the offset
-        clock_sd=seen.clock.sd,
+        clock_error=seen.source.clock.offset - bench.clock.offset - bench.sensor.lag,  # a lag is part of the offset
+        clock_sd=seen.source.clock.sd,
         seconds=time.perf_counter() - began,
     )
 
@@ -201,7 +201,7 @@ def own_run(cell: str, seed: int) -> Run:
         found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
     except (LearningError, MechanicsError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    error = thirds(drawn.at.spline) @ (found.mean[:functions] - drawn.x[:functions])
+    error = thirds(drawn.problem.layout.spline) @ (found.mean[:functions] - drawn.x[:functions])
     return replace(
         compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
         thirds_error=tuple(error.tolist()),

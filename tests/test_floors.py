@@ -42,7 +42,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("dropped_samples", "toml"),
         ("force",),
         ("bags",),
-        ("video", "mass_table", "tag_turns", "beam_frame"),
+        ("video", "stated", "tag_turns", "beam_frame"),
         ("camera", "clock"),
         ("tags", "tracks", "calibration"),
         ("gravity", "plausible", "folder"),

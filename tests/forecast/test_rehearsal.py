@@ -31,7 +31,7 @@ from onebend.forecast.writing import COLUMNS, writer_of
 from onebend.lab.designs import DESIGNS
 from onebend.lab.film_request import FilmRequest
 from onebend.learning.design.identifiability import STEPS
-from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
+from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
 from onebend.records import PLACE_SD, Array
 from onebend.results.model import save_model
 
@@ -60,7 +60,7 @@ def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
     information = information_of(setup, used, derivatives(setup, used))
     truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
     data, level = Told(information, information @ truth), float(np.mean(np.log(found.k)))
-    posterior = mixed(SPLINE, [data], level, Draws(chains=20, burn=400, kept=400))
+    posterior = stiffness_mixture(SPLINE, [data], level, Draws(chains=20, burn=400, kept=400))
     sd = np.sqrt(np.einsum("si,ij,sj->s", BASIS, posterior.covariance, BASIS))
     assert np.sqrt(np.mean((found.own_sd / sd - 1.0) ** 2)) < 0.06
     assert np.max(np.abs(found.bias - BASIS @ (posterior.mean - truth)) / sd) < 0.15
@@ -110,7 +110,7 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
     """Against differences of exact equilibria: a place farther in, axes turned, a force added."""
     setup = setup_of(known_beam("cubic"), [FilmRequest(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
     (push,), used = setup.pushes, instruments(setup)
-    told = derivatives(setup, used)[0].functions[..., -4:]
+    told = derivatives(setup, used)[0].blocks["stiffness"][..., -4:]
     tags, h = np.asarray(setup.tags), 1e-5
     size = push.peak * np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
 
@@ -208,7 +208,7 @@ def test_ranges_are_those_of_the_mask() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tags", "request", "says"),
+    ("tags", "asked", "says"),
     [
         ((0.5, 1.2), FilmRequest(), "beyond the tip"),
         ((0.5, 0.505), FilmRequest(), "overlap"),
@@ -220,9 +220,9 @@ def test_ranges_are_those_of_the_mask() -> None:
         ((), FilmRequest(force=1e-3), "Push harder"),
     ],
 )
-def test_nonsense_is_refused(tags: tuple[float, ...], request: FilmRequest, says: str) -> None:
+def test_nonsense_is_refused(tags: tuple[float, ...], asked: FilmRequest, says: str) -> None:
     with pytest.raises((RecordingError, MechanicsError), match=says):
-        rehearse(setup_of(known_beam("quadratic"), [request], tags=tags), runs=0)
+        rehearse(setup_of(known_beam("quadratic"), [asked], tags=tags), runs=0)
 
 
 def test_counts_that_cannot_be_are_refused() -> None:

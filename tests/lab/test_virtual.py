@@ -62,8 +62,8 @@ def test_a_push_rests_rises_and_turns() -> None:
 def test_without_noise_the_whole_way_gives_force_clock_and_stiffness_back(plain: VirtualRecording) -> None:
     late = replace(plain.bench, clock=VirtualClock(250.0, 250.8), sensor=ForceSensor(bias=(0.2, -0.1)))
     seen = observe_virtual(virtual_recording(late, seed=0))
-    assert seen.clock is not None
-    assert seen.clock.offset == pytest.approx(250.0, abs=0.005)
+    assert seen.source.clock is not None
+    assert seen.source.clock.offset == pytest.approx(250.0, abs=0.005)
     np.testing.assert_allclose(seen.force, PUSH.force(seen.time - 250.0), atol=0.01 * PUSH.peak)
     found = fit([seen], 0.03)
     np.testing.assert_allclose(found.band(S).k, BEAM.stiffness(S), rtol=0.03)

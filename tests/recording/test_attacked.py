@@ -59,10 +59,10 @@ def test_a_column_that_never_changes_is_named(tmp_path: Path, dead: str) -> None
 def test_a_turned_log_is_named_with_the_angle_that_fits(pushed: VirtualRecording, off: int) -> None:
     cos, sin = np.cos(np.deg2rad(off)), np.sin(np.deg2rad(off))
     log = replace(pushed.log, force=pushed.log.force @ np.array([[cos, sin], [-sin, cos]]))
-    told = [one.text for one in observe_virtual(replace(pushed, log=log)).remarks if one.level == "warning"]
+    told = [one.text for one in observe_virtual(replace(pushed, log=log)).source.remarks if one.level == "warning"]
     fits = [float(text.split("(about ")[1].split()[0]) for text in told if "bending far better" in text]
     assert fits == [pytest.approx(-off, abs=8)]
-    assert not [one for one in observe_virtual(pushed).remarks if one.level == "warning"]
+    assert not [one for one in observe_virtual(pushed).source.remarks if one.level == "warning"]
 
 
 def test_rows_of_one_time_become_their_mean(tmp_path: Path) -> None:

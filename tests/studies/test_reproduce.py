@@ -161,7 +161,7 @@ def test_what_is_there_is_kept(tmp_path: Path, work: Path) -> None:
         save_observations(job.observed, made_up.observations("kept"))
     run_jobs(make_recording, jobs, 2, "pushing", made_up_progress := Counting())
     assert made_up_progress.count == 2
-    assert [job.load().name for job in jobs] == ["kept", "kept"]
+    assert [job.load().source.name for job in jobs] == ["kept", "kept"]
 
 
 class Counting:

@@ -51,7 +51,7 @@ def write_rerun(
         ExportError: the Rerun SDK is not installed.
     """
     rr = _rerun()
-    with rr.RecordingStream("onebend", recording_id=observations.name) as stream:
+    with rr.RecordingStream("onebend", recording_id=observations.source.name) as stream:
         stream.save(str(path))
         _log_force(rr, stream, observations)
         _log_stiffness(rr, stream, beam, uncertain)
@@ -73,7 +73,7 @@ def _rerun() -> Any:
 
 def _log_force(rr: Any, stream: Any, observations: Observations) -> None:
     """The whole log behind the filter where there is one, else the force of every frame."""
-    log = observations.clean_force
+    log = observations.source.clean_force
     time, force = (observations.time, observations.force) if log is None else (log.time, log.force)
     thin = slice(None, None, max(1, len(time) // _ROWS))
     known = np.isfinite(force[thin]).all(axis=1)
@@ -107,8 +107,8 @@ def _log_markers(rr: Any, stream: Any, beam: Beam, comparison: Comparison, obser
         stream.set_time(CLOCK, duration=float(time))
         places = lines[t], comparison.measured[t], comparison.predicted[t]
         _log_shape(rr, stream, "plane", *(_UPWARDS_MM * xy for xy in places))
-        if observations.view is not None:
-            _log_shape(rr, stream, "camera", *(project(observations.view, xy) for xy in places))
+        if observations.source.view is not None:
+            _log_shape(rr, stream, "camera", *(project(observations.source.view, xy) for xy in places))
 
 
 def _log_shape(rr: Any, stream: Any, where: str, line: Array, measured: Array, predicted: Array) -> None:

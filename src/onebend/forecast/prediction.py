@@ -1,7 +1,7 @@
 """How well k(s) would come out, from the Fisher information and the fit's own prior.
 
 Let I be the data's information on the coefficients c of log k, all nuisances marginalised. Data without noise say
-`-2 log p = x' I x - 2 x' I c` of the coefficients x. The fit's own posterior of log k (`stiffness_prior.mixed`) under
+`-2 log p = x' I x - 2 x' I c` of the coefficients x. The fit's own posterior of log k (`stiffness_mixture`) under
 these data gives the band, its covariance C, and the bias, its mean less c. Noise of covariance I on `I c` moves the
 mean by C times the noise, so that the scatter from one recording to the next is `C I C`.
 """
@@ -14,24 +14,20 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from onebend.beam.profiles.uncertain import IDENTIFIED_SD
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import of_moment, respond
 from onebend.blas import one_blas_thread
-from onebend.forecast.instruments import FUNCTIONS, Instruments, even_push, instruments
+from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import PushProfile
 from onebend.learning.design.identifiability import (
-    STEPS,
-    Seen,
+    TagDerivatives,
     alone,
     eliminate,
     joint_information,
     mass_of,
-    see,
     solve_push,
+    tag_derivatives,
 )
 from onebend.learning.design.proposals import PLACES, Quality
-from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
+from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
 from onebend.learning.model.spline import Spline
 from onebend.recording.signals import runs
 from onebend.records import Array, BoolArray
@@ -104,7 +100,7 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
     return tuple(sorted(entries, key=lambda entry: -entry.share))
 
 
-def known_exactly(used: Instruments) -> dict[str, Instruments]:
+def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
     """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
     bench, push, e = used.bench, used.push, _EXACT
     force = bench.force
@@ -125,43 +121,31 @@ def known_exactly(used: Instruments) -> dict[str, Instruments]:
     if bench.clock_sd == 0.0:
         del out["clock"]
     return {name: replace(used, bench=better) for name, better in out.items()} | {
-        "force's bias and slow error": Instruments(replace(bench, force=steady), replace(push, load=e * push.load)),
+        "force's bias and slow error": RehearsalInstruments(
+            replace(bench, force=steady), replace(push, load=e * push.load)
+        ),
         "push's place": replace(used, push=replace(push, place=e * push.place)),
         "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
     }
 
 
-def derivatives(setup: Setup, used: Instruments) -> tuple[Seen, ...]:
+def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
     """Derivatives of the tags' poses along every push with all that is not known.
 
-    Behind the coefficients of log k stand the four of `own_derivatives`.
+    Behind the coefficients of log k stand those with the push's own place [m], direction [rad] and force [N].
     """
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        seen = see(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
-        columns = np.concatenate([seen.functions, own_derivatives(solved, seen, push)], axis=-1)
-        out.append(replace(seen, functions=columns))
+        along_push = tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
+        own = [along_push.blocks[name] for name in ("place", "direction", "push")]  # m, rad, N x and y
+        stiffness = np.concatenate([along_push.blocks["stiffness"], *own], axis=-1)
+        out.append(replace(along_push, blocks=along_push.blocks | {"stiffness": stiffness}))
     return tuple(out)
 
 
-def own_derivatives(solved: Equilibrium, seen: Seen, push: PushProfile) -> Array:
-    """(F, M, 3, 4) of the tags' poses with the push's place [m], the turn of its axes [rad] and its force's error [N].
-
-    A force that acts farther out by d along the tangent u is the same force with a moment d u x F beside it.
-    """
-    steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)[:, None]
-    force = push.peak * steps * np.array([np.cos(push.direction), np.sin(push.direction)])
-    response = respond(solved, of_moment(solved.problem, np.asarray(push.at_s))).poses(seen.tags)
-    angle = solved.angle(np.array([push.at_s]))[:, 0]
-    lever = np.cos(angle) * force[:, 1] - np.sin(angle) * force[:, 0]
-    turned = np.stack([-force[:, 1], force[:, 0]], axis=-1)
-    along = np.einsum("tmad,td->tma", seen.force, turned)[..., None]
-    return np.concatenate([lever[:, None, None, None] * response, along, seen.force], axis=-1)
-
-
-def information_of(setup: Setup, used: Instruments, along_pushes: tuple[Seen, ...]) -> Array:
+def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
@@ -170,23 +154,23 @@ def information_of(setup: Setup, used: Instruments, along_pushes: tuple[Seen, ..
     last = np.arange(first, first + len(sd))
     order = np.concatenate([np.setdiff1d(np.arange(size), last), last])
     joint = np.zeros((first + bench.shared_size, first + bench.shared_size))
-    for seen, push in zip(along_pushes, setup.pushes, strict=True):
-        of_push = joint_information(seen, bench, even_push(push), chosen)
+    for along_push, push in zip(along_pushes, setup.pushes, strict=True):
+        of_push = joint_information(along_push, bench, even_push(push), chosen)
         joint += eliminate(of_push[np.ix_(order, order)], len(sd), sd**-2.0)
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def posterior_of(setup: Setup, used: Instruments, information: Array) -> PredictedBand:
+def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -> PredictedBand:
     """What the fit's prior makes of data with this information (p, p), that show the setup's k without noise."""
     k = np.asarray(setup.beam.stiffness(PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
-    posterior = mixed(SPLINE, [Told(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS)
+    posterior = stiffness_mixture(SPLINE, [Told(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS)
     prior = equivalent_prior(posterior.covariance, information)
     bias = np.asarray(BASIS @ (posterior.mean - truth))
     return _band(k, bias, prior, information, used.bench.gain_sd)
 
 
-def with_information(now: PredictedBand, used: Instruments, information: Array) -> PredictedBand:
+def with_information(now: PredictedBand, used: RehearsalInstruments, information: Array) -> PredictedBand:
     """The same beam with other data: the equivalent prior and the bias are kept, so that only the data differ."""
     return _band(now.k, now.bias, now.prior, information, used.bench.gain_sd)
 

@@ -106,7 +106,7 @@ def simulate_run(setup: Setup, seed: int) -> SimulatedRun:
         return SimulatedRun(seed, failure=str(wrong), seconds=time.perf_counter() - began)
     band = posterior.band(PLACES)
     mean, own = posterior.stiffness.log_at(PLACES)
-    clocks = [o.clock.offset - OFFSET for o in recordings if o.clock is not None]
+    clocks = [o.source.clock.offset - OFFSET for o in recordings if o.source.clock is not None]
     return SimulatedRun(
         seed,
         error=tuple((mean - np.log(np.asarray(setup.beam.stiffness(PLACES)))).tolist()),

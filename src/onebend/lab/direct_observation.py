@@ -5,7 +5,6 @@ For studies of many runs, and for those that need the force's error to be exactl
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -14,8 +13,7 @@ from onebend.errors import RecordingError
 from onebend.lab.virtual import VirtualBench, VirtualRecording
 from onebend.recording.beam_frame import to_beam_frame
 from onebend.recording.force.cleaning import clean_force, force_at
-from onebend.recording.toml.entries import Recording
-from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations
+from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations, Source, Stated
 
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
@@ -42,8 +40,19 @@ def observe_from_truth(
     in_frame, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
     known = np.all(np.isfinite(force), axis=1)
-    made = Observations(
-        name=rec.name,
+    return Observations(
+        source=Source(rec.name, clock=_clock(bench, clock_error, clock_sd), clean_force=clean),
+        stated=Stated(
+            rest=rec.beam.rest,
+            mass=rec.beam.mass,
+            placement_sd=rec.tags.placement_sd,
+            turn_sd=rec.tags.turn_sd,
+            place_sd=rec.place_sd,
+            direction_sd=rec.direction_sd,
+            clamp_sd=rec.clamp_sd,
+            curvature_sd=rec.beam.curvature_sd,
+            scale_sd=rec.scale_sd,
+        ),
         length=rec.beam.length,
         time=time[known],
         frame=np.flatnonzero(known).astype(np.int64),
@@ -60,25 +69,6 @@ def observe_from_truth(
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         gravity=np.zeros_like(force)[known],
-        mass=rec.beam.mass,
-        placement_sd=rec.tags.placement_sd,
-        rest=rec.beam.rest,
-        clock=_clock(bench, clock_error, clock_sd),
-        clean_force=clean,
-    )
-    return _as_stated(made, rec)
-
-
-def _as_stated(made: Observations, rec: Recording) -> Observations:
-    """With what the recording says of its tolerances."""
-    return replace(
-        made,
-        turn_sd=rec.tags.turn_sd,
-        clamp_sd=rec.clamp_sd,
-        curvature_sd=rec.beam.curvature_sd,
-        scale_sd=rec.scale_sd,
-        place_sd=rec.place_sd,
-        direction_sd=rec.direction_sd,
     )
 
 

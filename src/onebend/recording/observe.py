@@ -18,9 +18,9 @@ from onebend.recording.folder import read_recording
 from onebend.recording.force.cleaning import ForceSettings
 from onebend.recording.force.contact import Contact, ContactSettings, find_contact
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
-from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.photos import photo_observations
+from onebend.recording.stated import stated_in
 from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording, TagsEntry
@@ -38,6 +38,7 @@ from onebend.records import (
     Markers,
     Observations,
     Remark,
+    Source,
 )
 
 FEWEST_FRAMES = 10
@@ -165,9 +166,17 @@ def _observations(
     remarks: tuple[Remark, ...],
 ) -> Observations:
     """The frames `kept` (T,) of what was read, in one record."""
-    mass, line = beam_mass(rec)
     return Observations(
-        name=rec.name,
+        source=Source(
+            name=rec.name,
+            video=rec.video.file if rec.video else None,
+            video_topic=rec.video.topic if rec.video else "",
+            view=seen.view,
+            clock=acting.clock,
+            clean_force=acting.clean,
+            remarks=remarks,
+        ),
+        stated=stated_in(rec),
         length=rec.beam.length,
         time=acting.time[kept],
         frame=np.flatnonzero(kept).astype(np.int64),
@@ -184,24 +193,4 @@ def _observations(
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         gravity=acting.gravity[kept],
-        mass=mass,
-        placement_sd=rec.tags.placement_sd,
-        turn_sd=rec.tags.turn_sd,
-        clamp_sd=rec.clamp_sd,
-        curvature_sd=rec.beam.curvature_sd,
-        scale_sd=rec.scale_sd,
-        rest=rec.beam.rest,
-        clock=acting.clock,
-        clean_force=acting.clean,
-        gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
-        load_error_sd=np.nan if rec.force is None else rec.force.bias_sd,
-        view=seen.view,
-        place_sd=rec.place_sd,
-        direction_sd=rec.direction_sd,
-        video=rec.video.file if rec.video else None,
-        video_topic=rec.video.topic if rec.video else "",
-        mass_line=line,
-        mass_along=rec.beam.mass_along,
-        stiffness_along=rec.beam.stiffness_along,
-        remarks=remarks,
     )

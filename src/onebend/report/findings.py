@@ -49,7 +49,7 @@ class Findings(Protocol):
 
 def name_of(findings: Findings) -> str:
     """The recordings that were learned from, in one line."""
-    return " + ".join(recording.name for recording in findings.recordings)
+    return " + ".join(recording.source.name for recording in findings.recordings)
 
 
 POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
@@ -106,7 +106,7 @@ def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
     for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
-        groups.append((comparison.name, [*recording.remarks, *comparison.remarks, *poor_fit(comparison)]))
+        groups.append((comparison.name, [*recording.source.remarks, *comparison.remarks, *poor_fit(comparison)]))
     for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
         groups.append((comparison.name, pair_remarks(comparison, recording)))
     for whose, remarks in groups:
@@ -117,4 +117,8 @@ def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
 
 def pair_remarks(comparison: Comparison, observations: Observations) -> list[Remark]:
     """What is to be known of one validation."""
-    return [*observations.remarks, *comparison.remarks, *(poor_fit(comparison, other=True) or another_beam(comparison))]
+    return [
+        *observations.source.remarks,
+        *comparison.remarks,
+        *(poor_fit(comparison, other=True) or another_beam(comparison)),
+    ]

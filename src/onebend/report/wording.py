@@ -89,16 +89,16 @@ def clock_words(clock: ClockOffset) -> str:
 
 def inputs(observations: Observations) -> list[tuple[str, str]]:
     """What was done to the force log and to the clocks, row by row."""
-    rows = [] if observations.clean_force is None else _force_rows(observations.clean_force)
-    if observations.clock is not None:
-        rows.append(("log time less video time", clock_words(observations.clock)))
-    if observations.view is not None:
+    rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
+    if observations.source.clock is not None:
+        rows.append(("log time less video time", clock_words(observations.source.clock)))
+    if observations.source.view is not None:
         how = (
             "calibrated"
-            if observations.view.calibrated
+            if observations.source.view.calibrated
             else "not calibrated: lens and focal length inferred from the tags"
         )
-        rows.append(("camera", f"{how}; corners to {observations.view.corner_sd:.2f} px (sd)"))
+        rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
     tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
     return [*rows, ("frames in which a tag was found", tags)]
@@ -124,7 +124,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
 def assumptions(findings: Findings) -> list[str]:
     """What the result rests on, in plain words."""
     recording = findings.recordings[0]
-    rest = "straight when nothing pushes it" if recording.rest == "straight" else "of unknown shape at rest"
+    rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
     weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
         "gravity acts across the plane of bending, so its weight does not bend it"
     )  # fmt: skip
@@ -132,7 +132,7 @@ def assumptions(findings: Findings) -> list[str]:
         f"The beam is planar, neither stretches nor shears, is clamped at s = 0, and is {rest}; {weight}.",
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
-        f"Each tag sits at its written s to {millimetres(recording.placement_sd)} mm (sd).",
+        f"Each tag sits at its written s to {millimetres(recording.stated.placement_sd)} mm (sd).",
         "What the force sensor reads at rest is taken off; a scale error, which it has only under load, is not seen, "
         "and goes into k.",
     ]

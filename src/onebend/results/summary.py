@@ -34,7 +34,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
     return {
         "format": LEARN_FORMAT,
         "written_by": written_by,
-        "recordings": [recording.name for recording in findings.recordings],
+        "recordings": [recording.source.name for recording in findings.recordings],
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
         "stiffness": _stiffness(findings.beam, None if posterior is None else posterior.stiffness),
@@ -119,7 +119,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "nuisances": [asdict(nuisance) for nuisance in posterior.nuisances()],
         "tradeoffs": [asdict(pair) for pair in tradeoffs(posterior)],
         "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
-        "scales": asdict(optimum.scales),
+        "scales": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,
@@ -144,7 +144,7 @@ def _regression(learned: Learned) -> dict[str, Any]:
 def _observed(observations: Observations) -> dict[str, Any]:
     """What one recording said."""
     return {
-        "recording": observations.name,
+        "recording": observations.source.name,
         "frames": {"all": len(observations.time), "loaded": int(observations.loaded.sum())},
         "force": _force(observations),
         "clock": _clock(observations),
@@ -177,7 +177,7 @@ def _stiffness(beam: Beam, uncertain: UncertainStiffness | None) -> dict[str, An
 
 
 def _force(observed: Observations) -> dict[str, Any] | None:
-    clean = observed.clean_force
+    clean = observed.source.clean_force
     if clean is None:
         return None
     return {
@@ -191,7 +191,7 @@ def _force(observed: Observations) -> dict[str, Any] | None:
 
 
 def _clock(observed: Observations) -> dict[str, Any] | None:
-    clock = observed.clock
+    clock = observed.source.clock
     if clock is None:
         return None
     return {"offset_s": clock.offset, "sd_s": clock.sd, "said_s": clock.said, "found": clock.found}

@@ -96,7 +96,7 @@ def frames(outcome: StudyOutcome) -> Figure:
     for axes_, (one, film) in zip(axes, pairs, strict=True):
         axes_.set_axis_off()
         t = largest_push(film.fit)
-        file = outcome.work / RECORDINGS / film.observations.name / "video.mp4"
+        file = outcome.work / RECORDINGS / film.observations.source.name / "video.mp4"
         axes_.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
         axes_.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
     return figure
@@ -158,10 +158,8 @@ def three_validations(outcome: StudyOutcome) -> Figure:
     for axes_, (word, one, film) in zip(axes, ranked(outcome), strict=True):
         t = largest_push(film.fit)
         _shape(axes_, one, film, t)
-        rms = MM * film.fit.rms[-1]
-        axes_.set(
-            aspect="equal", xlabel="x [mm]", title=f"{word}: {one.name}, {film.strategy.name}\n{rms:.1f} mm at M3"
-        )
+        title = f"{word}: {one.name}, {film.strategy.name}\n{MM * film.fit.rms[-1]:.1f} mm at M3"
+        axes_.set(aspect="equal", xlabel="x [mm]", title=title)
     axes[0].set_ylabel("y [mm]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)

@@ -78,7 +78,7 @@ def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out:
 def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
-    forced = any(recording.clean_force is not None for recording in run.recordings)
+    forced = any(recording.source.clean_force is not None for recording in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [band_plot(uncertain), estimate_table(uncertain, run.learned)]
     force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]

@@ -16,6 +16,7 @@ from onebend.lab.virtual import VirtualBench, VirtualRecording, virtual_recordin
 from onebend.learning.model.force_error import force_error
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
+from tests.made_up import with_source, with_stated
 
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))
@@ -41,8 +42,8 @@ def seen(made: VirtualRecording) -> Observations:
 
 def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:
     """The fitted error at the frames (F, 2) and its sd."""
-    where = found.at.index["force", number].where
-    weights = np.kron(found.films[number].error.weights, np.eye(2))
+    where = found.layout.index["force", number].where
+    weights = np.kron(found.recordings[number].error.weights, np.eye(2))
     sd = np.sqrt(np.diag(weights @ found.covariance[where, where] @ weights.T))
     return (weights @ found.mean[where]).reshape(-1, 2), sd.reshape(-1, 2)
 
@@ -59,25 +60,25 @@ def test_steps_of_the_load_do_not_move_k(found: Posterior) -> None:
 
 
 def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
-    o, push = found.films[0].observations, BENCH.push
-    time = o.time[found.films[0].frames] - BENCH.clock.offset
+    o, push = found.recordings[0].observations, BENCH.push
+    time = o.time[found.recordings[0].frames] - BENCH.clock.offset
     begin, end = push.contact
     growing = (time > begin + 0.8) & (time < begin + push.rise - 0.3)
     falling = (time > end - push.fall + 0.3) & (time < end - 0.8)
     error, sd = error_of(found)
-    clean = o.clean_force
+    clean = o.source.clean_force
     assert clean is not None
-    zero = np.stack([np.interp(o.time[found.films[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
+    zero = np.stack([np.interp(o.time[found.recordings[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
     for rows, step in zip((growing, falling), STEPS, strict=True):
         true = step - zero[rows]  # what is wrong with the log once its zero is taken off
         assert np.all(np.abs(error[rows] - true) < 3.0 * sd[rows])
         assert np.max(np.abs(error[rows] - true)) < 0.5 * np.linalg.norm(step)
-    assert found.optimum.scales.load * found.films[0].error.load > 0.05 * PEAK
+    assert found.optimum.hyperparameters.load * found.recordings[0].error.load > 0.05 * PEAK
 
 
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02)
-    assert clean.optimum.scales.load * clean.films[0].error.load < 0.01 * PEAK
+    assert clean.optimum.hyperparameters.load * clean.recordings[0].error.load < 0.01 * PEAK
     middle = S < 0.6
     wide, sharp = (one.stiffness.log_at(S[middle])[1] for one in (found, clean))
     assert np.mean(sharp) < 0.75 * np.mean(wide)
@@ -108,12 +109,12 @@ def test_what_is_expected_is_alike_in_a_stage_and_anew_in_the_next() -> None:
 
 def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
     o = seen(stepped(STEPS))
-    clean, error = o.clean_force, force_error(o, o.time[o.loaded])
+    clean, error = o.source.clean_force, force_error(o, o.time[o.loaded])
     assert clean is not None
     assert clean.zero[1] - clean.zero[0] == pytest.approx(STEPS[1], abs=0.002)
     assert error.mean[0] == pytest.approx(np.zeros(2))
     assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1])
-    one = replace(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
+    one = with_source(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
     assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
 
 
@@ -121,4 +122,4 @@ def test_a_declared_size_is_what_is_expected() -> None:
     o = seen(stepped(STEPS))
     largest = float(np.max(np.linalg.norm(o.force[o.loaded], axis=1)))
     assert force_error(o, o.time[o.loaded]).load == pytest.approx(0.03 * largest)
-    assert force_error(replace(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07
+    assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07

@@ -59,11 +59,11 @@ def test_displacement_bridges_missing_tags() -> None:
 def test_the_clock_is_found_though_the_logs_error_changes_with_the_load() -> None:
     bench = VirtualBench(Beam(0.15, Uniform(0.02)), PushProfile(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
     for seed in range(3):
-        steps = observe_virtual(virtual_recording(bench, seed=seed)).clock
+        steps = observe_virtual(virtual_recording(bench, seed=seed)).source.clock
         assert steps is not None
         assert abs(steps.offset - bench.clock.offset) < 3.0 * steps.sd < 0.4
     even = replace(bench, sensor=ForceSensor(white_sd=0.004))
-    clean = observe_virtual(virtual_recording(even, seed=0)).clock
+    clean = observe_virtual(virtual_recording(even, seed=0)).source.clock
     assert clean is not None
     assert clean.found
     assert clean.sd < 0.02  # no step is claimed where there is none

@@ -103,7 +103,7 @@ class ForceError:
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:
     """What the clock search found; a stated share of the largest force where it found nothing."""
-    clean = observations.clean_force
+    clean = observations.source.clean_force
     if clean is not None and clean.noise is not None:
         return replace(clean.noise, coloured=max(clean.noise.coloured, _LEAST * largest))
     size = float(np.nanmean(observations.force_sd)) if np.any(np.isfinite(observations.force_sd)) else 0.0
@@ -114,7 +114,7 @@ def expected_noise(observations: Observations, largest: float) -> ForceNoise:
 
 def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
-    clean = observations.clean_force
+    clean = observations.source.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
     if largest == 0.0 or observations.static:  # only the weight acts, or loads that were weighed
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
@@ -140,7 +140,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=LOAD * largest if np.isnan(observations.load_error_sd) else observations.load_error_sd,
+        load=LOAD * largest if np.isnan(observations.stated.load_error_sd) else observations.stated.load_error_sd,
         stages=_stages(observations, knots, cutoff),
         mean=ramp(clean, knots),
     )
@@ -148,7 +148,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
 
 def _in_rests(observations: Observations, step: float) -> tuple[Array, Array]:
     """(R,) s and (R, 2) N: instants at least `step` [s] apart at which nothing touches the beam, and the log there."""
-    clean, loaded = observations.clean_force, observations.time[observations.loaded]
+    clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or not len(loaded):
         return np.zeros(0), np.zeros((0, 2))
     free = np.zeros(len(clean.time), dtype=bool)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.mass_table import beam_mass
+from onebend.recording.stated import stated_in
 from onebend.recording.tables import read_columns
 from onebend.recording.toml.entries import Recording
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads, turned
-from onebend.records import UNKNOWN_ANGLE_SD, Array, Observations, Remark, View
+from onebend.records import UNKNOWN_ANGLE_SD, Array, Observations, Remark, Source, View
 
 GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
 ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
@@ -50,13 +50,13 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     """Poses and loads as observations: every pose is a frame, a bare beam too."""
     check_reach(rec, loads, points)
     _check_held(rec, loads, points)
-    mass, line = beam_mass(rec)
     count, m = points.angle.shape
     nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
     return Observations(
-        name=rec.name,
+        source=Source(rec.name, view=points.view, remarks=(*rec.remarks, *points.remarks)),
+        stated=replace(stated_in(rec), clamp_sd=points.clamp_sd),
         length=rec.beam.length,
         time=np.arange(count, dtype=float),
         frame=np.arange(count, dtype=np.int64),
@@ -73,24 +73,10 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         rest_angle=np.full(m, np.nan),
         rest_covariance=np.full((m, 3, 3), np.nan),
         gravity=loads.gravity,
-        mass=mass,
-        placement_sd=rec.tags.placement_sd,
-        turn_sd=rec.tags.turn_sd,
-        curvature_sd=rec.beam.curvature_sd,
-        scale_sd=rec.scale_sd,
-        rest=rec.beam.rest,
-        clock=None,
-        clean_force=None,
-        view=points.view,
-        remarks=(*rec.remarks, *points.remarks),
         static=True,
         sd_known=points.sd_known,
-        known=loads.others,
+        known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
-        mass_line=line,
-        mass_along=rec.beam.mass_along,
-        stiffness_along=rec.beam.stiffness_along,
-        clamp_sd=points.clamp_sd,
     )
 
 

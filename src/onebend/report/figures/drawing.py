@@ -98,16 +98,16 @@ def fit(
     beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None
 ) -> Figure | None:
     """The fit over the video frame; None where there is no video any more, or no camera."""
-    if observations.view is None or observations.video is None:
+    if observations.source.view is None or observations.source.video is None:
         return None
     shown = comparison if fitted is None else fitted.comparison
     try:
         film = VideoEntry(
-            file=observations.video,
-            topic=observations.video_topic,
-            damaged="keep" if observations.video_topic else "refuse",
+            file=observations.source.video,
+            topic=observations.source.video_topic,
+            damaged="keep" if observations.source.video_topic else "refuse",
         )
         image = frame_at(film, int(shown.frame[largest_push(shown)]))
     except OnebendError:
         return None
-    return recordings.fit_over_frame(image, observations.view, beam, comparison, observations, fitted)
+    return recordings.fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)

@@ -225,7 +225,7 @@ def _cell(trial: Trial) -> str:
 @styled
 def force(observations: Observations, fitted: Explained | None = None) -> Figure:
     """The force on the beam over time: what was filmed, when contact was, what was taken off; the fit's own dashed."""
-    clean = observations.clean_force
+    clean = observations.source.clean_force
     figure, (axes,) = blank(3.0)
     time, values = (observations.time, observations.force) if clean is None else (clean.time, clean.force)
     start = float(observations.time[0])

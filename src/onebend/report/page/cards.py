@@ -24,9 +24,9 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}"
         rows.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
-    if recording.clean_force is not None:
+    if recording.source.clean_force is not None:
         size = np.linalg.norm(recording.force[recording.loaded], axis=1)
-        noise = 1000.0 * float(np.max(recording.clean_force.noise_sd))
+        noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
         note = f"noise left in it: {significant(noise, 2)} mN (sd)"
         rows.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
     return rows

@@ -67,7 +67,7 @@ def _content(findings: Findings) -> dict[str, Any]:
         "trials": [] if learned is None else _trials(learned),
         "validations": [_comparison_row(comparison) for comparison in findings.validations],
         "validation_figures": _validation_captions(findings.validations),
-        "inputs": [(recording.name, inputs(recording)) for recording in findings.recordings],
+        "inputs": [(recording.source.name, inputs(recording)) for recording in findings.recordings],
         "assumptions": assumptions(findings),
         "files": files_described(findings),
         "stages": _stage_rows(findings),
@@ -81,7 +81,7 @@ def _frames(observations: Observations) -> str:
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
     """What the page says of the fit."""
-    forced = any(recording.clean_force is not None for recording in recordings)
+    forced = any(recording.source.clean_force is not None for recording in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
         "doubts": "; ".join(posterior.doubts),
@@ -94,7 +94,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "stopped": stop_words(posterior),
         "nuisances": nuisance_rows(posterior.nuisances()),
         "tradeoffs": tradeoff_words(posterior),
-        "fitted": [{"name": one.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
+        "fitted": [{"name": one.source.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
     }
 
 

@@ -1,4 +1,4 @@
-"""The beam's mass, and how it is spread, as recording.toml says."""
+"""What recording.toml states of the beam and the bench, and how exactly."""
 
 from __future__ import annotations
 
@@ -9,10 +9,36 @@ import numpy as np
 from onebend.errors import RecordingError
 from onebend.recording.tables import read_columns
 from onebend.recording.toml.entries import Recording
-from onebend.records import MassLine
+from onebend.records import MassLine, Stated
 
 
-def beam_mass(rec: Recording) -> tuple[float, MassLine | None]:
+def stated_in(recording: Recording) -> Stated:
+    """The priors that the fit takes from the recording's description.
+
+    Raises:
+        RecordingError: what is stated of the mass cannot be used.
+    """
+    mass, line = _mass(recording)
+    beam, tags, force = recording.beam, recording.tags, recording.force
+    return Stated(
+        rest=beam.rest,
+        mass=mass,
+        placement_sd=tags.placement_sd,
+        mass_line=line,
+        mass_along=beam.mass_along,
+        stiffness_along=beam.stiffness_along,
+        turn_sd=tags.turn_sd,
+        place_sd=recording.place_sd,
+        direction_sd=recording.direction_sd,
+        clamp_sd=recording.clamp_sd,
+        curvature_sd=beam.curvature_sd,
+        scale_sd=recording.scale_sd,
+        gain_sd=0.0 if force is None else float(np.nan_to_num(force.gain_sd)),
+        load_error_sd=math.nan if force is None else force.bias_sd,
+    )
+
+
+def _mass(rec: Recording) -> tuple[float, MassLine | None]:
     """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given.
 
     Raises:
