@@ -65,11 +65,11 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("path", "loop"),
     ),
     "lab": (
-        ("materials", "pushes", "sensors", "truths", "extensible"),
+        ("materials", "pushes", "sensors", "random_beams", "extensible"),
         ("designs", "tag_errors"),
         ("design_file", "expected", "virtual", "fabrication"),
-        ("shortcut", "filming"),
-        ("named",),
+        ("direct_observation", "filming"),
+        ("film_request",),
         ("random_bench",),
     ),
     "report": (

@@ -1,4 +1,4 @@
-"""What to change before filming: each change is a setup of its own, ranked by how much of the band it would remove."""
+"""What to change before filming: each change gives another setup; they are ranked by how much they narrow the band."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SENSOR_SIZES = ("white_sd", "coloured_sd", "drift", "reversal", "gain_sd", "qua
 
 @dataclass(frozen=True)
 class SetupChange:
-    """One thing done otherwise, and what it would leave of the band."""
+    """One change of the setup, and the band it would leave."""
 
     kind: str  # tag, push, second push, gain, sensor, placement, clock, camera
     text: str
@@ -53,7 +53,7 @@ class SetupChange:
 def advise(
     setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
 ) -> tuple[SetupChange, ...]:
-    """The changes that remove most of the band, best first; of each kind the best two at most.
+    """The changes that narrow the band most, best first; at most two of each kind.
 
     Raises:
         MechanicsError: the setup's own push has no stable equilibrium.
@@ -67,7 +67,7 @@ def advise(
             used = instruments(changed)
             information = information_of(changed, used, derivatives(changed, used))
         except MechanicsError:
-            continue  # stands where it was looked for, but not on its way there
+            continue  # stable at the sampled sizes, but not on the way there
         quality = with_information(now, used, information).quality
         changes.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
     return _distinct(sorted(changes, key=lambda change: -change.share))[:count]
@@ -145,7 +145,7 @@ def push_words(push: PushProfile) -> str:
 
 
 def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
-    """Near-duplicates and what hardly helps left out."""
+    """Without near-duplicates and changes that hardly help."""
     kept: list[SetupChange] = []
     for change in ranked:
         alike = [k for k in kept if k.kind == change.kind]

@@ -24,7 +24,7 @@ MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
 
 @dataclass(frozen=True)
 class Obtained:
-    """What the fits gave, along the 101 places of `PLACES`. R runs came out."""
+    """What the fits gave, along the 101 places of `PLACES`; R fits succeeded."""
 
     runs: int
     failed: int
@@ -35,8 +35,8 @@ class Obtained:
     sd: Array  # median, of the bands
     identified: Array  # share of the runs that call k identified here
     coverage: Array  # share of the 95 % bands that hold the truth here
-    covered: float  # the same over places that were called identified; NaN: none was
-    covered_error: float  # its standard error, whole runs being drawn; NaN with fewer than two
+    covered: float  # the same over the places that the fits call identified; NaN where there are none
+    covered_error: float  # its standard error, from run to run; NaN with fewer than two runs
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def rehearse(
     count: int = 8,
     progress: Progress = Silent(),
 ) -> Rehearsal:
-    """How well k(s) would come out of a setup: from its Fisher information, and from `runs` simulated recordings.
+    """How well k(s) would be known from a setup: by its Fisher information, and from `runs` simulated recordings.
 
     Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each
     run is kept there as it ends, and work that was interrupted goes on from it.
@@ -109,7 +109,7 @@ def rehearse(
 
 
 def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
-    """What the runs gave; None where none came out."""
+    """What the fits gave; None where all failed."""
     error, sd, known = errors_of(runs)
     failures = [run.failure for run in runs if run.failure]
     if not len(error):
@@ -132,7 +132,7 @@ def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
 
 
 def _share(hits: Array, counts: Array) -> tuple[float, float]:
-    """Sum of hits (R,) over sum of counts (R,), and its error by linearisation, runs being independent."""
+    """Sum of hits (R,) over sum of counts (R,), and its standard error: linearised, runs are independent."""
     total = float(np.sum(counts))
     if total == 0.0:
         return nan, nan

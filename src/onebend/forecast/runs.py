@@ -1,4 +1,4 @@
-"""Simulated recordings of a setup, each fitted as a real one: every error is drawn anew, k(s) stays."""
+"""Simulated recordings of a setup, each fitted like a real one: k(s) is the same in all, every error is drawn anew."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class SimulatedRun:
 
 
 def benches(setup: Setup, seed: int) -> tuple[VirtualBench, ...]:
-    """One virtual bench a push: the same tags, misplaced alike, and the same sensor of one gain."""
+    """One virtual bench per push: all have the same tags with the same errors, and one sensor with one gain."""
     rng = np.random.default_rng([seed, 30])
     m = len(setup.tags)
     off = rng.standard_normal((m, 3)) * np.array([setup.placement_sd, setup.placement_sd, setup.turn_sd])
@@ -128,7 +128,7 @@ def _observed(setup: Setup, bench: VirtualBench, seed: int) -> Observations:
 
 
 def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
-    """With the force log in axes that are off by what hands miss."""
+    """The same with the force log's axes turned by a drawn error."""
     turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
     cos, sin = np.cos(turn), np.sin(turn)
     force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])

@@ -1,4 +1,4 @@
-"""What is rehearsed: a beam, pushes, tags, instruments, and how well everything is put on and known."""
+"""What is rehearsed: a beam, pushes, tags and instruments, and their tolerances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FEWEST_FRAMES = 20  # of a push
 
 @dataclass(frozen=True)
 class Setup:
-    """One or more pushes of a known beam, as they would be filmed and logged. Sizes of errors are one sd."""
+    """One or more pushes of a known beam, as they would be filmed and logged. Errors are one sd."""
 
     name: str
     beam: Beam
@@ -107,7 +107,7 @@ def _check_push(setup: Setup, push: PushProfile) -> None:
 
 @dataclass(frozen=True)
 class KnownBeam:
-    """A beam that is known, and the tags that it has where it was learned."""
+    """A known beam, and the places of its tags where it was learned from tags."""
 
     name: str
     beam: Beam

@@ -1,4 +1,4 @@
-"""How sure the fit is, in words and rows: where k(s) is identified, the nuisances, and what trades off with what."""
+"""The fit's uncertainty in words and rows: where k(s) is identified, the nuisances, and which parameters trade off."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SHOWN = {
 
 @dataclass(frozen=True)
 class NuisanceRow:
-    """One nuisance as people read it."""
+    """One nuisance, as shown."""
 
     name: str
     value: str
@@ -50,7 +50,7 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
-    """Sentences on where the data are blind; empty where they are not. One alone where all of k(s) is in doubt."""
+    """Sentences on where the data do not show k(s); one sentence only where all of k(s) is in doubt."""
     if uncertain.doubts:
         return [f"NOT TO BE TRUSTED: {'; '.join(uncertain.doubts)}. No place of k(s) counts as identified."]
     ranges = identified_ranges(uncertain)
@@ -85,20 +85,19 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
 
 
 def load_error_words(load_error: tuple[float, float]) -> list[str]:
-    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); nothing of a small
-    one."""
+    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); empty if small."""
     size, share = load_error
     if share < SMALL_SHARE:
         return []
     return [
         f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
-        "another amount while it grows than while it falls, which no rest shows: the fit has taken that off, and what "
-        "is left of it is in the band. Push harder, or more than once, for a narrower one."
+        "another amount while it grows than while it falls, which no rest shows. The fit corrects for it; the uncertainty "
+        "that remains is in the band. Push harder, or more than once, for a narrower band."
     ]
 
 
 def stop_words(posterior: Posterior) -> str:
-    """Whether and why the search ended."""
+    """Whether the fit converged, and why it stopped."""
     end = "converged" if posterior.optimum.converged else "did not converge"
     return f"{end} after {posterior.optimum.steps} steps: {posterior.optimum.stopped}"
 
@@ -124,7 +123,7 @@ def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
 
 @dataclass(frozen=True)
 class ModelTestRow:
-    """One test of the fit's own model as people read it."""
+    """One test of the fit's model, as shown."""
 
     what: str
     odds: str  # how often chance alone does as much
@@ -134,7 +133,7 @@ class ModelTestRow:
 
 
 def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
-    """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
+    """The tests with the smallest p-values; none where the fit is hopeless, as the tests are of small changes."""
     if any(misfit.hopeless for misfit in posterior.misses):
         return []
     critic = posterior.criticism
@@ -151,7 +150,7 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 
 
 def alarm_words(posterior: Posterior) -> str:
-    """From where on a test counts: of so many, some look odd by chance."""
+    """The threshold of the tests: among so many, some look odd by chance."""
     critic = posterior.criticism
     written = max(critic.alarm, ALARM_WRITTEN)
     return (
@@ -174,7 +173,7 @@ def _pair(pair: Tradeoff) -> str:
 
 
 def _odds(log10_p: float) -> str:
-    """A probability as people say it, to two digits; beyond a billion it only counts that it is small."""
+    """A probability as "1 in N", to two digits, down to one in a billion."""
     count = 10.0 ** min(-log10_p, 9.0)
     whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
     return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")

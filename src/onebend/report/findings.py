@@ -1,4 +1,4 @@
-"""What a report is written from. A run of the pipeline is one; so is anything with these fields."""
+"""What a report is written from: a run of the pipeline, or anything with the same fields."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from onebend.report.wording import significant
 
 @dataclass(frozen=True)
 class Overview:
-    """What was understood, row by row, and what looked odd."""
+    """What was read from the files, row by row, and what looked odd."""
 
     name: str
     rows: tuple[tuple[str, str], ...]
@@ -37,7 +37,7 @@ class Overview:
 
 @dataclass(frozen=True)
 class FilmInfo:
-    """What a look at the container and the first frame tells."""
+    """What the container and the first frame show."""
 
     width: int
     height: int

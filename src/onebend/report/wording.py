@@ -122,7 +122,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
 
 
 def assumptions(findings: Findings) -> list[str]:
-    """What the result rests on, in plain words."""
+    """The assumptions behind the result."""
     recording = findings.recordings[0]
     rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
     weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
@@ -133,8 +133,8 @@ def assumptions(findings: Findings) -> list[str]:
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
         f"Each tag sits at its written s to {millimetres(recording.stated.placement_sd)} mm (sd).",
-        "What the force sensor reads at rest is taken off; a scale error, which it has only under load, is not seen, "
-        "and goes into k.",
+        "The force sensor's reading at rest is subtracted. Its scale error shows only under load; it cannot be seen and "
+        "goes into k.",
     ]
 
 

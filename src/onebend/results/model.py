@@ -29,7 +29,7 @@ KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench
 
 @dataclass(frozen=True)
 class Origin:
-    """How a model came about. Informative: nothing is computed from it."""
+    """Where a model comes from. For people: nothing is computed from it."""
 
     recording: str  # several: with " + " between them
     method: str

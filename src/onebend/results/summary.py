@@ -1,4 +1,4 @@
-"""`summary.json`: the figures a script wants, in SI; `null` where a number is not known or not finite."""
+"""`summary.json`: the numbers for scripts, in SI units; `null` where a number is unknown or not finite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the paper is silent, and what stands in for it."""
+"""What the paper does not say, and what is assumed instead."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def assumed(outcome: StudyOutcome) -> list[str]:
         "as the same robot reads it.",
         f"Goals of the tasks: places that the true beams can take, their points turned by {turns}. The paper prints "
         "none.",
-        "The text of the paper at hand has no rows for Tables I, III and VI; nothing stands in for them.",
+        "The text of the paper at hand has no rows for Tables I, III and VI; they stay empty.",
         "Both methods see the same observations: clock, tare, filter and scale of the picture are onebend's, not the "
         "paper's nearest rows and millimetres per pixel.",
     ]

@@ -1,4 +1,4 @@
-"""The twelve recordings: filmed, and looked at. What is there is kept."""
+"""The twelve recordings, filmed and observed. Those that exist already are used again."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class FilmJob:
 
     @property
     def observed(self) -> Path:
-        """Where goes what it says."""
+        """Where its observations go."""
         return self.work / OBSERVED / f"{self.name}.parquet"
 
     def load(self) -> Observations:
-        """What it says."""
+        """Its observations."""
         return load_observations(self.observed)
 
 
@@ -52,7 +52,7 @@ def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
 
 
 def make_recording(job: FilmJob) -> FilmJob:
-    """Film and look for the tags, unless that was done; every file is whole or not there.
+    """Film and find the tags, unless that was done; a file is either complete or absent.
 
     Raises:
         RecordingError, ObservationError: as for a real recording.

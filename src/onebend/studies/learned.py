@@ -34,7 +34,7 @@ FIT_FILE, PAPER_FILE, FACTS_FILE = "model.json", "paper-model.json", "facts.json
 
 @dataclass(frozen=True)
 class LearnedBeam:
-    """What one training push told."""
+    """What was learned from one training push."""
 
     trials: tuple[Trial, ...]  # Tables I to III
     chosen: int | None  # index in `trials`; None where no (n, m) gave a beam
@@ -101,7 +101,7 @@ def _save(
     paper: Beam | None,
     posterior: Posterior,
 ) -> None:
-    """All files of a beam, the facts last: where they are, all is."""
+    """Write all files of a beam, the facts last: where that file exists, all do."""
     if paper is not None:
         save_model(job.folder / PAPER_FILE, paper, written_by=job.written_by)
     save_model(

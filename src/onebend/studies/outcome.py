@@ -1,4 +1,4 @@
-"""Everything that a run found, gathered from its files: what tables, figures and page are made of."""
+"""All results of a study, gathered from its files; tables, figures and page are made from them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ValidatedFilm:
     observations: Observations
     paper: Comparison | None
     fit: Comparison
-    true: Comparison  # the true beam under the logged force: what no learner can get below, but by luck
+    true: Comparison  # the true beam under the logged force: no learner can do better, except by chance
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def gather(
     *,
     progress: Progress = Silent(),
 ) -> StudyOutcome:
-    """Compare, manipulate, and put all together."""
+    """Compare the beams with all recordings, solve the tasks, and collect the results."""
     gain = gain_of(setting)
     beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
     return StudyOutcome(

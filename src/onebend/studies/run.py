@@ -1,4 +1,4 @@
-"""The whole of it, in order: recordings, learning, comparison. What is in the workplace already is kept."""
+"""The whole study in order: recordings, learning, comparison. What an earlier run finished is used again."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def reproduce(
 
 
 def claim(work: Path, setting: StudySettings) -> None:
-    """Write down whose work this is, or check that it is ours."""
+    """Write the settings into the working folder, or check that they are the same as those there."""
     file = work / SETTING_FILE
     text = json.dumps(setting.as_dict(), sort_keys=True)
     if file.exists():

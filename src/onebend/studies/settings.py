@@ -1,4 +1,4 @@
-"""How the paper's experiments are made again: beams, pushes, and the robot's force estimate."""
+"""How the paper's experiments are reproduced: beams, pushes, and the robot's force estimate."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ STRATEGIES = (
 
 @dataclass(frozen=True)
 class StudySettings:
-    """What one run makes; all that its results depend on but the version."""
+    """Settings of one study. With the version they determine its results."""
 
     seed: int = 0
     quick: bool = False  # shorter pushes and fewer frames/s
@@ -71,7 +71,7 @@ class StudySettings:
 
 
 def gain_of(setting: StudySettings) -> float:
-    """The scale of the robot's force estimate: one robot, one scale in all twelve logs."""
+    """The gain of the robot's force estimate: one robot, one gain in all twelve logs."""
     rng = np.random.default_rng([setting.seed, 30])
     return float(np.exp(FRANKA.gain_sd * rng.standard_normal()))
 
@@ -87,7 +87,7 @@ def sensor_of(setting: StudySettings) -> ForceSensor:
 
 
 def seen_through(design: Design, gain: float) -> Design:
-    """The design whose k(s) is `gain` times as large: all that a force log of this scale can tell."""
+    """The design with `gain` times its k(s): what a force log with this gain shows."""
     return replace(design, modulus=gain * design.modulus)
 
 

@@ -1,4 +1,4 @@
-"""The tables of a run: the paper's printed figures beside ours. SI; a figure that is not known is NaN."""
+"""The tables of a study: the paper's printed numbers beside ours. SI units; an unknown number is NaN."""
 
 from __future__ import annotations
 

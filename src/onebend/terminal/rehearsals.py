@@ -31,20 +31,20 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     if o is not None:
         console.print(f"\n{obtained_words(o)}", highlight=False)
     elif rehearsal.runs:
-        console.print(f"\n[yellow]![/] No fit came out: {escape(rehearsal.runs[0].failure)}", highlight=False)
+        console.print(f"\n[yellow]![/] Every fit failed: {escape(rehearsal.runs[0].failure)}", highlight=False)
     console.print()
     console.print(budget_table(rehearsal.budget))
     console.print()
     if rehearsal.advice:
         console.print(advice_table(rehearsal))
     else:
-        console.print("No change to name.")
+        console.print("No change helps much.")
 
 
 def errors_table(rehearsal: Rehearsal) -> Table:
     """The error of k along the beam, in percent."""
     p, o = rehearsal.predicted, rehearsal.obtained
-    title = "Error of k [%], half and nine in ten are below"
+    title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
     table = Table(title=title, title_justify="left", box=None)
     table.add_column("s", justify="right")
@@ -74,7 +74,7 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
 
 def advice_table(rehearsal: Rehearsal) -> Table:
     """Changes, best first."""
-    table = Table(title="What to change, by how much of the band it would remove", title_justify="left", box=None)
+    table = Table(title="What to change, by how much it narrows the band", title_justify="left", box=None)
     for name in ("", "change", "band then", "removes"):
         table.add_column(name, justify="left" if name == "change" else "right")
     for i, change in enumerate(rehearsal.advice, 1):
@@ -92,9 +92,9 @@ def obtained_words(o: Obtained) -> str:
     if not np.isfinite(o.covered):
         text = f"{came}: none calls k identified anywhere."
     if o.runs < FEW:
-        text += " So few runs say little of the worst in ten."
+        text += " So few runs say little about the largest errors."
     if o.failed:
-        text += f" {o.failed} more did not come out: {escape(o.why_failed[0])}"
+        text += f" {o.failed} more failed: {escape(o.why_failed[0])}"
     return text
 
 

@@ -53,7 +53,7 @@ def headline(run: Findings) -> Panel:
         logged = f"{worst_marker(comparison)} RMS under the force as logged"
         if run.posterior is not None:
             rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
-            logged = f"{millimetres(rms)} mm RMS in the fit; {logged}, whose slow error the fit takes off"
+            logged = f"{millimetres(rms)} mm RMS in the fit; {logged}; the fit corrects its slow error"
         lines.append(f"[bold]{escape(comparison.name)}[/] worst marker {logged}")
     doubted = run.posterior is not None and bool(run.posterior.doubts)
     return Panel("\n".join(lines), expand=False, border_style="red" if doubted else "green")

@@ -33,14 +33,14 @@ def cards(findings: Findings) -> list[dict[str, str]]:
 
 
 def _training_card(findings: Findings) -> dict[str, str]:
-    """How near the beam comes to the tags that it was learned from."""
+    """The residual at the tags that the beam was learned from."""
     what = "learned recording, worst marker"
     logged = max(findings.trainings, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
     if findings.posterior is None:
         note = f"RMS over {len(logged.frame)} frames, under the force as logged"
         return {"what": what, "value": worst_marker(logged), "note": note}
     fitted = max(float(np.nanmax(values)) for values in fitted_rms(findings.posterior))
-    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged, whose slow error the fit takes off"
+    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged; the fit corrects its slow error"
     return {"what": what, "value": f"{millimetres(fitted)} mm", "note": note}
 
 
@@ -65,7 +65,7 @@ def stiffness_range(findings: Findings) -> tuple[float, float]:
 
 
 def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
-    """How narrow the band is, and over which part of the beam; whether it may be relied on."""
+    """The width of the band, where k is identified, and whether the fit can be trusted."""
     what = "k(s) is known to"
     if uncertain.doubts:
         return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
