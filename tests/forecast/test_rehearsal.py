@@ -77,7 +77,7 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
     """Against differences of exact equilibria: a place farther in, axes turned, a force added."""
     setup = setup_of(known_beam("cubic"), [Wish(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
     (push,), used = setup.pushes, instruments(setup)
-    told = derivatives(setup, used)[0].functions[..., -4:]
+    told = derivatives(setup, used)[0].blocks["stiffness"][..., -4:]
     tags, h = np.asarray(setup.tags), 1e-5
     size = push.peak * np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
 

@@ -14,21 +14,17 @@ import numpy as np
 from scipy.optimize import minimize
 
 from onebend.beam.profiles.uncertain import IDENTIFIED_SD
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import of_moment, respond
 from onebend.blas import one_blas_thread
-from onebend.forecast.instruments import FUNCTIONS, Instruments, even_push, instruments
+from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
 from onebend.learning.design.identifiability import (
-    STEPS,
-    Seen,
+    TagDerivatives,
     alone,
     eliminate,
     joint_information,
     mass_of,
-    see,
     solve_push,
+    tag_derivatives,
 )
 from onebend.learning.design.proposals import PLACES, Quality
 from onebend.learning.model.spline import RHO, SPREAD, TAU, Spline
@@ -104,7 +100,7 @@ def doubts(setup: Setup) -> tuple[Doubt, ...]:
     return tuple(sorted(out, key=lambda one: -one.share))
 
 
-def known_exactly(used: Instruments) -> dict[str, Instruments]:
+def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
     """The instruments with one thing known, all but exactly."""
     bench, push, e = used.bench, used.push, _EXACT
     force = bench.force
@@ -125,39 +121,28 @@ def known_exactly(used: Instruments) -> dict[str, Instruments]:
     if bench.clock_sd == 0.0:
         del out["clock"]
     return {name: replace(used, bench=one) for name, one in out.items()} | {
-        "force's bias and slow error": Instruments(replace(bench, force=steady), replace(push, load=e * push.load)),
+        "force's bias and slow error": RehearsalInstruments(
+            replace(bench, force=steady), replace(push, load=e * push.load)
+        ),
         "push's place": replace(used, push=replace(push, place=e * push.place)),
         "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
     }
 
 
-def derivatives(setup: Setup, used: Instruments) -> tuple[Seen, ...]:
+def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
     """Of the tags along every push, with what is not known; behind the coefficients of log k stand a push's own."""
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        one = see(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
-        out.append(replace(one, functions=np.concatenate([one.functions, own_derivatives(solved, one, push)], axis=-1)))
+        one = tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
+        own = [one.blocks[name] for name in ("place", "direction", "push")]  # m, rad, N x and y
+        functions = np.concatenate([one.blocks["stiffness"], *own], axis=-1)
+        out.append(replace(one, blocks=one.blocks | {"stiffness": functions}))
     return tuple(out)
 
 
-def own_derivatives(solved: Equilibrium, seen: Seen, push: Push) -> Array:
-    """(F, M, 3, 4) of the tags' poses with the push's place [m], the turn of its axes [rad] and its force's error [N].
-
-    A force that acts farther out by d along the tangent u is the same force with a moment d u x F beside it.
-    """
-    steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)[:, None]
-    force = push.peak * steps * np.array([np.cos(push.direction), np.sin(push.direction)])
-    response = respond(solved, of_moment(solved.problem, np.asarray(push.at_s))).poses(seen.tags)
-    angle = solved.angle(np.array([push.at_s]))[:, 0]
-    lever = np.cos(angle) * force[:, 1] - np.sin(angle) * force[:, 0]
-    turned = np.stack([-force[:, 1], force[:, 0]], axis=-1)
-    along = np.einsum("tmad,td->tma", seen.force, turned)[..., None]
-    return np.concatenate([lever[:, None, None, None] * response, along, seen.force], axis=-1)
-
-
-def told_by(setup: Setup, used: Instruments, seen: tuple[Seen, ...]) -> Array:
+def told_by(setup: Setup, used: RehearsalInstruments, seen: tuple[TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes together on the coefficients, tags and rest shape being the same in all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
@@ -170,13 +155,13 @@ def told_by(setup: Setup, used: Instruments, seen: tuple[Seen, ...]) -> Array:
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def _outcome(setup: Setup, used: Instruments, told: Array) -> Predicted:
+def _outcome(setup: Setup, used: RehearsalInstruments, told: Array) -> Predicted:
     k = np.asarray(setup.beam.stiffness(PLACES))
     away = _away(k)
     return _with_scales(k, away, told, used.bench.gain_sd, *likely_scales(told, away))
 
 
-def outcome_with(now: Predicted, used: Instruments, told: Array) -> Predicted:
+def outcome_with(now: Predicted, used: RehearsalInstruments, told: Array) -> Predicted:
     """The same beam with other information; the prior's sizes are kept, so that only the data differ."""
     return _with_scales(now.k, _away(now.k), told, used.bench.gain_sd, now.tau, now.rho)
 

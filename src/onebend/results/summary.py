@@ -119,7 +119,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "nuisances": [asdict(one) for one in posterior.nuisances()],
         "tradeoffs": [asdict(one) for one in tradeoffs(posterior)],
         "tradeoffs_with_level": [asdict(one) for one in with_level(posterior)],
-        "scales": asdict(optimum.scales),
+        "scales": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,

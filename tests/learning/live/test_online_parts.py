@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
+from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
 from onebend.learning.live import smoother
 from onebend.learning.live.force_process import ForceProcess
 from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, solve
@@ -64,7 +64,7 @@ def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
         mean, covariance, _ = sizes.mixed(told)
         means.append(mean)
         sds.append(np.sqrt(np.diag(covariance)))
-    batch = mixed(spline, [Told(told.information, told.b)], 0.0, Draws(30, 60, 300))
+    batch = stiffness_mixture(spline, [Told(told.information, told.b)], 0.0, Draws(30, 60, 300))
     sd = np.sqrt(np.diag(batch.covariance))
     np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
     np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)
