@@ -11,7 +11,6 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
-import onebend
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import has_mass
 from onebend.errors import ControlError, OnebendError
@@ -21,7 +20,6 @@ from onebend.results.model import StoredModel, read_model
 from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars
 
-BY = f"onebend {onebend.__version__}"
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.loop.feedback import ControllerSettings, controller
 from onebend.control.loop.loop import Eye
 from onebend.control.loop.margins import Timing
@@ -14,9 +19,25 @@ from onebend.report.figures.looping import looping
 from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
-from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, show_loop
-from onebend.terminal.options import Json, Model, Output, Overwrite
-from onebend.terminal.reaching import Goal, Gravity, Point, PushAt
+from onebend.terminal.looping import show_loop
+
+KError = Annotated[
+    float,
+    typer.Option(
+        "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
+    ),
+]
+Delay = Annotated[
+    float,
+    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
+]
+Rate = Annotated[
+    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
+]
+Duration = Annotated[
+    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
+]
+LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
 
 
 def loop(

@@ -1,9 +1,8 @@
-"""Options and words of `onebend calibrate`."""
+"""What `onebend calibrate` says."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import typer
@@ -12,24 +11,6 @@ from rich.table import Table
 
 from onebend.recording.calibration.intrinsics import NAMES, Calibration
 from onebend.terminal.tables import remarks_list
-
-Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]
-BoardOption = Annotated[
-    tuple[str, str],
-    typer.Option(
-        "--board",
-        metavar="KIND SIZE",
-        help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares).",
-    ),
-]
-SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]
-MarkerMm = Annotated[
-    float | None,
-    typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
-]
-Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
-MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
 
 
 def show_calibration(console: Console, found: Calibration, out: Path) -> None:

@@ -1,38 +1,16 @@
-"""Options and words of `onebend damp`."""
+"""What `onebend damp` says."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.table import Table
 
 from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.report.wording import significant
 from onebend.terminal.tables import remarks_list
-
-FromS = Annotated[
-    float | None,
-    typer.Option(
-        "--from-s", metavar="SECONDS", help="The beam swings freely from here on in the film; default: found."
-    ),
-]
-ToS = Annotated[
-    float | None, typer.Option("--to-s", metavar="SECONDS", help="And to here in the film; default: to the end.")
-]
-MassAlong = Annotated[
-    Literal["even", "width"],
-    typer.Option(
-        help="How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
-        "the width in the plane of bending varies."
-    ),
-]
-ModelFile = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
-]
 
 
 def damping_words(one: Damping) -> str:

@@ -1,12 +1,10 @@
-"""What `onebend loop` takes and says."""
+"""What `onebend loop` says."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -14,26 +12,7 @@ from onebend.control.loop.feedback import Controller
 from onebend.control.loop.margins import Margins
 from onebend.control.loop.prospect import SETTLED, Trial
 from onebend.report.wording import significant
-from onebend.terminal.options import LEAST
 from onebend.terminal.parts import facts_table, say_written
-
-KError = Annotated[
-    float,
-    typer.Option(
-        "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
-    ),
-]
-Delay = Annotated[
-    float,
-    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
-]
-Rate = Annotated[
-    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
-]
-Duration = Annotated[
-    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
-]
-LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
 
 
 def show_loop(

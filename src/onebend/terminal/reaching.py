@@ -1,57 +1,16 @@
-"""What `onebend reach` takes and says."""
+"""What `onebend reach` says."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
 
-import typer
 from rich.console import Console
 
 from onebend.control.reach.reach import Reach
 from onebend.control.reach.uncertainty import SURE, PredictedError
 from onebend.report.wording import length_words
-from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
-
-PushAt = Annotated[
-    float,
-    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts: s in (0, 1], 1 the tip."),
-]
-Point = Annotated[
-    float,
-    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point that is led to the goal: s in (0, 1]."),
-]
-Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
-GoalAngle = Annotated[
-    float | None,
-    typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
-]
-ReachMethod = Annotated[
-    Literal["newton", "paper"],
-    typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
-]
-ReachMaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force; default: no bound.")
-]
-MaxCurvature = Annotated[
-    float | None,
-    typer.Option("--max-curvature-per-m", min=LEAST, metavar="1/M", help="The beam bends no more than this from rest."),
-]
-Direction = Annotated[
-    float | None,
-    typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
-]
-Gravity = Annotated[
-    tuple[float, float],
-    typer.Option(
-        "--gravity-m-s2",
-        metavar="GX GY",
-        help="In the beam's frame; needs a model with a mass. Default: none in plane.",
-    ),
-]
-Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
 def show_reach(console: Console, found: Reach, error: PredictedError | None, output: Path | None) -> None:

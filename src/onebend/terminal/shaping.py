@@ -1,13 +1,11 @@
-"""What `onebend shape` and `onebend path` take and say."""
+"""What `onebend shape` and `onebend path` say."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.markup import escape
 
@@ -15,65 +13,7 @@ from onebend.control.path.path import Path as Way
 from onebend.control.path.path_spread import PathSpread
 from onebend.control.shape.shape import Shaped
 from onebend.report.wording import length_words, significant
-from onebend.terminal.options import LEAST
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
-
-TargetsFile = Annotated[
-    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
-]
-GoalsFile = Annotated[
-    Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
-]
-Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
-PushPlaces = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--push-at",
-        min=LEAST,
-        max=1.0,
-        metavar="S",
-        help="A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
-    ),
-]
-GoalPoint = Annotated[
-    float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
-]
-HandMaxForce = Annotated[
-    float | None,
-    typer.Option("--max-force-N", min=LEAST, metavar="N", help="Of every push and of the gripper; default: no bound."),
-]
-HandMaxMoment = Annotated[
-    float | None, typer.Option("--max-moment-N-m", min=LEAST, metavar="N_M", help="Of the gripper; default: no bound.")
-]
-Arm = Annotated[
-    float | None,
-    typer.Option(
-        "--arm-m", min=0.0, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
-    ),
-]
-SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
-MaxForceRate = Annotated[
-    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, metavar="N/S", help="Of every push.")
-]
-MaxSpeed = Annotated[
-    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, metavar="M/S", help="Of the gripper.")
-]
-MaxTurnRate = Annotated[
-    float | None, typer.Option("--max-turn-rate-deg-per-s", min=LEAST, metavar="DEG/S", help="Of the gripper.")
-]
-TooFast = Annotated[
-    Literal["stretch", "refuse"],
-    typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
-]
-BetweenGoals = Annotated[
-    Literal["force", "smooth", "monotone", "linear"] | None,
-    typer.Option(
-        "--between",
-        help="From goal to goal: the force goes evenly (default for one push and one point); or the point does: a "
-        "cubic spline (default otherwise), one that does not swing beyond, straight.",
-    ),
-]
-FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
 
 
 def show_shape(console: Console, found: Shaped, output: Path | None) -> None:

@@ -111,8 +111,8 @@ def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> di
     """
     turned = np.stack([-push[:, 1], push[:, 0]], axis=-1)
     return {
-        "direction": by_push @ turned[:, None, :, None],
-        "clock": by_push @ (rate @ log_axes.T)[:, None, :, None],
+        "direction": np.einsum("fmad,fd->fma", by_push, turned)[..., None],
+        "clock": np.einsum("fmad,fd->fma", by_push, rate @ log_axes.T)[..., None],
     }
 
 
