@@ -1,9 +1,9 @@
 """The instruments of a setup before the first push, as the fit would describe them, for the Fisher information.
 
 The force's noise is the sensor's own, in the parts that the fit models. Every push has its own errors: of its place, of
-the force's axes, and of the force as the load begins and reverses. Where the clock offset is found from the data, its sd
-follows a rule of thumb: it is to the push's duration as the force's error, plus what a linear relation misses, is to the
-peak force (right within a factor of two for pushes of 4 to 13 s; docs/rehearse.md).
+the force's axes, and of the force as the load begins and reverses. Where the clock offset is found from the data, its
+sd follows a rule of thumb, within a factor of two for pushes of 4 to 13 s: a share of the push's duration that is in
+proportion to the relative error of the force, with 3 % for what a linear relation misses (docs/rehearse.md).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ FUNCTIONS = FitSettings.functions  # of log k
 MOST_FRAMES = 200  # of a push that prediction and fit use
 _CUTOFF = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
 _WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
-# Share of the sensor's reversal error that acts as one constant error over the push. The error is drawn anew as the load
-# begins and as it reverses; the difference between both halves shows, as the beam has one shape under one force.
+# Share of the sensor's reversal error that acts as one constant error over the push. The error is drawn anew as the
+# load begins and as it reverses; the difference between both halves shows, as one force gives one shape.
 _LOAD = 0.75
 _CLOCK, _MISFIT = 0.28, 0.03  # of the push's time; of the peak
 

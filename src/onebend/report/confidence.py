@@ -91,8 +91,8 @@ def load_error_words(load_error: tuple[float, float]) -> list[str]:
         return []
     return [
         f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
-        "another amount while it grows than while it falls, which no rest shows. The fit corrects for it; the uncertainty "
-        "that remains is in the band. Push harder, or more than once, for a narrower band."
+        "another amount while it grows than while it falls, which no rest shows. The fit corrects for it; the "
+        "uncertainty that remains is in the band. Push harder, or more than once, for a narrower band."
     ]
 
 

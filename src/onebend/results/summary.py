@@ -194,4 +194,4 @@ def _clock(observed: Observations) -> dict[str, Any] | None:
     clock = observed.source.clock
     if clock is None:
         return None
-    return {"offset_s": clock.offset, "sd_s": clock.sd, "said_s": clock.said, "found": clock.found}
+    return {"offset_s": clock.offset, "sd_s": clock.sd, "stated_s": clock.stated, "found": clock.found}

@@ -33,7 +33,7 @@ def test_the_loads_own_time_is_the_whole_recordings() -> None:
         stages.see(float(t), np.array([[0.0, d]]), seen, bool(on))
     changes = load_changes(time, size, loaded)
     assert sum(one.release for one in changes) == 1
-    whole = np.sum([(RELEASED if one.release else ANEW) * one.part(time) for one in changes], axis=0)
+    whole = np.sum([(RELEASED if one.release else ANEW) * one.fraction(time) for one in changes], axis=0)
     late = time > 0.5  # the largest displacement was not known from the start
     np.testing.assert_allclose(stages.own(time)[late], whole[late], atol=0.35)
     assert np.mean(np.abs(stages.own(time) - whole)) < 0.05

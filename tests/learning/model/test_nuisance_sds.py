@@ -40,7 +40,7 @@ def stated(name: str, sd: float) -> Observations:
     assert clock is not None
     if name == "clock":
         return with_source(made(), clock=replace(clock, sd=sd))
-    return replace(made(), **{f"{name}_sd": sd})  # type: ignore[arg-type]
+    return with_stated(made(), **{f"{name}_sd": sd})
 
 
 def block(one: Observations, name: str, priors: Priors = Priors()) -> Block:
