@@ -55,10 +55,10 @@ class Board:
     @property
     def corners(self) -> Array:
         """(N, 2) m, inner corners by their number, row by row."""
-        more = 0 if self.kind == "chessboard" else -1
-        y, x = np.mgrid[: self.rows + more, : self.columns + more]
-        distance = 0.0 if self.kind == "chessboard" else self.square
-        return np.asarray(np.stack([x.ravel(), y.ravel()], axis=1) * self.square + distance)
+        fewer = 0 if self.kind == "chessboard" else 1
+        y, x = np.mgrid[: self.rows - fewer, : self.columns - fewer]
+        first = 0.0 if self.kind == "chessboard" else self.square
+        return np.asarray(np.stack([x.ravel(), y.ravel()], axis=1) * self.square + first)
 
 
 @dataclass(frozen=True)
