@@ -77,7 +77,7 @@ def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
 
 def unweighted_rows(now: Prediction) -> ResidualRows:
     """Rows of one recording, whitened alone."""
-    whiten, slopes, frames = now.seen.whiten, now.slopes, len(now.pose)
+    whiten, slopes, frames = now.recording.whiten, now.slopes, len(now.pose)
     known = np.any(whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
     j, a = (np.asarray((whiten @ one).reshape(*known.shape, -1)) for one in (slopes.j, slopes.a))
     return ResidualRows(residuals(now) + explained_by(a, now.own), replace(slopes, j=j, a=a), known, known)
@@ -85,7 +85,7 @@ def unweighted_rows(now: Prediction) -> ResidualRows:
 
 def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
-    data = now.seen
+    data = now.recording
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
     return np.asarray(np.einsum("fmab,fmb->fma", data.whiten, difference).reshape(len(difference), -1))
 

@@ -241,6 +241,6 @@ def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
 
 def _own_force(rows: ResidualRows, now: Prediction, noise: RecordingNoise, step: Array, damping: float) -> Array:
     """(F, 2) N: each frame's own force after a step of the parameters, to first order the most probable one."""
-    mine = now.at.known_to(now.seen.number)
+    mine = now.layout.known_to(now.recording.number)
     best = split_off_force(rows, rows.r - rows.slopes.times(step[mine]), noise)[1]
     return np.asarray(now.own + (best - now.own) / (1.0 + damping))
