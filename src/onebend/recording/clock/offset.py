@@ -71,8 +71,8 @@ def fit_clock(
     The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails beyond. Where `stated` is NaN,
     offsets that put half of the film or more inside the log are equally likely. The clock's `found` is False where the
     posterior sd is more than half of the prior's; the offset is then the stated one. An `uncertainty` of 0 says that
-    `stated` is exact: it is taken with an sd of 0, and only the log's noise is fitted. `push_s` is the place of the push; with it, `log`
-    must be in the beam's axes (its sign and bias do not matter).
+    `stated` is exact: it is taken with an sd of 0, and only the log's noise is fitted. `push_s` is the place of the
+    push; with it, `log` must be in the beam's axes (its sign and bias do not matter).
 
     Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
     beam moves slowly against its own oscillations for most of the film.
