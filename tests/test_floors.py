@@ -45,7 +45,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("video", "stated", "tag_turns", "beam_frame"),
         ("camera", "clock"),
         ("tags", "tracks", "calibration"),
-        ("gravity", "plausible", "folder"),
+        ("gravity", "implausible_axes", "folder"),
         ("pairing", "photos", "template"),
         ("observe",),
     ),
