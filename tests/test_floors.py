@@ -52,7 +52,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "learning": (
         ("outcome",),
         ("model",),
-        ("validation", "start", "inference", "swing"),
+        ("validation", "start", "inference", "swing", "learned_mass"),
         ("criticism", "paper"),
         ("posterior",),
         ("criticism_messages", "tradeoffs", "live", "design"),
@@ -179,7 +179,7 @@ def test_no_folder_is_crowded() -> None:
         ("beam/statics", "from onebend.beam.model import Beam"),
         ("beam/motion", "from onebend.beam import clamped_ends"),
         ("recording/clock", "import onebend.recording.camera.plane"),
-        ("learning/model", "from onebend.learning.inference.optimizer import optimum"),
+        ("learning/model", "from onebend.learning.inference.optimizer import find_maximum"),
         ("learning/live", "from onebend.learning.design.planning import plan"),
         ("control/reach", "def lazy():\n    from onebend.control.loop import controller"),
         ("lab/fabrication", "from onebend.lab.filming.film import film"),
