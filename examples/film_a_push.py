@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.lab import Wish, design_named, film, filming_of
+from onebend.lab import FilmRequest, design_named, film, filming_of
 from onebend.recording import detect_tags, measure_markers, read_recording
 
-wish = Wish(push="s08", seconds=1.5, camera="webcam", fps=6.0, sensor="wrist")
+request = FilmRequest(push="s08", seconds=1.5, camera="webcam", fps=6.0, sensor="wrist")
 with tempfile.TemporaryDirectory() as place:
-    folder = film(filming_of(design_named("linear"), wish, "example"), Path(place) / "example", seed=1)
+    folder = film(filming_of(design_named("linear"), request, "example"), Path(place) / "example", seed=1)
     recording = read_recording(folder)  # as any other; `onebend learn` takes a slower push
     assert recording.video is not None
     seen = measure_markers(detect_tags(recording.video, recording.tags), recording)

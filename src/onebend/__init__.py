@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from onebend.beam.profiles.stiffness import Uniform as Uniform
     from onebend.beam.profiles.uncertain import Band as Band
     from onebend.beam.profiles.uncertain import UncertainStiffness as UncertainStiffness
-    from onebend.control.loop.feedback import controller as controller
-    from onebend.control.path.path import follow_goals as follow_goals
+    from onebend.control.loop.controller import controller as controller
+    from onebend.control.path.follow import follow_goals as follow_goals
     from onebend.control.reach.reach import reach as reach
     from onebend.control.shape.shape import shape as shape
     from onebend.errors import OnebendError as OnebendError
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from onebend.results.model import load_model as load_model
     from onebend.results.model import load_uncertain as load_uncertain
     from onebend.results.model import save_model as save_model
-    from onebend.results.observed import load_observations as load_observations
-    from onebend.results.observed import save_observations as save_observations
+    from onebend.results.observations_file import load_observations as load_observations
+    from onebend.results.observations_file import save_observations as save_observations
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -58,8 +58,8 @@ else:
             "onebend.beam.model": "Beam Shape",
             "onebend.beam.profiles.stiffness": "Steps Uniform",
             "onebend.beam.profiles.uncertain": "Band UncertainStiffness",
-            "onebend.control.loop.feedback": "controller",
-            "onebend.control.path.path": "follow_goals",
+            "onebend.control.loop.controller": "controller",
+            "onebend.control.path.follow": "follow_goals",
             "onebend.control.reach.reach": "reach",
             "onebend.control.shape.shape": "shape",
             "onebend.errors": "OnebendError",
@@ -73,7 +73,7 @@ else:
             "onebend.recording.observe": "observe",
             "onebend.records": "Observations",
             "onebend.results.model": "load_model load_uncertain save_model",
-            "onebend.results.observed": "load_observations save_observations",
+            "onebend.results.observations_file": "load_observations save_observations",
         },
         inside="beam control design errors forecast lab learning paper progress recording records results",
     )

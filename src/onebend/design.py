@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.identifiability import information, information_along
-from onebend.learning.design.instruments import Bench, ForceDoubt, Push, bench_of
-from onebend.learning.design.planning import PlanSettings, plan
+from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush, instruments_of
+from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import Plan, Proposal, Quality
 
 __all__ = [
-    "Bench",
     "ForceDoubt",
+    "Instruments",
     "Limits",
     "Plan",
     "PlanSettings",
+    "PlannedPush",
     "Proposal",
-    "Push",
     "Quality",
-    "bench_of",
+    "after_push",
     "information",
     "information_along",
+    "instruments_of",
     "plan",
 ]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from onebend.learning.outcome import Learned, Trial
 from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 
 __all__ = [
     "Learned",
-    "Settings",
+    "RegressionSettings",
     "Trial",
     "regress",
 ]

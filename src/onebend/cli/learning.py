@@ -19,15 +19,16 @@ from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Th
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings
 from onebend.pipeline import compare, plan_next
 from onebend.pipeline import learn as learn_from
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
+from onebend.results.detection_cache import DetectionCache
 from onebend.results.folder import publish
-from onebend.results.kept import KeptDetections
+from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -35,7 +36,6 @@ from onebend.results.summary import (
     summary_of,
     validation_summary,
 )
-from onebend.results.writing import learned_writer, validation_writer
 from onebend.terminal.plans import show_plan
 from onebend.terminal.screens import show_run, show_validation
 
@@ -115,7 +115,7 @@ def learn(
     """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
     out = output or Path(f"{recordings[0].resolve().name}-results")
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
-    settings = Settings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
+    settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting = _fitting(clamp_sd) if method == "fit" else None
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
         run = learn_from(
@@ -124,7 +124,7 @@ def learn(
             fitting=fitting,
             observing=_observing(threads, epsilon),
             validate_on=validate_on or (),
-            detect=KeptDetections(place.partial, onebend.__version__).detect,
+            detect=DetectionCache(place.partial, onebend.__version__).detect,
             progress=progress,
         )
         began = time.perf_counter()
@@ -158,7 +158,7 @@ def validate(
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                pairs = work(detect=KeptDetections(place.partial, onebend.__version__).detect, progress=progress)
+                pairs = work(detect=DetectionCache(place.partial, onebend.__version__).detect, progress=progress)
                 summary = validation_summary(str(model), pairs, written_by=BY)
                 publish(place, validation_writer(pairs, draw(validation_figures(beam, pairs), progress), summary))
     if as_json:

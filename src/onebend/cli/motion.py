@@ -14,12 +14,12 @@ from onebend.cli.common import clean_errors, print_json, progress_of
 from onebend.cli.models import read_trusted
 from onebend.cli.options import Json, Model, Overwrite, Quiet, Recording, Threads
 from onebend.learning.swing.damping import DampingSettings, learn_damping
-from onebend.learning.swing.free_swing import Part
+from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.results.model import model_text
-from onebend.results.single import free_place, write_file
+from onebend.results.single_file import check_free, write_file
 from onebend.results.summary import damp_summary
 from onebend.terminal.damping import show_damping
 
@@ -61,7 +61,7 @@ def damp(
     with clean_errors():
         stored = read_trusted(model)
         if output is not None:
-            free_place(output, overwrite=overwrite)
+            check_free(output, overwrite=overwrite)
         files = read_recording(recording)
         check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
@@ -70,7 +70,7 @@ def damp(
                 stored.beam,
                 seen,
                 uncertain=stored.uncertain,
-                part=Part(begin, end),
+                part=FilmPart(begin, end),
                 settings=DampingSettings(mass_along=mass_along),
                 progress=progress,
             )

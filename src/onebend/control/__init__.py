@@ -15,50 +15,50 @@ if TYPE_CHECKING:
     from onebend.control.goals.targets import curve as curve
     from onebend.control.goals.targets import curve_of_length as curve_of_length
     from onebend.control.goals.targets import points as points
-    from onebend.control.loop.feedback import Controller as Controller
-    from onebend.control.loop.feedback import ControllerSettings as ControllerSettings
-    from onebend.control.loop.feedback import ControllerState as ControllerState
-    from onebend.control.loop.feedback import Reference as Reference
-    from onebend.control.loop.loop import Eye as Eye
-    from onebend.control.loop.loop import Hand as Hand
-    from onebend.control.loop.loop import LoopRun as LoopRun
-    from onebend.control.loop.loop import Truth as Truth
-    from onebend.control.loop.loop import run_loop as run_loop
+    from onebend.control.loop.controller import Controller as Controller
+    from onebend.control.loop.controller import ControllerSettings as ControllerSettings
+    from onebend.control.loop.controller import ControllerState as ControllerState
+    from onebend.control.loop.controller import Reference as Reference
     from onebend.control.loop.margins import Gains as Gains
     from onebend.control.loop.margins import Margins as Margins
     from onebend.control.loop.margins import Timing as Timing
     from onebend.control.loop.plant import Plant as Plant
-    from onebend.control.loop.prospect import Trial as Trial
-    from onebend.control.loop.prospect import prospect as prospect
-    from onebend.control.loop.tuning import Wanted as Wanted
-    from onebend.control.path.force_way import by_force as by_force
-    from onebend.control.path.path import Path as Path
-    from onebend.control.path.path import PathSettings as PathSettings
+    from onebend.control.loop.robustness import LoopTrial as LoopTrial
+    from onebend.control.loop.robustness import simulate_range as simulate_range
+    from onebend.control.loop.simulation import Actuator as Actuator
+    from onebend.control.loop.simulation import LoopCamera as LoopCamera
+    from onebend.control.loop.simulation import LoopSimulation as LoopSimulation
+    from onebend.control.loop.simulation import TrueSystem as TrueSystem
+    from onebend.control.loop.simulation import simulate_loop as simulate_loop
+    from onebend.control.loop.tuning import RequiredMargins as RequiredMargins
+    from onebend.control.path.follow import FollowedPath as FollowedPath
+    from onebend.control.path.follow import PathSettings as PathSettings
+    from onebend.control.path.force_interpolation import by_force as by_force
     from onebend.control.path.path_spread import PathSpread as PathSpread
     from onebend.control.path.path_spread import path_spread as path_spread
-    from onebend.control.path.timing import Rates as Rates
+    from onebend.control.path.timing import RateLimits as RateLimits
+    from onebend.control.reach.loaded_beam import LoadedState as LoadedState
     from onebend.control.reach.loaded_beam import PushedBeam as PushedBeam
-    from onebend.control.reach.loaded_beam import State as State
     from onebend.control.reach.paper_iteration import PaperSettings as PaperSettings
     from onebend.control.reach.reach import Reach as Reach
-    from onebend.control.reach.reachable import Nearest as Nearest
+    from onebend.control.reach.reachable import NearestPoint as NearestPoint
     from onebend.control.reach.reachable import ReachableSet as ReachableSet
     from onebend.control.reach.reachable import reachable as reachable
     from onebend.control.reach.settings import ReachSettings as ReachSettings
-    from onebend.control.reach.tracking import Hold as Hold
+    from onebend.control.reach.tracking import HoldingLoad as HoldingLoad
     from onebend.control.reach.tracking import WarmReach as WarmReach
-    from onebend.control.reach.uncertainty import Ellipse as Ellipse
+    from onebend.control.reach.uncertainty import ErrorEllipse as ErrorEllipse
     from onebend.control.reach.uncertainty import PredictedError as PredictedError
     from onebend.control.reach.uncertainty import predicted_error as predicted_error
-    from onebend.control.shape.descent import Descent as Descent
-    from onebend.control.shape.grip import Bound as Bound
-    from onebend.control.shape.grip import Grip as Grip
-    from onebend.control.shape.grip import Hands as Hands
-    from onebend.control.shape.grip import Push as Push
-    from onebend.control.shape.grip import Stand as Stand
-    from onebend.control.shape.shape import Shaped as Shaped
+    from onebend.control.shape.actuators import Actuators as Actuators
+    from onebend.control.shape.actuators import BeamState as BeamState
+    from onebend.control.shape.actuators import Grip as Grip
+    from onebend.control.shape.actuators import LoadBound as LoadBound
+    from onebend.control.shape.actuators import Pusher as Pusher
+    from onebend.control.shape.descent import DescentSettings as DescentSettings
+    from onebend.control.shape.shape import ShapeResult as ShapeResult
     from onebend.control.shape.shape import ShapeSettings as ShapeSettings
-    from onebend.control.shape.spread import Spread as Spread
+    from onebend.control.shape.spread import ShapeSpread as ShapeSpread
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -66,26 +66,26 @@ else:
             "onebend.control.goals.moving_goals": "Goals",
             "onebend.control.goals.target_files": "read_goals read_targets",
             "onebend.control.goals.targets": "Targets angles curve curve_of_length points",
-            "onebend.control.loop.feedback": "Controller ControllerSettings ControllerState Reference",
-            "onebend.control.loop.loop": "Eye Hand LoopRun Truth run_loop",
+            "onebend.control.loop.controller": "Controller ControllerSettings ControllerState Reference",
             "onebend.control.loop.margins": "Gains Margins Timing",
             "onebend.control.loop.plant": "Plant",
-            "onebend.control.loop.prospect": "Trial prospect",
-            "onebend.control.loop.tuning": "Wanted",
-            "onebend.control.path.force_way": "by_force",
-            "onebend.control.path.path": "Path PathSettings",
+            "onebend.control.loop.robustness": "LoopTrial simulate_range",
+            "onebend.control.loop.simulation": "Actuator LoopCamera LoopSimulation TrueSystem simulate_loop",
+            "onebend.control.loop.tuning": "RequiredMargins",
+            "onebend.control.path.follow": "FollowedPath PathSettings",
+            "onebend.control.path.force_interpolation": "by_force",
             "onebend.control.path.path_spread": "PathSpread path_spread",
-            "onebend.control.path.timing": "Rates",
-            "onebend.control.reach.loaded_beam": "PushedBeam State",
+            "onebend.control.path.timing": "RateLimits",
+            "onebend.control.reach.loaded_beam": "LoadedState PushedBeam",
             "onebend.control.reach.paper_iteration": "PaperSettings",
             "onebend.control.reach.reach": "Reach",
-            "onebend.control.reach.reachable": "Nearest ReachableSet reachable",
+            "onebend.control.reach.reachable": "NearestPoint ReachableSet reachable",
             "onebend.control.reach.settings": "ReachSettings",
-            "onebend.control.reach.tracking": "Hold WarmReach",
-            "onebend.control.reach.uncertainty": "Ellipse PredictedError predicted_error",
-            "onebend.control.shape.descent": "Descent",
-            "onebend.control.shape.grip": "Bound Grip Hands Push Stand",
-            "onebend.control.shape.shape": "ShapeSettings Shaped",
-            "onebend.control.shape.spread": "Spread",
+            "onebend.control.reach.tracking": "HoldingLoad WarmReach",
+            "onebend.control.reach.uncertainty": "ErrorEllipse PredictedError predicted_error",
+            "onebend.control.shape.actuators": "Actuators BeamState Grip LoadBound Pusher",
+            "onebend.control.shape.descent": "DescentSettings",
+            "onebend.control.shape.shape": "ShapeResult ShapeSettings",
+            "onebend.control.shape.spread": "ShapeSpread",
         },
     )

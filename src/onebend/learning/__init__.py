@@ -11,16 +11,17 @@ if TYPE_CHECKING:
     from onebend.learning.criticism.criticism import Criticism as Criticism
     from onebend.learning.criticism.criticism import Finding as Finding
     from onebend.learning.criticism.score_tests import Score as Score
-    from onebend.learning.inference.linear_gaussian import FilmNoise as FilmNoise
-    from onebend.learning.inference.linear_gaussian import Scales as Scales
+    from onebend.learning.inference.fit_problem import FitProblem as FitProblem
+    from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
+    from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
     from onebend.learning.inference.misfit import Miss as Miss
-    from onebend.learning.inference.optimizer import Effort as Effort
+    from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
     from onebend.learning.live.key_frame_posterior import LiveScales as LiveScales
     from onebend.learning.live.online_learner import Update as Update
     from onebend.learning.live.session import Habits as Habits
     from onebend.learning.live.settings import OnlineSettings as OnlineSettings
-    from onebend.learning.model.fit_data import Film as Film
+    from onebend.learning.model.fit_data import FitData as FitData
     from onebend.learning.model.force_error import Filtered as Filtered
     from onebend.learning.model.force_error import ForceError as ForceError
     from onebend.learning.model.forward import Prediction as Prediction
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from onebend.learning.swing.damping import Damping as Damping
     from onebend.learning.swing.damping import DampingSettings as DampingSettings
     from onebend.learning.swing.damping import SwingFit as SwingFit
-    from onebend.learning.swing.free_swing import Part as Part
+    from onebend.learning.swing.free_swing import FilmPart as FilmPart
     from onebend.learning.swing.free_swing import Swing as Swing
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -49,14 +50,14 @@ else:
             "onebend.learning.criticism.alternatives": "Suspect",
             "onebend.learning.criticism.criticism": "Criticism Finding",
             "onebend.learning.criticism.score_tests": "Score",
-            "onebend.learning.inference.linear_gaussian": "FilmNoise Scales",
+            "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
             "onebend.learning.inference.misfit": "Miss",
-            "onebend.learning.inference.optimizer": "Effort Optimum",
+            "onebend.learning.inference.optimizer": "OptimizerSettings Optimum",
             "onebend.learning.live.key_frame_posterior": "LiveScales",
             "onebend.learning.live.online_learner": "Update",
             "onebend.learning.live.session": "Habits",
             "onebend.learning.live.settings": "OnlineSettings",
-            "onebend.learning.model.fit_data": "Film",
+            "onebend.learning.model.fit_data": "FitData",
             "onebend.learning.model.force_error": "Filtered ForceError",
             "onebend.learning.model.forward": "Prediction Slopes",
             "onebend.learning.model.held_ends": "HeldEnds",
@@ -68,6 +69,6 @@ else:
             "onebend.learning.posterior": "FitSettings Nuisance",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",
-            "onebend.learning.swing.free_swing": "Part Swing",
+            "onebend.learning.swing.free_swing": "FilmPart Swing",
         },
     )

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from onebend.learning.design.instruments import bench_if_pushed
+from onebend.learning.design.instruments import instruments_if_pushed
 from onebend.learning.outcome import Comparison
 from onebend.records import Observations
 from onebend.report.findings import Findings
 from onebend.report.page.page import page
 from onebend.results.folder import files_in
 from onebend.results.model import FILE_NAME, origin_of, save_model
-from onebend.results.observed import save_observations
+from onebend.results.observations_file import save_observations
 from onebend.results.summary import write_summary
 from onebend.results.tables import (
     write_markers,
@@ -33,7 +33,7 @@ def learned_writer(
         learned, posterior = findings.learned, findings.posterior
         uncertain = None if posterior is None else posterior.stiffness
         origin = origin_of(learned, posterior, findings.trainings)
-        bench = None if posterior is None else bench_if_pushed(posterior)
+        bench = None if posterior is None else instruments_if_pushed(posterior)
         by = f"onebend {version}"
         save_model(folder / FILE_NAME, findings.beam, written_by=by, origin=origin, uncertain=uncertain, bench=bench)
         write_stiffness(folder / "stiffness.csv", findings.beam, uncertain)
@@ -44,8 +44,8 @@ def learned_writer(
         write_markers(folder / "markers.csv", (*findings.trainings, *findings.validations))
         if findings.validations:
             write_validation(folder / "validation.csv", findings.validations)
-        for i, seen in enumerate(findings.recordings, start=1):
-            save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", seen)
+        for i, recording in enumerate(findings.recordings, start=1):
+            save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
         (folder / "report.html").write_text(page(findings, figures, version=version), encoding="utf-8")
         _write_figures(folder, figures)
         write_summary(folder / "summary.json", summary, files_in(folder))
@@ -58,7 +58,7 @@ def validation_writer(
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a validation."""
 
-    comparisons = [one for one, _ in pairs]
+    comparisons = [comparison for comparison, _ in pairs]
 
     def write(folder: Path) -> None:
         write_validation(folder / "validation.csv", comparisons)
