@@ -105,7 +105,7 @@ def test_the_guard_costs_little(two_threads: list[int]) -> None:  # noqa: ARG001
 
 def guarded(value: Any) -> bool:
     """Whether a function runs under the guard."""
-    return getattr(value, "__code__", None) is one_blas_thread(lambda: None).__code__  # type: ignore[attr-defined]
+    return getattr(value, "__code__", None) is one_blas_thread(lambda: None).__code__
 
 
 @pytest.mark.parametrize("face", [onebend, control])

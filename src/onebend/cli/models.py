@@ -14,14 +14,16 @@ from onebend.cli.common import clean_errors, print_json
 from onebend.cli.options import Json, Model
 from onebend.errors import ControlError
 from onebend.results.model import StoredModel, read_model
-from onebend.results.summary import model_summary
-from onebend.terminal.screens import show_model
 
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
 def show(model: Model, *, as_json: Json = False) -> None:
     """Draw the learned k(s) in the terminal."""
+    # here: the other commands that take a model, which share what is below, do without
+    from onebend.results.summary import model_summary
+    from onebend.terminal.screens import show_model
+
     with clean_errors():
         stored = read_model(model)
     if as_json:

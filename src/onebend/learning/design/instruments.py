@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import expected_noise, filtered
 from onebend.learning.model.frames import typical
 from onebend.learning.model.parameters import Layout
-from onebend.learning.posterior import Posterior
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+
+if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
+    from onebend.learning.posterior import Posterior
 
 SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
 
