@@ -7,10 +7,9 @@ import pytest
 
 from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
 from onebend.learning.live import smoother
-from onebend.learning.live.force_process import ForceProcess
+from onebend.learning.live.force_process import ForceProcess, LoadStages
 from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, solve
 from onebend.learning.live.linearised_frames import Linearizer
-from onebend.learning.live.live_stages import LoadStages
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.live.stiffness_hyperparameters import OfK, Sizes

@@ -19,7 +19,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.live.frame_input import checked_frame
+from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveScales, Start
 from onebend.learning.live.session import Setting, live_layout
 from onebend.learning.live.settings import OnlineSettings

@@ -8,13 +8,11 @@ import numpy as np
 
 from onebend.learning.live.doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit, missed_tag
 from onebend.learning.live.force_hyperparameters import ScaleSearch
-from onebend.learning.live.force_process import ForceProcess
-from onebend.learning.live.frame_input import Frame
+from onebend.learning.live.force_process import ForceProcess, LoadStages
+from onebend.learning.live.incoming_frame import Frame, expect_shape, surprise, write_frame
 from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, gather, solve
 from onebend.learning.live.key_frames import accept_average, closest_pairs, empty, propose_average
 from onebend.learning.live.linearised_frames import Linearizer
-from onebend.learning.live.live_entry import expect_shape, surprise, write_frame
-from onebend.learning.live.live_stages import LoadStages
 from onebend.learning.live.marginalised import fold_oldest, nothing_folded
 from onebend.learning.live.session import ORDER, Habits, Setting
 from onebend.learning.live.stiffness_hyperparameters import Sizes
