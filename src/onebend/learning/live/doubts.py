@@ -13,7 +13,7 @@ FAR_OFF = 5.0  # times the tags' noise: so much is hardly the tags' alone
 FAILED = "the last solution failed: k(s) is what was known before"
 TOO_SOFT = "the estimate has no equilibrium under a force that the beam withstood"
 _ROUGH = 1.7  # times the tags' noise: from there on what is left of the tags is more than that
-_SEEN = 3.0  # times the noise that a tag's own covariance says: less is no miss, however little it moves
+_CLEAR_MISS = 3.0  # times the noise that a tag's own covariance says: less is no miss, however little it moves
 
 
 def misfit(keys: KeyFrames, marker: float) -> float:
@@ -21,13 +21,13 @@ def misfit(keys: KeyFrames, marker: float) -> float:
     say and with any force; 0 where it is no more than noise of size `marker`.
     """
     loaded = ~keys.rest[: keys.used]
-    left = (keys.root[: keys.used] @ keys.left[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
-    r = without_force(left, keys.rows_a[: keys.used][loaded])
+    residual = (keys.root[: keys.used] @ keys.residual[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
+    r = without_force(residual, keys.rows_a[: keys.used][loaded])
     size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
     return size if size > _ROUGH * marker else 0.0
 
 
-def live_doubts(keys: KeyFrames, marker: float, coarse: float, missed: str) -> tuple[str, ...]:
+def key_frame_doubts(keys: KeyFrames, marker: float, coarse: float, missed: str) -> tuple[str, ...]:
     """What the key frames contradict; empty as a rule.
 
     `marker`: noise of the tags over what their covariances say; `coarse`: the misfit where it is more; `missed`: what
@@ -47,19 +47,19 @@ def missed_tag(keys: KeyFrames) -> str:
     """The tag that is missed by most of its own motion whatever the force is, where that is more than the fit lets
     pass; else nothing."""
     used = keys.used
-    seen = keys.information[:used, :, 0, 0] > 0.0
-    pushed = seen & ~keys.rest[:used, None]
+    visible = keys.information[:used, :, 0, 0] > 0.0
+    pushed = visible & ~keys.rest[:used, None]
     if not np.any(pushed):
         return ""
     frames = pushed * keys.frames[:used, None]
     counts = np.maximum(frames.sum(axis=0), 1.0)  # (m,) frames
-    force = force_in((keys.root[:used] @ keys.left[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
-    left = keys.left[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
-    rms = np.sqrt((frames[..., None] * left**2).sum(axis=(0, 2)) / counts)
+    force = force_in((keys.root[:used] @ keys.residual[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
+    residual = keys.residual[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
+    rms = np.sqrt((frames[..., None] * residual**2).sum(axis=(0, 2)) / counts)
     of_xy = (pushed * (keys.information[:used, :, 0, 0] + keys.information[:used, :, 1, 1])).sum(axis=0)
     noise = 2.0 / np.sqrt(np.maximum(of_xy / counts, 1e-300))  # m, of one frame, x and y alike
-    motion = _motion(keys.measured[:used, :, :2], seen)
-    share = np.where(np.any(pushed, axis=0) & (rms > _SEEN * noise), rms / np.maximum(motion, 1e-300), 0.0)
+    motion = _motion(keys.measured[:used, :, :2], visible)
+    share = np.where(np.any(pushed, axis=0) & (rms > _CLEAR_MISS * noise), rms / np.maximum(motion, 1e-300), 0.0)
     worst = int(np.argmax(share))
     if share[worst] <= MISS:
         return ""
@@ -69,8 +69,8 @@ def missed_tag(keys: KeyFrames) -> str:
     )
 
 
-def _motion(xy: Array, seen: BoolArray) -> Array:
+def _motion(xy: Array, visible: BoolArray) -> Array:
     """(m,) m: from end to end of where each tag was seen; infinite where it never was."""
-    part = seen[..., None]
+    part = visible[..., None]
     across = np.max(xy, axis=0, initial=-np.inf, where=part) - np.min(xy, axis=0, initial=np.inf, where=part)
     return np.asarray(np.sqrt(across[:, 0] ** 2 + across[:, 1] ** 2))

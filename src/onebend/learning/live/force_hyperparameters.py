@@ -14,11 +14,11 @@ import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
 from onebend.learning.inference.hyperparameters import CHOSEN, SPREAD
-from onebend.learning.live.key_frame_posterior import LiveScales, Solution
+from onebend.learning.live.key_frame_posterior import KeyFramePosterior, LiveHyperparameters
 from onebend.records import Array
 
 _CENTRE = 0.25  # share of the node in the middle
-_MOST = 4.0  # sd from what was expected
+_FARTHEST = 4.0  # sd from what was expected
 _SHORTEST, _LONGEST = 0.05, 0.7  # step of a log
 _NEAR = 0.4  # sd of what was expected: so far out the curvature is looked at
 _CLIMB_EVERY = 2  # trials
@@ -29,7 +29,7 @@ MEMORY_DOUBT = _SPREAD["memory"]
 
 
 @dataclass(frozen=True)
-class _Node:
+class _CubatureNode:
     """What would be known of log k at other scales, in units of what is known at the optimum: as that shrinks, so does
     this."""
 
@@ -38,10 +38,10 @@ class _Node:
     spread: Array  # (p, p) about it
 
 
-class ScaleSearch:
+class HyperparameterSearch:
     """What to try next, and what the trials so far have told."""
 
-    def __init__(self, expected: LiveScales, chosen: tuple[str, ...], memory_doubt: float) -> None:
+    def __init__(self, expected: LiveHyperparameters, chosen: tuple[str, ...], memory_doubt: float) -> None:
         """`chosen` scales are searched; over all of them but white noise, which hardly matters, it is averaged.
 
         `memory_doubt`: sd of the log of the memory that is expected.
@@ -51,8 +51,8 @@ class ScaleSearch:
         self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
         self._steps = np.array([0.7 if name == "load" else 0.3 for name in chosen])  # it may be ten times as large
         self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
-        self._nodes: dict[int, _Node] = {}
-        self._trials, self._climbs, self._at = 0, 0, 0
+        self._nodes: dict[int, _CubatureNode] = {}
+        self._trials, self._climbs, self._look = 0, 0, 0
         self._begin()
 
     @property
@@ -65,7 +65,7 @@ class ScaleSearch:
         """Trials that surely hold a whole round of looks."""
         return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
 
-    def proposal(self, now: LiveScales) -> LiveScales:
+    def proposal(self, now: LiveHyperparameters) -> LiveHyperparameters:
         """The next trial."""
         logs = np.log([getattr(now, name) for name in self._chosen])
         if self.climbs:
@@ -73,13 +73,13 @@ class ScaleSearch:
             logs[i] += self._steps[i]
         else:
             logs += self._spread * self._away()
-        room = _MOST * self._spread
+        room = _FARTHEST * self._spread
         values = np.exp(np.clip(logs, self._expected - room, self._expected + room))
         return replace(now, **dict(zip(self._chosen, values.tolist(), strict=True)))
 
-    def cost(self, scales: LiveScales) -> float:
+    def cost(self, hyperparameters: LiveHyperparameters) -> float:
         """-2 log prior of the scales."""
-        z = (np.log([getattr(scales, name) for name in self._chosen]) - self._expected) / self._spread
+        z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
         return float(z @ z)
 
     def climbed(self, better: bool) -> None:
@@ -90,9 +90,9 @@ class ScaleSearch:
         self._climbs += 1
         self._trials += 1
 
-    def looked(self, worse: float, there: Solution, here: Solution) -> None:
+    def looked(self, worse: float, there: KeyFramePosterior, here: KeyFramePosterior) -> None:
         """After a look: by how much -2 log probability is larger there, and what is known there and at the optimum."""
-        if self._at < 2 * len(self._pairs):
+        if self._look < 2 * len(self._pairs):
             self._curve(worse)
             return
         count = len(self._open)
@@ -102,30 +102,30 @@ class ScaleSearch:
         away = here.lower.T @ (there.x[:p] - here.x[:p])
         half, _ = dtrtrs(there.lower, here.lower, lower=1)
         spread = half.T @ half + np.outer(away, away)
-        self._nodes[self._at - 2 * len(self._pairs)] = _Node(float(log_weight), away, spread)
+        self._nodes[self._look - 2 * len(self._pairs)] = _CubatureNode(float(log_weight), away, spread)
         self._advance()
 
     def _curve(self, worse: float) -> None:
         """One look near by: the slope drops out of a pair's sum."""
-        self._curved[self._at // 2] += 0.5 * worse / _NEAR**2
-        if self._at == 2 * len(self._pairs) - 1:
+        self._curved[self._look // 2] += 0.5 * worse / _NEAR**2
+        if self._look == 2 * len(self._pairs) - 1:
             self._axes = self._principal()
         self._advance()
 
     def _advance(self) -> None:
         self._trials += 1
-        self._at += 1
-        if self._at == 2 * (len(self._pairs) + len(self._open)):
+        self._look += 1
+        if self._look == 2 * (len(self._pairs) + len(self._open)):
             self._begin()
 
     def failed(self) -> None:
         """After a trial of scales that cannot be."""
         if self.climbs:
             self.climbed(False)
-        elif self._at < 2 * len(self._pairs):
+        elif self._look < 2 * len(self._pairs):
             self._curve(_NEAR**2)
         else:
-            self._nodes.pop(self._at - 2 * len(self._pairs), None)
+            self._nodes.pop(self._look - 2 * len(self._pairs), None)
             self._advance()
 
     def averaged(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
@@ -148,17 +148,17 @@ class ScaleSearch:
         self._pairs = [(i, j) for i in range(count) for j in range(i + 1)]
         self._curved = np.zeros(len(self._pairs))
         self._axes = np.zeros((count, count))
-        self._at = 0
+        self._look = 0
 
     def _away(self) -> Array:
         """Where the next look is, in sd of what was expected, from the optimum."""
-        out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._at % 2), 2 * len(self._pairs)
-        if self._at < pairs:
-            i, j = self._pairs[self._at // 2]
+        out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
+        if self._look < pairs:
+            i, j = self._pairs[self._look // 2]
             out[self._open[[i, j]]] = side * _NEAR
         else:
             count = len(self._open)
-            out[self._open] = side * np.sqrt(count / (1.0 - _CENTRE)) * self._axes[:, (self._at - pairs) // 2]
+            out[self._open] = side * np.sqrt(count / (1.0 - _CENTRE)) * self._axes[:, (self._look - pairs) // 2]
         return out
 
     def _principal(self) -> Array:

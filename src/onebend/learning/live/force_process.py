@@ -34,7 +34,7 @@ class ForceProcess:
 
 
 @dataclass(frozen=True)
-class Spans:
+class TimeSpans:
     """K stretches of time, in order, that do not overlap."""
 
     begin: Array  # (K,) s, first frame
@@ -43,11 +43,11 @@ class Spans:
     slow: Array  # (K,) 1 where only level, walk and load count, at `end`; else 0
     own: Array  # (K,) the load's own time
 
-    def after(self, time: float, own: float) -> Spans:
+    def after(self, time: float, own: float) -> TimeSpans:
         """With a first one, of which only the slow part counts."""
         first = (time, time, 1.0, 1.0, own)
         every = zip(first, (self.begin, self.end, self.frames, self.slow, self.own), strict=True)
-        return Spans(*(np.concatenate([[one], v]) for one, v in every))
+        return TimeSpans(*(np.concatenate([[value], values]) for value, values in every))
 
     @cached_property
     def centre(self) -> Array:
@@ -87,7 +87,7 @@ class Spans:
         return np.asarray(1.0 + np.exp(-np.abs(self.own[:, None] - self.own)))
 
 
-def covariance(process: ForceProcess, spans: Spans) -> Array:
+def covariance(process: ForceProcess, spans: TimeSpans) -> Array:
     """(K, K) N^2 of the mean errors over the spans, for one axis."""
     share, own = _averaging(spans.width / process.memory)
     out = np.exp(spans.gap * (-1.0 / process.memory))
@@ -101,7 +101,7 @@ def covariance(process: ForceProcess, spans: Spans) -> Array:
     return np.asarray(out)
 
 
-def with_one_more(process: ForceProcess, spans: Spans, time: float, own: float) -> tuple[Array, float]:
+def with_one_more(process: ForceProcess, spans: TimeSpans, time: float, own: float) -> tuple[Array, float]:
     """N^2, covariance (K,) of a single frame at `time`, after all spans, with them, and its variance."""
     begin = float(spans.begin[0]) if len(spans.begin) else time
     slow = process.level**2 + process.load**2
@@ -132,7 +132,7 @@ def _averaging(u: Array) -> tuple[Array, Array]:
 
 
 _FINE = 0.005  # of the scale: displacements that differ by less are one
-_KEPT = 256  # displacements of one stage
+_PATH_LENGTH = 256  # displacements of one stage
 _CHANGES = 6  # the last ones, whose stretch of time is still looked at
 _USUAL = 0.1  # of the length: a push is expected to move the tags by so much
 
@@ -146,16 +146,16 @@ class LoadStages:
         self._rest = np.full((tags, 2), np.nan)
         self._loaded = False
         self._rising, self._extreme, self._peak = True, 0.0, 0.0  # m, and when
-        self._path: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # s, m
+        self._path: deque[tuple[float, float]] = deque(maxlen=_PATH_LENGTH)  # s, m
         self._changes: deque[tuple[float, Change]] = deque()
         self._past: deque[tuple[float, Change]] = deque()
         self._open: float | None = None  # m, displacement that a change has begun from and is not over
 
-    def see(self, time: float, xy: Array, seen: BoolArray, loaded: bool) -> None:
+    def add_frame(self, time: float, xy: Array, visible: BoolArray, loaded: bool) -> None:
         """The next frame: tags (m, 2) m where `seen`."""
-        self._here[seen] = xy[seen]
+        self._here[visible] = xy[visible]
         if not loaded:
-            self._rest[seen] = xy[seen]
+            self._rest[visible] = xy[visible]
             if self._loaded:
                 self._release()
             self._loaded = False
@@ -193,7 +193,7 @@ class LoadStages:
         self._add(ANEW, Change(min(low, self._peak), time, release=False))
         self._open = self._extreme
         self._rising, self._extreme, self._peak = not self._rising, size, time
-        self._path = deque([one for one in self._path if one[0] >= low], maxlen=_KEPT)
+        self._path = deque([point for point in self._path if point[0] >= low], maxlen=_PATH_LENGTH)
 
     def _release(self) -> None:
         clear = [t for t, d in self._path if d > CLEAR * self._largest]

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.errors import LearningError
-from onebend.learning.live.key_frame_posterior import Solution
+from onebend.learning.live.key_frame_posterior import KeyFramePosterior
 from onebend.learning.live.key_frames import KeyFrames
 from onebend.records import Array, BoolArray
 
 
 @dataclass(frozen=True)
-class Frame:
+class CheckedFrame:
     """m tags and a force at one time."""
 
     time: float  # s
     measured: Array  # (m, 3) m, m, rad; 0 where not seen
     covariance: Array  # (m, 3, 3); the unit matrix where not seen
     root: Array  # (m, 3, 3) R with R' R its inverse; zero where not seen
-    seen: BoolArray  # (m,)
+    visible: BoolArray  # (m,)
     force: Array  # (2,) N, as logged
     push_s: float
     loaded: bool
@@ -39,9 +39,9 @@ def checked_frame(
     push_s: float,
     loaded: bool,
     gravity: ArrayLike,
-) -> Frame:
+) -> CheckedFrame:
     """A frame of `tags` tags. Raises `LearningError` where something does not fit or is not finite."""
-    place = _array(xy, (tags, 2), "xy", time)
+    position = _array(xy, (tags, 2), "xy", time)
     turn = _array(angle, (tags,), "angle", time)
     spread = _array(covariance, (tags, 3, 3), "covariance", time)
     pushed, pulled = _array(force, (2,), "force", time), _array(gravity, (2,), "gravity", time)
@@ -54,11 +54,11 @@ def checked_frame(
         )
     if loaded and not 0.0 < push_s <= 1.0:
         raise LearningError(f"frame at {time:g} s: the force acts at s in (0, 1], got {push_s}")
-    measured = np.concatenate([place, turn[:, None]], axis=1)
+    measured = np.concatenate([position, turn[:, None]], axis=1)
     if np.any(np.isinf(measured)):
         raise LearningError(f"frame at {time:g} s: a tag at infinity; give NaN where a tag is not seen")
-    seen = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
-    spread = np.where(seen[:, None, None], spread, np.eye(3))
+    visible = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
+    spread = np.where(visible[:, None, None], spread, np.eye(3))
     try:
         lower = np.linalg.cholesky(spread)
     except np.linalg.LinAlgError as error:
@@ -67,8 +67,10 @@ def checked_frame(
             "and angle [rad^2] on its diagonal"
         ) from error
     where = push_s if loaded else 1.0
-    root = np.linalg.inv(lower) * seen[:, None, None]
-    return Frame(time, np.where(seen[:, None], measured, 0.0), spread, root, seen, pushed, where, loaded, pulled)
+    root = np.linalg.inv(lower) * visible[:, None, None]
+    return CheckedFrame(
+        time, np.where(visible[:, None], measured, 0.0), spread, root, visible, pushed, where, loaded, pulled
+    )
 
 
 def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) -> Array:
@@ -78,13 +80,13 @@ def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) ->
     return out
 
 
-def write_frame(keys: KeyFrames, frame: Frame, rate: Array) -> int:
+def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array) -> int:
     """Put the frame in the place behind the key frames in use, which is returned; `rate` (2,) N/s of its force."""
     i = keys.used
     keys.begin[i] = keys.end[i] = frame.time
     keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
     keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
-    keys.measured[i], keys.weight[i] = frame.measured, frame.seen
+    keys.measured[i], keys.weight[i] = frame.measured, frame.visible
     keys.root[i], keys.information[i] = frame.root, frame.root.swapaxes(1, 2) @ frame.root
     keys.used += 1
     return i
@@ -100,13 +102,18 @@ def expect_shape(keys: KeyFrames, i: int, error: Array) -> None:
 
 
 def surprise(
-    keys: KeyFrames, frame: Frame, solution: Solution, x: Array, marker: float, expected: tuple[Array, float]
+    keys: KeyFrames,
+    frame: CheckedFrame,
+    solution: KeyFramePosterior,
+    x: Array,
+    marker: float,
+    expected: tuple[Array, float],
 ) -> tuple[Array, Array]:
     """Innovation (m, 3) of the last key frame at parameters x, and its distance (m,) in sd.
 
     `marker`: noise of the tags; `expected`: rows (slots,) of the frame's force error on the known ones, its variance.
     """
-    i, tags, (rows, own) = keys.used - 1, len(frame.seen), expected
+    i, tags, (rows, own) = keys.used - 1, len(frame.visible), expected
     j, a = keys.j[i].reshape(-1, len(x)), keys.a[i].reshape(-1, 2)
     innovation = keys.zeta[i] - keys.j[i] @ x + keys.a[i] @ keys.error[i]
     by_errors = -a[:, None, :] * rows[None, :, None]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.live.force_process import Spans
+from onebend.learning.live.force_process import TimeSpans
 from onebend.records import Array, BoolArray, IntArray
 
 _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
@@ -35,7 +35,7 @@ class KeyFrames:
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
     root: Array  # (K, m, 3, 3) R with R' R = information
     weight: Array  # (K, m) robust
-    left: Array  # (K, m, 3) measured less predicted, where it was linearised
+    residual: Array  # (K, m, 3) measured less predicted, where it was linearised
     linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
     rows: Array  # (K, 3 m, n + 3): the same, whitened
     shape: Array  # (K, Q, 3): `q`, `by_force`
@@ -150,14 +150,14 @@ class KeyFrames:
         """(used,) s, in the middle of each frame's stretch of time."""
         return 0.5 * (self.begin[: self.used] + self.end[: self.used])
 
-    def spans(self, more: Array) -> Spans:
+    def spans(self, more: Array) -> TimeSpans:
         """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
         begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
-        return Spans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
+        return TimeSpans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
 
     def arrays(self) -> list[Array | BoolArray]:
         """All that is kept of every frame."""
-        shapes = [self.left, self.linear, self.rows, self.shape]
+        shapes = [self.residual, self.linear, self.rows, self.shape]
         return [self.numbers, self.flags, self.measured, self.information, self.root, self.weight, *shapes]
 
     def drop(self, i: int) -> None:
@@ -173,14 +173,14 @@ class KeyFrames:
         """
         measured, error, linear = self.measured[i], self.error[i], np.empty((len(i), *self.linear.shape[1:]))
         measured[..., 2] -= 2.0 * np.pi * np.round((measured[..., 2] - pose[..., 2]) / (2.0 * np.pi))
-        left = measured - pose
+        residual = measured - pose
         linear[..., :-3] = j
         linear[..., -3:-1] = a * ~self.rest[i][:, None, None, None]
-        linear[..., -1] = left + j @ x - (linear[..., -3:-1] @ error[:, None, :, None])[..., 0]
-        self.measured[i], self.left[i], self.linear[i], self.flags[i, 1:] = measured, left, linear, False
+        linear[..., -1] = residual + j @ x - (linear[..., -3:-1] @ error[:, None, :, None])[..., 0]
+        self.measured[i], self.residual[i], self.linear[i], self.flags[i, 1:] = measured, residual, linear, False
         self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
 
-    def said(self, i: int, marker: float, white: float) -> Array:
+    def likelihood_rows(self, i: int, marker: float, white: float) -> Array:
         """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
         noise, and two of the log itself where nothing pushes.
         """
@@ -214,7 +214,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         information=room(tags, 3, 3),
         root=room(tags, 3, 3),
         weight=room(tags),
-        left=room(tags, 3),
+        residual=room(tags, 3),
         linear=room(tags, 3, parameters + 3),
         rows=room(3 * tags, parameters + 3),
         shape=room(nodes, 3),
@@ -223,9 +223,9 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 
 def _roots(information: Array) -> Array:
     """R (m, 3, 3) with R' R = information; zero where that is zero."""
-    seen = information[:, 0, 0] > 0.0
-    safe = np.where(seen[:, None, None], information, _EYE)
-    return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
+    visible = information[:, 0, 0] > 0.0
+    safe = np.where(visible[:, None, None], information, _EYE)
+    return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * visible[:, None, None])
 
 
 def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most: int) -> list[int]:
@@ -257,38 +257,40 @@ def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most:
     return out
 
 
-def propose_average(keys: KeyFrames, i: int, at: int) -> None:
+def propose_average(keys: KeyFrames, i: int, slot: int) -> None:
     """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
     k = i + 1
     first, second = keys.numbers[i], keys.numbers[k]
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
-    keys.numbers[at] = (1.0 - share) * first + share * second
-    keys.shape[at] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
-    keys.begin[at], keys.end[at], keys.frames[at] = first[0], second[1], first[3] + second[3]
-    keys.rest[at], keys.lost[at] = keys.rest[i], False
-    keys.grid[at] = keys.grid[i]
+    keys.numbers[slot] = (1.0 - share) * first + share * second
+    keys.shape[slot] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
+    keys.begin[slot], keys.end[slot], keys.frames[slot] = first[0], second[1], first[3] + second[3]
+    keys.rest[slot], keys.lost[slot] = keys.rest[i], False
+    keys.grid[slot] = keys.grid[i]
     if keys.grid[k] != keys.grid[i]:
-        keys.shape[at] = keys.shape[i]
-    keys.measured[at], keys.root[at] = 0.0, 0.0
+        keys.shape[slot] = keys.shape[i]
+    keys.measured[slot], keys.root[slot] = 0.0, 0.0
 
 
-def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
+def accept_average(keys: KeyFrames, i: int, slot: int, x: Array) -> None:
     """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
     k = i + 1
-    share = keys.frames[k] / keys.frames[at]
+    share = keys.frames[k] / keys.frames[slot]
     # At rest all frames are alike, and tags are read wrong in the same way: an average of them counts as one.
     counts = (1.0 - share, share) if keys.rest[i] else (1.0, 1.0)
-    says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)]
-    total = says[0] + says[1]
-    seen = total[:, 0, 0] > 0.0
-    both = says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]
-    left = np.linalg.solve(np.where(seen[:, None, None], total, _EYE), both)[..., 0] * seen[:, None]
-    keys.information[at], keys.root[at], keys.weight[at] = total, _roots(total), seen
-    keys.measured[at] += left - keys.left[at]
-    keys.left[at] = left
-    linear = keys.linear[at]
-    linear[..., -1] = left + linear[..., :-3] @ x - linear[..., -3:-1] @ keys.error[at]
-    keys.whiten(at)
+    informations = [
+        w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)
+    ]
+    total = informations[0] + informations[1]
+    visible = total[:, 0, 0] > 0.0
+    both = informations[0] @ keys.residual[i][..., None] + informations[1] @ keys.residual[k][..., None]
+    residual = np.linalg.solve(np.where(visible[:, None, None], total, _EYE), both)[..., 0] * visible[:, None]
+    keys.information[slot], keys.root[slot], keys.weight[slot] = total, _roots(total), visible
+    keys.measured[slot] += residual - keys.residual[slot]
+    keys.residual[slot] = residual
+    linear = keys.linear[slot]
+    linear[..., -1] = residual + linear[..., :-3] @ x - linear[..., -3:-1] @ keys.error[slot]
+    keys.whiten(slot)
     for values in keys.arrays():
-        values[i] = values[at]
+        values[i] = values[slot]
     keys.drop(k)

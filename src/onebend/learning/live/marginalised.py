@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.live.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.live.key_frames import KeyFrames
 from onebend.records import Array
 
 
 @dataclass
-class Past:
+class Marginalised:
     """The folded frames."""
 
     rows: Array  # (n + 2, n + 3) upper triangular `[R | z]`: -2 log likelihood |R (x, e) - z|^2
@@ -27,46 +28,42 @@ class Past:
     own: float = 0.0  # the load's own time there
 
     @property
-    def information(self) -> Array:
-        """(n + 2, n + 2)."""
-        return self.rows[:, :-1].T @ self.rows[:, :-1]
+    def form(self) -> InformationForm:
+        """On all n + 2 of (x, e)."""
+        root, z = self.rows[:, :-1], self.rows[:, -1]
+        return InformationForm(root.T @ root, root.T @ z)
 
-    @property
-    def b(self) -> Array:
-        """(n + 2,) the right side."""
-        return self.rows[:, :-1].T @ self.rows[:, -1]
-
-    def add(self, said: Array, time: float, own: float, *, slow: float, fast: float) -> None:
+    def add(self, new_rows: Array, time: float, own: float, *, slow: float, fast: float) -> None:
         """One more frame's say (R, n + 3) in x and its own force error; the slow error of the past moves to its time.
 
         `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
         """
-        before = loosened(self.rows, slow) if np.isfinite(self.time) else self.rows
-        both = np.concatenate([before, loosened(said, fast)])
+        before = with_error_change(self.rows, slow) if np.isfinite(self.time) else self.rows
+        both = np.concatenate([before, with_error_change(new_rows, fast)])
         self.rows, self.time, self.own = _triangle(both)[: len(self.rows)], time, own
 
 
-def nothing_folded(parameters: int) -> Past:
+def nothing_marginalised(parameters: int) -> Marginalised:
     """The past before a frame was folded."""
-    return Past(np.zeros((parameters + 2, parameters + 3)), -np.inf)
+    return Marginalised(np.zeros((parameters + 2, parameters + 3)), -np.inf)
 
 
-def fold_oldest(
-    keys: KeyFrames, past: Past, process: ForceProcess, marker: float, lately: Callable[[Array], Array]
+def marginalise_oldest(
+    keys: KeyFrames, marginalised: Marginalised, process: ForceProcess, marker: float, lately: Callable[[Array], Array]
 ) -> None:
     """The oldest key frame becomes part of the past, under this force error and noise of the tags.
 
     `lately`: what the load's last changes add to its own time at given times.
     """
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
-    here, there = lately(np.array([keys.centre[0], past.time])).tolist()
-    own = float(keys.own[0]) - past.own + here - there
-    slow, fast = slow_variance(process, end - past.time, own), fast_variance(process, end - begin, frames)
-    past.add(keys.said(0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
+    here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
+    own = float(keys.own[0]) - marginalised.own + here - there
+    slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
+    marginalised.add(keys.likelihood_rows(0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
     keys.drop(0)
 
 
-def loosened(rows: Array, variance: float) -> Array:
+def with_error_change(rows: Array, variance: float) -> Array:
     """Rows (R, n + 3) on (x, e) as what they say where e = c + d, d (2,) normal of that variance [N^2] and integrated
     out: at most as many rows on (x, c).
     """

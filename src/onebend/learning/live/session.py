@@ -20,27 +20,27 @@ _GRIDS = 50  # over the length: a push between two is moved there along the tang
 
 
 @dataclass(frozen=True)
-class Setting:
+class LiveSession:
     """What does not change while one beam is filmed."""
 
     length: float  # m
     marker_s: Array  # (m,)
     mass: float  # kg
-    at: Layout
+    layout: Layout
 
     @cached_property
     def columns(self) -> dict[str, slice]:
         """Columns of all parameters that are not frozen."""
-        return free_columns(self.at)
+        return free_columns(self.layout)
 
     @property
     def weighs(self) -> bool:
         """Whether the mass is among the parameters."""
-        return self.mass > 0.0 and self.at.index["mass", -1].start >= 0
+        return self.mass > 0.0 and self.layout.index["mass", -1].start >= 0
 
 
 @dataclass(frozen=True)
-class Habits:
+class SmootherSettings:
     """How the live learner works."""
 
     key_frames: int
@@ -59,7 +59,7 @@ class Habits:
 
 
 @dataclass(frozen=True)
-class Place:
+class PushGrid:
     """Everything that depends only on where the force acts."""
 
     push_s: float
@@ -76,7 +76,7 @@ class Place:
     reach: Array  # (2 m, Q): integrals up to the markers; 1/m, turn of the beam there per metre along it
 
 
-def live_layout(
+def session_layout(
     spline: Spline, tags: int, priors: Priors, *, placement_sd: float, rest_unknown: bool, calibrated: bool, mass: float
 ) -> Layout:
     """The parameters of one beam under one camera; the force's error is a process and not among them."""
@@ -113,7 +113,7 @@ def live_layout(
     return Layout(spline, tuple(blocks), start, {(b.name, -1): b for b in blocks})
 
 
-def grid_place(push_s: float) -> float:
+def nearest_grid_place(push_s: float) -> float:
     """The place nearest to a push at which there is a grid."""
     return max(round(push_s * _GRIDS), 1) / _GRIDS
 
@@ -123,24 +123,24 @@ def grid_places() -> list[float]:
     return [i / _GRIDS for i in range(1, _GRIDS + 1)]
 
 
-def place_at(setting: Setting, push_s: float) -> Place:
+def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     """The grid and what stands on it for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
     nodes, to_nodes, weights = grid.nodes, grid.integral_to_nodes, grid.weights
-    parts, rows = MASS_MODES.curvature(nodes), grid.integral_to(setting.marker_s)
+    parts, rows = MASS_MODES.curvature(nodes), grid.integral_to(session.marker_s)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    return Place(
+    return PushGrid(
         push_s=push_s,
         grid=grid,
         to_nodes=to_nodes,
         squares=(to_nodes[:, :, None] * to_nodes[:, None, :]).reshape(len(nodes), -1),
         weights=weights,
         beyond=np.asarray(beyond, dtype=float),
-        farther=np.asarray(last / (setting.length * weights)),
-        mass_beyond=setting.mass * (weights @ parts - to_nodes @ parts),
-        on_nodes=setting.at.spline.basis(nodes),
+        farther=np.asarray(last / (session.length * weights)),
+        mass_beyond=session.mass * (weights @ parts - to_nodes @ parts),
+        on_nodes=session.layout.spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        steps=setting.length * rows,
-        reach=np.concatenate([rows, grid.value_at(setting.marker_s) / setting.length]),
+        steps=session.length * rows,
+        reach=np.concatenate([rows, grid.value_at(session.marker_s) / session.length]),
     )

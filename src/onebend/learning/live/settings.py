@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from onebend.errors import LearningError
 from onebend.learning.inference.stiffness_prior import RHO, TAU
 from onebend.learning.live.force_hyperparameters import MEMORY_DOUBT
-from onebend.learning.live.key_frame_posterior import LiveScales
-from onebend.learning.live.session import Habits
+from onebend.learning.live.key_frame_posterior import LiveHyperparameters
+from onebend.learning.live.session import SmootherSettings
 from onebend.learning.model.parameters import Priors
 
 _WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
@@ -42,9 +42,9 @@ class OnlineSettings:
     step: float = 0.7  # of log k: the most that one update moves it
 
     @property
-    def habits(self) -> Habits:
+    def smoother(self) -> SmootherSettings:
         """What of it the smoother needs."""
-        return Habits(
+        return SmootherSettings(
             key_frames=self.key_frames,
             renewed=self.renewed,
             zero=self.force_zero,
@@ -61,9 +61,9 @@ class OnlineSettings:
         )
 
     @property
-    def scales(self) -> LiveScales:
+    def hyperparameters(self) -> LiveHyperparameters:
         """Where they begin."""
-        return LiveScales(
+        return LiveHyperparameters(
             marker=self.marker_noise,
             white=self.force_noise if self.force_white is None else self.force_white,
             coloured=self.force_noise,
