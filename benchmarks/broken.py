@@ -166,7 +166,8 @@ def run(cell: str, seed: int) -> Outcome:
 
 def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
     """A fit against k (35,) at S, and what its criticism says."""
-    band, critic = stiffness_of(found.at, found.optimum, found.gain_sd).band(S), found.criticism  # whatever the verdict
+    band = stiffness_of(found.layout, found.optimum, found.gain_sd).band(S)  # whatever the verdict
+    critic = found.criticism
     known, sd = band.identified, np.log(band.high / band.low) / (2.0 * 1.96)
     inside = (truth > band.low) & (truth < band.high)
     z = np.log(band.k / truth) / sd
@@ -179,7 +180,7 @@ def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
         causes=tuple(f.score.suspect.name for f in critic.causes),
         inside=float(np.mean(inside[known])) if np.any(known) else np.nan,
         z=float(np.sqrt(np.mean(z[known] ** 2))) if np.any(known) else np.nan,
-        marker=found.optimum.scales.films[0].marker,
+        marker=found.optimum.hyperparameters.noise[0].marker,
     )
 
 

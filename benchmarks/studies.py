@@ -194,7 +194,7 @@ def own_run(cell: str, seed: int) -> Run:
         found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
     except (LearningError, MechanicsError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    error = thirds(drawn.at.spline) @ (found.mean[:functions] - drawn.x[:functions])
+    error = thirds(drawn.problem.layout.spline) @ (found.mean[:functions] - drawn.x[:functions])
     return replace(
         compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
         thirds_error=tuple(error.tolist()),

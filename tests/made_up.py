@@ -83,7 +83,7 @@ def observations(name: str = "made-up", one: Comparison | None = None) -> Observ
         source=Source(
             name=name,
             view=overhead_view(),
-            clock=ClockOffset(offset=254.31, sd=0.004, said=255.64, found=True),
+            clock=ClockOffset(offset=254.31, sd=0.004, stated=255.64, found=True),
             clean_force=CleanForce(
                 time=log_time,
                 force=log_force,

@@ -16,7 +16,7 @@ from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.paper.selection import pairs as trials
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of, with_mass
@@ -53,7 +53,7 @@ class Run:
 def learn_recording(
     folder: Path | str,
     *more: Path | str,
-    settings: Settings = Settings(),
+    settings: RegressionSettings = RegressionSettings(),
     fitting: FitSettings | None = FitSettings(),
     observing: ObserveSettings = ObserveSettings(),
     validate_on: Sequence[Path | str] = (),
@@ -130,7 +130,7 @@ def _ids(one: Recording) -> list[int]:
 
 
 def _regression(
-    seen: Observations, settings: Settings, *, needed: bool, progress: Progress
+    seen: Observations, settings: RegressionSettings, *, needed: bool, progress: Progress
 ) -> tuple[Learned | None, tuple[Remark, ...]]:
     """The paper's result; None, and a warning with the reason, where it finds no beam but is not needed."""
     if seen.static and not needed:

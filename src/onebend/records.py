@@ -147,15 +147,15 @@ class CleanForce:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """`log time = video time + offset`. A sensor's own lag cannot be told apart from it and is inside.
+    """`log time = video time + offset`. A constant lag of the sensor cannot be separated from it and is part of it.
 
-    An `sd` of 0 says that the offset was stated to be exact; nothing was looked for.
+    An `sd` of 0: the offset was stated to be exact and was not searched.
     """
 
     offset: float  # s
     sd: float  # s
-    said: float  # s, what `recording.toml` says
-    found: bool  # False where no data could settle it and `offset` is what was said
+    stated: float  # s, as in `recording.toml`; NaN where it is not stated
+    found: bool  # False where the data did not determine it, and `offset` is the stated one
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def released(
                 loaded=~free,
                 gravity=np.zeros((len(time), 2)),
             ),
-            clock=ClockOffset(offset=OFFSET, sd=0.002, said=OFFSET, found=True),
+            clock=ClockOffset(offset=OFFSET, sd=0.002, stated=OFFSET, found=True),
         ),
         mass=float("nan"),
     )

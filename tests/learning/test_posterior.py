@@ -10,10 +10,11 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
 from onebend.errors import LearningError
-from onebend.learning.inference.linear_gaussian import FilmNoise, Rows, quadratic, rows_of
-from onebend.learning.model.fit_data import Film, film
+from onebend.learning.inference.fit_problem import RecordingNoise
+from onebend.learning.inference.linear_gaussian import ResidualRows, residual_rows, tag_information
+from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, Observations
@@ -24,11 +25,11 @@ S = np.linspace(0.05, 0.9, 60)
 NOISE = (2e-5, 1e-3)
 
 
-def prepared(made: Observations, priors: Priors = Priors()) -> tuple[Film, Layout, Array]:
+def prepared(made: Observations, priors: Priors = Priors()) -> tuple[FitData, Layout, Array]:
     """A film, its parameters, and a point away from the optimum."""
     spline = Spline(8)
-    seen = film(made, 0, np.ones(len(made.time), dtype=bool), spline)
-    at = layout(spline, [made], [len(seen.error.knots)], priors)
+    seen = fit_data(made, 0, np.ones(len(made.time), dtype=bool), spline)
+    at = make_layout(spline, [made], [len(seen.error.knots)], priors)
     x = 1e-3 * np.sin(np.arange(at.size))
     x[:8] = np.log(0.02) + 0.3 * np.cos(np.arange(8))
     return seen, at, x
@@ -62,9 +63,9 @@ def test_every_derivative_matches_differences(curved: Observations, weighs: bool
 def test_a_frames_covariance_is_the_dense_one(curved: Observations) -> None:
     """`S = s^2 I + f^2 A A^T`: information, right side, misfit and log determinant against explicit inverses."""
     seen, at, x = prepared(curved)
-    noise = FilmNoise(1.7, 0.004)
-    rows: Rows = rows_of(predict(seen, at, x, None), noise)
-    found = quadratic(rows, at, 0, x, noise)
+    noise = RecordingNoise(1.7, 0.004)
+    rows: ResidualRows = residual_rows(predict(seen, at, x, None), noise)
+    found = tag_information(rows, at, 0, x, noise)
     written = rows.slopes.written
     y = rows.r + written @ x
     h, b, c, log_noise = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0.0

@@ -18,7 +18,7 @@ from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Th
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings
 from onebend.pipeline import compare, learn_recording, plan_next
 from onebend.recording.observe import ObserveSettings
@@ -113,7 +113,7 @@ def learn(
     """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
     out = output or Path(f"{recordings[0].resolve().name}-results")
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
-    settings = Settings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
+    settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting = _fitting(clamp_sd) if method == "fit" else None
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
         run = learn_recording(

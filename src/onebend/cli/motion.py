@@ -13,7 +13,7 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, progress_of, read_trusted
 from onebend.cli.options import Json, Model, Overwrite, Quiet, Recording, Threads
 from onebend.learning.swing.damping import DampingSettings, learn_damping
-from onebend.learning.swing.free_swing import Part
+from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
@@ -69,7 +69,7 @@ def damp(
                 stored.beam,
                 seen,
                 uncertain=stored.uncertain,
-                part=Part(begin, end),
+                part=FilmPart(begin, end),
                 settings=DampingSettings(mass_along=mass_along),
                 progress=progress,
             )

@@ -20,7 +20,7 @@ from onebend.errors import ExportError
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import solved_frames
 from onebend.recording.camera.lens import project
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.records import Array, Observations
 
 CLOCK = "log"  # the timeline: the force log's seconds
@@ -35,7 +35,7 @@ def write_rerun(
     beam: Beam,
     one: Comparison,
     seen: Observations,
-    frames: Iterable[Frame] = (),
+    frames: Iterable[FilmFrame] = (),
     *,
     uncertain: UncertainStiffness | None = None,
     every: int = 1,

@@ -14,7 +14,7 @@ from onebend.forecast.prediction import Predicted, derivatives, outcome_with, to
 from onebend.forecast.setup import Setup
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import WRIST, ForceSensor
-from onebend.learning.design.candidates import Limits, reaches
+from onebend.learning.design.candidates import Limits, largest_pushes
 from onebend.learning.design.identifiability import solve_push
 from onebend.learning.design.proposals import Quality, direction_words
 from onebend.progress import Progress, Silent, track
@@ -91,7 +91,7 @@ def _pushes(setup: Setup) -> Iterator[Thought]:
     bench = replace(instruments(setup).bench, curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
     side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
-    for reach in reaches(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
+    for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
         for size in SIZES if not reach.why_not else ():
             push = replace(first, at_s=reach.at_s, direction=reach.direction, peak=size * reach.largest)
             words = push_words(push)

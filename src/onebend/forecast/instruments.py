@@ -17,8 +17,7 @@ from onebend.forecast.setup import Setup
 from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import LOG_BEFORE
-from onebend.learning.design.instruments import Bench, ForceDoubt
-from onebend.learning.design.instruments import Push as EvenPush
+from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.posterior import FitSettings
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD
@@ -43,27 +42,27 @@ class PushDoubt:
 
 
 @dataclass(frozen=True)
-class Instruments:
+class RehearsalInstruments:
     """All that is used in a rehearsal, and how well it is known."""
 
-    bench: Bench
+    bench: Instruments
     push: PushDoubt
 
 
-def even_push(push: Push) -> EvenPush:
+def even_push(push: Push) -> PlannedPush:
     """The push as one that grows evenly from nothing, in its middle direction."""
-    return EvenPush(push.at_s, push.direction, push.peak)
+    return PlannedPush(push.at_s, push.direction, push.peak)
 
 
-def instruments(setup: Setup) -> Instruments:
-    """Bench and doubts before any push; what differs between the pushes is that of the longest."""
+def instruments(setup: Setup) -> RehearsalInstruments:
+    """Instruments and doubts before any push; what differs between the pushes is that of the longest."""
     push = max(setup.pushes, key=_seconds)
     seconds, tags = _seconds(push), len(setup.tags)
     shared = ("along", "across", "turn") if setup.rest == "straight" else ("curvature", "along", "across", "turn")
     sd = {"curvature": [CURVATURE_SD] * 3, "turn": [setup.turn_sd] * tags}
     prior = np.concatenate([sd.get(name, [setup.placement_sd] * tags) for name in shared])
     clock = clock_sd(setup.sensor, push) if math.isnan(setup.clock_sd) else setup.clock_sd
-    bench = Bench(
+    bench = Instruments(
         length=setup.beam.length,
         tags=setup.tags,
         tag_sd=np.tile([setup.noise.white_xy, setup.noise.white_xy, setup.noise.white_angle], (tags, 1)),
@@ -91,7 +90,7 @@ def instruments(setup: Setup) -> Instruments:
         place_sd=0.0,  # what a push is off by stands in `PushDoubt`
         direction_sd=0.0,
     )
-    return Instruments(bench, PushDoubt(load=_LOAD * setup.sensor.reversal))
+    return RehearsalInstruments(bench, PushDoubt(load=_LOAD * setup.sensor.reversal))
 
 
 def clamp_sd(setup: Setup, own: float) -> float:

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from onebend.beam.profiles.uncertain import IDENTIFIED_SD
 from onebend.blas import one_blas_thread
-from onebend.forecast.instruments import FUNCTIONS, Instruments, even_push, instruments
+from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
 from onebend.learning.design.identifiability import (
     TagDerivatives,
@@ -100,7 +100,7 @@ def doubts(setup: Setup) -> tuple[Doubt, ...]:
     return tuple(sorted(out, key=lambda one: -one.share))
 
 
-def known_exactly(used: Instruments) -> dict[str, Instruments]:
+def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
     """The instruments with one thing known, all but exactly."""
     bench, push, e = used.bench, used.push, _EXACT
     force = bench.force
@@ -121,13 +121,15 @@ def known_exactly(used: Instruments) -> dict[str, Instruments]:
     if bench.clock_sd == 0.0:
         del out["clock"]
     return {name: replace(used, bench=one) for name, one in out.items()} | {
-        "force's bias and slow error": Instruments(replace(bench, force=steady), replace(push, load=e * push.load)),
+        "force's bias and slow error": RehearsalInstruments(
+            replace(bench, force=steady), replace(push, load=e * push.load)
+        ),
         "push's place": replace(used, push=replace(push, place=e * push.place)),
         "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
     }
 
 
-def derivatives(setup: Setup, used: Instruments) -> tuple[TagDerivatives, ...]:
+def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
     """Of the tags along every push, with what is not known; behind the coefficients of log k stand a push's own."""
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
@@ -140,7 +142,7 @@ def derivatives(setup: Setup, used: Instruments) -> tuple[TagDerivatives, ...]:
     return tuple(out)
 
 
-def told_by(setup: Setup, used: Instruments, seen: tuple[TagDerivatives, ...]) -> Array:
+def told_by(setup: Setup, used: RehearsalInstruments, seen: tuple[TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes together on the coefficients, tags and rest shape being the same in all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
@@ -153,13 +155,13 @@ def told_by(setup: Setup, used: Instruments, seen: tuple[TagDerivatives, ...]) -
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def _outcome(setup: Setup, used: Instruments, told: Array) -> Predicted:
+def _outcome(setup: Setup, used: RehearsalInstruments, told: Array) -> Predicted:
     k = np.asarray(setup.beam.stiffness(PLACES))
     away = _away(k)
     return _with_scales(k, away, told, used.bench.gain_sd, *likely_scales(told, away))
 
 
-def outcome_with(now: Predicted, used: Instruments, told: Array) -> Predicted:
+def outcome_with(now: Predicted, used: RehearsalInstruments, told: Array) -> Predicted:
     """The same beam with other information; the prior's sizes are kept, so that only the data differ."""
     return _with_scales(now.k, _away(now.k), told, used.bench.gain_sd, now.tau, now.rho)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.outcome import Comparison, Explained
 from onebend.learning.posterior import Posterior
@@ -16,12 +16,12 @@ PLACES = np.linspace(0.0, 1.0, 121)  # of the centre line
 
 def explained(posterior: Posterior) -> tuple[Explained, ...]:
     """Every recording of a fit, in the frames that it used."""
-    parts = zip(posterior.films, posterior.slow, fitted_rms(posterior), strict=True)
+    parts = zip(posterior.recordings, posterior.slow, fitted_rms(posterior), strict=True)
     return tuple(_one(posterior, film, prediction, rms) for film, prediction, rms in parts)
 
 
-def _one(posterior: Posterior, film: Film, found: Prediction, rms: Array) -> Explained:
-    seen, x, at = film.observations, posterior.mean, posterior.at
+def _one(posterior: Posterior, film: FitData, found: Prediction, rms: Array) -> Explained:
+    seen, x, at = film.observations, posterior.mean, posterior.layout
     used = slice(0, int(np.sum(film.frames)))  # beyond them stands the beam at rest
     scale, origin = 1.0 + at.get(x, "scale", film.number), at.get(x, "origin", film.number)
     comparison = Comparison(

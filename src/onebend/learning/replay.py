@@ -12,7 +12,7 @@ from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.force_error import ForceError, force_error, ramp
 from onebend.learning.model.frames import push_places, usable_frames
-from onebend.learning.model.parameters import Priors, layout, scale_sd
+from onebend.learning.model.parameters import Priors, make_layout, scale_sd
 from onebend.learning.model.spline import Spline
 from onebend.records import Array, BoolArray, Observations
 
@@ -81,7 +81,7 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     """What the fit takes as known before the data."""
-    at = layout(Spline(settings.functions), [o], [0], settings.priors)
+    at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
     sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
     shared = {"curvature": "curvature", "placement": "along", "mounting": "turn"}
     sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in shared.items()}

@@ -1,8 +1,8 @@
-"""Does the force look as if it bent this beam? Flipped signs and swapped axes are the commonest mistakes.
+"""Whether the force can have bent this beam. Flipped signs and swapped axes are the commonest mistakes.
 
-The moment of the force about any place turns the beam there in its own sense, more where it is larger. That holds for
-every beam that is clamped and passive, so a log that contradicts it clearly was written down with another sign or
-other axes. Nothing is corrected here: a person must say which it is.
+The moment of the force about a place turns the beam there in the sense of the moment, and a larger moment turns it
+more. This holds for every clamped passive beam. A log that clearly contradicts it has another sign or other axes than
+recording.toml says. Nothing is corrected here: the experimenter must say which it is.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ TURNS: dict[str, Array] = {
 }
 TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
-BETTER = 0.1  # share of that which another reading may leave to be named
-DOUBT = 0.015  # unexplained share of the moments above which a turn is looked for: simulated clean logs leave 0.008
-SHARPER = 0.25  # share of that which the turned log may leave to be named
+BETTER = 0.1  # of that share: a reading that leaves less is named in the message
+DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
+SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Reading:
     """How well each reading of the force's axes explains the bending."""
 
     unexplained: dict[str, float]  # share of the moments' squares, 0 to 1, by name of TURNS
-    turn: float = 0.0  # rad, by which the log explains the bending best
+    turn: float = 0.0  # rad, of the log's axes, at which the log explains the bending best
     turned: float = 1.0  # share that is unexplained then
 
     @property
@@ -55,14 +55,14 @@ class Reading:
     def better(self) -> str:
         """The reading that fits far better than the log as it is, or nothing."""
         best = min(self.unexplained, key=lambda name: self.unexplained[name])
-        left = self.unexplained["as it is"]
-        return best if self.unexplained[best] < BETTER * left and left > 0.2 else ""
+        as_written = self.unexplained["as it is"]
+        return best if self.unexplained[best] < BETTER * as_written and as_written > 0.2 else ""
 
     @property
     def askew(self) -> bool:
         """The log explains the bending far better when its axes are turned by `turn`."""
-        left = self.unexplained["as it is"]
-        return left > DOUBT and self.turned < SHARPER * left
+        as_written = self.unexplained["as it is"]
+        return as_written > DOUBT and self.turned < SHARPER * as_written
 
 
 def read_force(
@@ -84,15 +84,15 @@ def read_force(
         return None
     turns, levers = turns[good], levers[good]
     axes = to_beam(rotation)
-    left = {n: _unexplained(force[good] @ axes.T @ turn.T @ axes, turns, levers) for n, turn in TURNS.items()}
+    unexplained = {n: _unexplained(force[good] @ axes.T @ turn.T @ axes, turns, levers) for n, turn in TURNS.items()}
     angles = np.arange(-math.pi, math.pi, math.radians(2.0))
     by_angle = [_unexplained(force[good] @ to_beam(float(a)), turns, levers) for a in angles]
     best = int(np.argmin(by_angle))
-    return Reading(left, float(angles[best]), by_angle[best])
+    return Reading(unexplained, float(angles[best]), by_angle[best])
 
 
 def _unexplained(force: Array, turns: Array, levers: Array) -> float:
-    """Share of the squares of the moments that spans of one stiffness each leave."""
+    """Share of the moments' squares that is left when each span has one stiffness."""
     moment = levers[..., 0] * force[:, None, 1] - levers[..., 1] * force[:, None, 0]
     stiffness = np.maximum(np.sum(moment * turns, axis=0) / np.maximum(np.sum(turns**2, axis=0), 1e-12), 0.0)
     return float(np.sum((moment - stiffness * turns) ** 2) / max(float(np.sum(moment**2)), TINY))
@@ -106,7 +106,9 @@ def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Arra
     xy = np.concatenate([np.zeros((count, 1, 2)), markers.xy], axis=1)[:, order]
     bend = np.concatenate([np.zeros((count, 1)), markers.angle - rest.angle], axis=1)[:, order]
     s = s[order]
-    push = np.stack([[np.interp(at, s, row[:, k]) for at, row in zip(push_s, xy, strict=True)] for k in (0, 1)], axis=1)
-    before = np.flatnonzero(s[1:] <= np.nanmin(push_s) + 1e-9)
-    middle = 0.5 * (xy[:, before] + xy[:, before + 1])
-    return bend[:, before + 1] - bend[:, before], push[:, None] - middle
+    push = np.stack(
+        [[np.interp(place, s, row[:, k]) for place, row in zip(push_s, xy, strict=True)] for k in (0, 1)], axis=1
+    )
+    inner = np.flatnonzero(s[1:] <= np.nanmin(push_s) + 1e-9)
+    middle = 0.5 * (xy[:, inner] + xy[:, inner + 1])
+    return bend[:, inner + 1] - bend[:, inner], push[:, None] - middle

@@ -26,7 +26,7 @@ SOUND_TOLERANCE = 0.5  # s, how much longer than the film other streams of the f
 
 
 @dataclass(frozen=True)
-class Frame:
+class FilmFrame:
     """One frame of a video."""
 
     index: int
@@ -34,7 +34,7 @@ class Frame:
     luma: Picture  # (H, W), as a person sees it (rotation of the camera taken off)
 
 
-def read_frames(video: VideoEntry) -> Iterator[Frame]:
+def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
     """Every frame in order, one at a time.
 
     The times are the presentation times of the container, or those of the CSV file that `recording.toml` names, or in a
@@ -47,7 +47,7 @@ def read_frames(video: VideoEntry) -> Iterator[Frame]:
     """
     if video.topic:
         for index, (time, message) in enumerate(bag_frames(video)):
-            yield Frame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
+            yield FilmFrame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
         return
     given = None if video.frame_times == "container" else read_times(video.frame_times)
     index, first, last = -1, 0.0, -math.inf
@@ -71,7 +71,7 @@ def read_frames(video: VideoEntry) -> Iterator[Frame]:
                 f"{video.file}: the time of frame {index} ({time:.6f} s) does not rise. Write it anew."
             )
         last = time
-        yield Frame(index, time, luma_of(frame))
+        yield FilmFrame(index, time, luma_of(frame))
     if given is not None and index + 1 < len(given):
         raise RecordingError(
             f"{video.frame_times}: {len(given)} times for {index + 1} frames. Give one row for each frame."
@@ -112,13 +112,13 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     """A remark where the written frame rate is not the one found."""
     if math.isnan(video.fps) or len(time) < 2:
         return ()
-    found = 1 / float(np.median(np.diff(time)))
-    if abs(found / video.fps - 1) <= RATE_TOLERANCE:
+    rates = 1 / float(np.median(np.diff(time)))
+    if abs(rates / video.fps - 1) <= RATE_TOLERANCE:
         return ()
-    said = (
-        f"recording.toml says {video.fps:g} frames/s, the video's own times say {found:.4g}; the video's own were used."
+    stated = (
+        f"recording.toml says {video.fps:g} frames/s, the video's own times say {rates:.4g}; the video's own were used."
     )
-    return (Remark("warning", said),)
+    return (Remark("warning", stated),)
 
 
 def read_times(path: Path) -> Array:
@@ -188,10 +188,10 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
             yield frame
         if count == 0:
             raise RecordingError(f"{path} holds no frame. Copy it again from the camera.")
-        said = length_said(container, stream)
+        stated = length_said(container, stream)
         slack = 1.5 * max(lasts, interval) + (SOUND_TOLERANCE if len(container.streams) > 1 else 0.0)
-        if last + lasts < said - slack and not 0 < stream.frames <= count:
-            raise damaged(path, count, f"it ends at {last + lasts:.2f} s and says it lasts {said:.2f} s")
+        if last + lasts < stated - slack and not 0 < stream.frames <= count:
+            raise damaged(path, count, f"it ends at {last + lasts:.2f} s and says it lasts {stated:.2f} s")
 
 
 def length_said(container: av.container.InputContainer, stream: av.VideoStream) -> float:
@@ -199,12 +199,12 @@ def length_said(container: av.container.InputContainer, stream: av.VideoStream) 
 
     The shorter of what stream and container say: a film cut without encoding anew still carries its first length.
     """
-    said = []
+    stated = []
     if stream.duration is not None and stream.time_base is not None:
-        said.append(float(stream.duration * stream.time_base))
+        stated.append(float(stream.duration * stream.time_base))
     if container.duration is not None and container.format.name != "mpegts":
-        said.append(container.duration / av.time_base)
-    return min(said, default=-math.inf)
+        stated.append(container.duration / av.time_base)
+    return min(stated, default=-math.inf)
 
 
 def damaged(path: Path, count: int, why: str | None) -> RecordingError:

@@ -82,8 +82,8 @@ def clock_words(clock: ClockOffset) -> str:
         return f"{clock.offset:.3f} s as written in recording.toml, which calls it exact"
     if not clock.found:
         return f"{clock.offset:.3f} s as written in recording.toml; the data could not settle it"
-    away = 1000.0 * (clock.offset - clock.said)
-    said = f", {away:+.0f} ms from the written {clock.said:.3f} s" if np.isfinite(clock.said) else ""
+    away = 1000.0 * (clock.offset - clock.stated)
+    said = f", {away:+.0f} ms from the written {clock.stated:.3f} s" if np.isfinite(clock.stated) else ""
     return f"{clock.offset:.3f} s ± {1000.0 * clock.sd:.1f} ms (sd){said}; the sensor's own lag is inside"
 
 

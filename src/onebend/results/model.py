@@ -14,7 +14,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.learning.design.instruments import Bench
+from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.frames import marker_rms
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
@@ -48,7 +48,7 @@ class StoredModel:
     beam: Beam
     origin: Origin | None
     uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
-    bench: Bench | None = None  # what the recordings were made with, where the band is known
+    bench: Instruments | None = None  # what the recordings were made with, where the band is known
     damping: Damping | None = None  # where a free swing was filmed
 
 
@@ -57,7 +57,7 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
     pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in trainings])
     rms = marker_rms(np.concatenate([one.measured - one.predicted for one in trainings]))
     if posterior is not None:
-        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.at.spline.count)
+        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.layout.spline.count)
     else:
         assert learned is not None
         trial = learned.trials[learned.chosen]
@@ -78,7 +78,7 @@ def save_model(
     written_by: str,
     origin: Origin | None = None,
     uncertain: UncertainStiffness | None = None,
-    bench: Bench | None = None,
+    bench: Instruments | None = None,
 ) -> None:
     """Write `beam` to `path`, so that `load_model` gives back an equal one.
 
@@ -199,11 +199,11 @@ def _origin(file: Path, data: Any) -> Origin | None:
     return Origin(**values)
 
 
-def _bench(file: Path, data: Any) -> Bench | None:
+def _bench(file: Path, data: Any) -> Instruments | None:
     if data is None:
         return None
     try:
-        return Bench.from_dict(data)
+        return Instruments.from_dict(data)
     except LearningError as error:
         raise ResultsError(f"{file}: key 'bench' {error}. {_ADVICE}") from error
 

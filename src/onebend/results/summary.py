@@ -119,7 +119,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "nuisances": [asdict(one) for one in posterior.nuisances()],
         "tradeoffs": [asdict(one) for one in tradeoffs(posterior)],
         "tradeoffs_with_level": [asdict(one) for one in with_level(posterior)],
-        "scales": asdict(optimum.scales),
+        "scales": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,
@@ -194,4 +194,4 @@ def _clock(observed: Observations) -> dict[str, Any] | None:
     clock = observed.source.clock
     if clock is None:
         return None
-    return {"offset_s": clock.offset, "sd_s": clock.sd, "said_s": clock.said, "found": clock.found}
+    return {"offset_s": clock.offset, "sd_s": clock.sd, "said_s": clock.stated, "found": clock.found}

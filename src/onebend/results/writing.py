@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from onebend.learning.design.instruments import bench_if_pushed
+from onebend.learning.design.instruments import instruments_if_pushed
 from onebend.learning.outcome import Comparison
 from onebend.records import Observations
 from onebend.report.findings import Findings
@@ -33,7 +33,7 @@ def learned_writer(
         learned, posterior = findings.learned, findings.posterior
         uncertain = None if posterior is None else posterior.stiffness
         origin = origin_of(learned, posterior, findings.trainings)
-        bench = None if posterior is None else bench_if_pushed(posterior)
+        bench = None if posterior is None else instruments_if_pushed(posterior)
         by = f"onebend {version}"
         save_model(folder / FILE_NAME, findings.beam, written_by=by, origin=origin, uncertain=uncertain, bench=bench)
         write_stiffness(folder / "stiffness.csv", findings.beam, uncertain)

@@ -13,11 +13,11 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ResultsError
-from onebend.learning.design.instruments import bench_of
+from onebend.learning.design.instruments import instruments_of
 from onebend.learning.model.rest import at_rest
 from onebend.learning.outcome import Trial
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings, choose, table
+from onebend.learning.paper.selection import RegressionSettings, choose, table
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
@@ -28,7 +28,7 @@ from onebend.results.model import origin_of, read_model, save_model
 from onebend.results.observed import load_observations
 from onebend.studies.printed import MOST_MODES
 
-PAPER = Settings(method="paper", bic="paper", most_n=MOST_MODES)
+PAPER = RegressionSettings(method="paper", bic="paper", most_n=MOST_MODES)
 FIT_FILE, PAPER_FILE, FACTS_FILE = "model.json", "paper-model.json", "facts.json"
 
 
@@ -110,7 +110,7 @@ def _save(
         written_by=job.written_by,
         origin=origin_of(None, posterior, (validate(posterior.beam, seen),)),
         uncertain=posterior.stiffness,
-        bench=bench_of(posterior),
+        bench=instruments_of(posterior),
     )
     facts = {
         "trials": [

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from onebend.learning.inference.nuisances import quantities
-from onebend.learning.model.fit_data import Film, film
-from onebend.learning.model.parameters import Block, Layout, Priors, layout
+from onebend.learning.model.fit_data import FitData, fit_data
+from onebend.learning.model.parameters import Block, Layout, Priors, make_layout
 from onebend.learning.model.rest import at_rest, beam_points
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, fit
@@ -26,9 +26,9 @@ def made() -> Observations:
     return observed(SOFT, forces(30, most=0.4), at_s=0.8, noise=(2e-5, 1e-3))
 
 
-def prepared(made: Observations) -> tuple[Film, Layout]:
-    one = film(made, 0, np.ones(len(made.time), dtype=bool), SPLINE)
-    return one, layout(SPLINE, [made], [len(one.error.knots)], Priors())
+def prepared(made: Observations) -> tuple[FitData, Layout]:
+    one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), SPLINE)
+    return one, make_layout(SPLINE, [made], [len(one.error.knots)], Priors())
 
 
 def test_a_straight_error_has_the_mean_and_the_drift_of_the_line(made: Observations) -> None:
@@ -80,7 +80,7 @@ def test_what_trades_off_is_what_is_reported(made: Observations) -> None:
 
 def test_the_tags_turns_have_the_tolerance_of_the_recording(made: Observations) -> None:
     def turns(one: Observations, priors: Priors = Priors()) -> Block:
-        return layout(SPLINE, [one], [0], priors).index["turn", -1]
+        return make_layout(SPLINE, [one], [0], priors).index["turn", -1]
 
     np.testing.assert_allclose(turns(made).prior_sd, np.deg2rad(1.5))
     np.testing.assert_allclose(turns(with_stated(made, turn_sd=0.1)).prior_sd, 0.1)

@@ -11,9 +11,9 @@ from onebend.lab.pushes import Push
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.truths import force_that_bends
 from onebend.lab.virtual import Bench, Said, observe_virtual, virtual_recording
-from onebend.learning.model.fit_data import Film, film
+from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.verdict import fit_remarks
@@ -24,11 +24,11 @@ from tests.made_up import with_stated
 FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
 
 
-def prepared(one: Observations, priors: Priors = FREE) -> tuple[Film, Layout, Array]:
+def prepared(one: Observations, priors: Priors = FREE) -> tuple[FitData, Layout, Array]:
     """A film, its parameters, and their values at the beam's own k."""
     spline = Spline(48)
-    seen = film(one, 0, np.ones(len(one.time), dtype=bool), spline)
-    at = layout(spline, [one], [len(seen.error.knots)], priors)
+    seen = fit_data(one, 0, np.ones(len(one.time), dtype=bool), spline)
+    at = make_layout(spline, [one], [len(seen.error.knots)], priors)
     s = np.linspace(0.0, 1.0, 400)
     x = np.zeros(at.size)
     x[: spline.count] = np.linalg.lstsq(spline.basis(s), np.log(SOFT.stiffness(s)), rcond=None)[0]

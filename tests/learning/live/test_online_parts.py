@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.stiffness_prior import Draws, mixed
+from onebend.learning.inference.stiffness_prior import Draws, stiffness_mixture
 from onebend.learning.live import smoother
 from onebend.learning.live.force_process import ForceProcess, LoadStages
 from onebend.learning.live.key_frame_posterior import (
@@ -39,7 +39,7 @@ def test_the_loads_own_time_is_the_whole_recordings() -> None:
         stages.add_frame(float(t), np.array([[0.0, d]]), seen, bool(on))
     changes = load_changes(time, size, loaded)
     assert sum(one.release for one in changes) == 1
-    whole = np.sum([(RELEASED if one.release else ANEW) * one.part(time) for one in changes], axis=0)
+    whole = np.sum([(RELEASED if one.release else ANEW) * one.fraction(time) for one in changes], axis=0)
     late = time > 0.5  # the largest displacement was not known from the start
     np.testing.assert_allclose(stages.own(time)[late], whole[late], atol=0.35)
     assert np.mean(np.abs(stages.own(time) - whole)) < 0.05
@@ -70,7 +70,7 @@ def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
         mean, covariance, _ = chains.mixed(form)
         means.append(mean)
         sds.append(np.sqrt(np.diag(covariance)))
-    batch = mixed(spline, [form], 0.0, Draws(30, 60, 300))
+    batch = stiffness_mixture(spline, [form], 0.0, Draws(30, 60, 300))
     sd = np.sqrt(np.diag(batch.covariance))
     np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
     np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)

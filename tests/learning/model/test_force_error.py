@@ -42,8 +42,8 @@ def seen(made: Virtual) -> Observations:
 
 def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:
     """The fitted error at the frames (F, 2) and its sd."""
-    where = found.at.index["force", number].where
-    weights = np.kron(found.films[number].error.weights, np.eye(2))
+    where = found.layout.index["force", number].where
+    weights = np.kron(found.recordings[number].error.weights, np.eye(2))
     sd = np.sqrt(np.diag(weights @ found.covariance[where, where] @ weights.T))
     return (weights @ found.mean[where]).reshape(-1, 2), sd.reshape(-1, 2)
 
@@ -60,25 +60,25 @@ def test_steps_of_the_load_do_not_move_k(found: Posterior) -> None:
 
 
 def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
-    o, push = found.films[0].observations, BENCH.push
-    time = o.time[found.films[0].frames] - BENCH.clock.offset
+    o, push = found.recordings[0].observations, BENCH.push
+    time = o.time[found.recordings[0].frames] - BENCH.clock.offset
     begin, end = push.contact
     growing = (time > begin + 0.8) & (time < begin + push.rise - 0.3)
     falling = (time > end - push.fall + 0.3) & (time < end - 0.8)
     error, sd = error_of(found)
     clean = o.source.clean_force
     assert clean is not None
-    zero = np.stack([np.interp(o.time[found.films[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
+    zero = np.stack([np.interp(o.time[found.recordings[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
     for rows, step in zip((growing, falling), STEPS, strict=True):
         true = step - zero[rows]  # what is wrong with the log once its zero is taken off
         assert np.all(np.abs(error[rows] - true) < 3.0 * sd[rows])
         assert np.max(np.abs(error[rows] - true)) < 0.5 * np.linalg.norm(step)
-    assert found.optimum.scales.load * found.films[0].error.load > 0.05 * PEAK
+    assert found.optimum.hyperparameters.load * found.recordings[0].error.load > 0.05 * PEAK
 
 
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02)
-    assert clean.optimum.scales.load * clean.films[0].error.load < 0.01 * PEAK
+    assert clean.optimum.hyperparameters.load * clean.recordings[0].error.load < 0.01 * PEAK
     middle = S < 0.6
     wide, sharp = (one.stiffness.log_at(S[middle])[1] for one in (found, clean))
     assert np.mean(sharp) < 0.75 * np.mean(wide)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.live.session import session_layout
-from onebend.learning.model.parameters import Block, Priors, clamp_sd, layout
+from onebend.learning.model.parameters import Block, Priors, clamp_sd, make_layout
 from onebend.learning.model.rest import at_rest
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Nuisance, Posterior, fit
@@ -40,11 +40,11 @@ def stated(name: str, sd: float) -> Observations:
     assert clock is not None
     if name == "clock":
         return with_source(made(), clock=replace(clock, sd=sd))
-    return replace(made(), **{f"{name}_sd": sd})  # type: ignore[arg-type]
+    return with_stated(made(), **{f"{name}_sd": sd})
 
 
 def block(one: Observations, name: str, priors: Priors = Priors()) -> Block:
-    return layout(SPLINE, [one], [0], priors).index[name, -1 if name == "curvature" else 0]
+    return make_layout(SPLINE, [one], [0], priors).index[name, -1 if name == "curvature" else 0]
 
 
 @cache
@@ -68,10 +68,10 @@ def test_what_nobody_states_is_as_usual() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_zero_holds_a_nuisance_and_the_fit_reports_none(name: str) -> None:
     held = learned(name, 0.0)
-    at = held.at.index[name, -1 if name == "curvature" else 0]
+    at = held.layout.index[name, -1 if name == "curvature" else 0]
     assert at.start < 0
     assert np.all(at.prior_sd == 0.0)
-    assert np.all(held.at.get(held.mean, name, at.recording) == 0.0)
+    assert np.all(held.layout.get(held.mean, name, at.recording) == 0.0)
     assert reported(held, name) == []
     others = [other for other in NAMES if other != name]
     assert [len(reported(held, other)) for other in others] == [1, 1, 1]
@@ -120,7 +120,7 @@ def test_a_curvature_of_none_is_a_straight_beam() -> None:
 
 def test_of_two_recordings_of_a_beam_the_one_that_may_be_curved_counts() -> None:
     pair = [with_stated(made(), rest="straight"), stated("curvature", 0.4)]
-    assert layout(SPLINE, pair, [0, 0], Priors()).index["curvature", -1].prior_sd[0] == 0.4
+    assert make_layout(SPLINE, pair, [0, 0], Priors()).index["curvature", -1].prior_sd[0] == 0.4
 
 
 def test_a_stated_clamp_wider_than_usual_is_warned_of() -> None:

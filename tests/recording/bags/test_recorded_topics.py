@@ -128,7 +128,7 @@ def test_a_push_in_a_bag_is_observed_as_the_same_push_in_a_film_and_a_file(twice
     assert robot.force == pytest.approx(plain.force, abs=1e-6)
     assert plain.source.clock is not None
     assert robot.source.clock is not None
-    assert robot.source.clock.said == pytest.approx(0.4, abs=1e-9)
+    assert robot.source.clock.stated == pytest.approx(0.4, abs=1e-9)
     assert robot.source.clock.offset == pytest.approx(plain.source.clock.offset, abs=1e-6)
     assert robot.source.video_topic == "/image"
     said = " ".join(remark.text for remark in robot.source.remarks)

@@ -34,7 +34,7 @@ def test_one_push_begins_turns_and_ends() -> None:
     assert turned.end == pytest.approx(6.3, abs=0.03)
     assert ended.begin == pytest.approx(8.7, abs=0.03)
     assert ended.end > 8.98
-    assert turned.part(np.array([0.0, turned.begin, turned.end, 10.0])) == pytest.approx([0.0, 0.0, 1.0, 1.0])
+    assert turned.fraction(np.array([0.0, turned.begin, turned.end, 10.0])) == pytest.approx([0.0, 0.0, 1.0, 1.0])
 
 
 def test_a_push_held_to_the_end_is_not_released_and_two_pushes_are_told_apart() -> None:

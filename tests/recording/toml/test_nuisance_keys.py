@@ -174,7 +174,7 @@ def test_an_exact_start_is_the_offset_however_wrong_it_is() -> None:
     for said in (pushed.offset, pushed.offset + 0.4):
         for place in (None, 1.0):
             fit = fit_clock(pushed.markers(), pushed.log(), said, 0.0, push_s=place)
-            assert (fit.clock.offset, fit.clock.sd, fit.clock.said, fit.clock.found) == (said, 0.0, said, True)
+            assert (fit.clock.offset, fit.clock.sd, fit.clock.stated, fit.clock.found) == (said, 0.0, said, True)
             assert fit.remarks == ()
     assert "as written in recording.toml, which calls it exact" in clock_words(fit.clock)
     looked = fit_clock(pushed.markers(), pushed.log(), pushed.offset + 0.4, 2.0).clock

@@ -15,11 +15,11 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import pose
 from onebend.errors import LearningError, ObservationError, RecordingError
-from onebend.learning.model.fit_data import film
+from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.frames import loads_of
 from onebend.learning.model.mass import mass_remarks
-from onebend.learning.model.parameters import Priors, layout
+from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of, with_mass
@@ -118,7 +118,8 @@ def test_k_is_learned_with_its_band(tmp_path: Path, ruler: bool) -> None:
     band, true = posterior.band(s), ROD.stiffness(s)
     assert np.all((band.low < true) & (true < band.high))
     assert np.all(np.abs(band.k / true - 1) < 0.15)
-    assert 0.6 < posterior.optimum.scales.films[0].marker < 1.6  # the guess, a thousandth of the length, is right
+    marker = posterior.optimum.hyperparameters.noise[0].marker  # over the guess, a thousandth of the length
+    assert 0.6 < marker < 1.6
     clamp = next(n for n in posterior.nuisances() if "clamp" in n.name)
     assert abs(clamp.value - np.radians(0.7)) < 3 * clamp.sd < np.radians(2.0)
 
@@ -129,7 +130,7 @@ def test_an_exact_table_gives_k_closely(tmp_path: Path) -> None:
     posterior = fit([o], start_of([o], None), settings=FEW)
     s = np.linspace(0.05, 0.85, 9)
     np.testing.assert_allclose(posterior.beam.stiffness(s), ROD.stiffness(s), rtol=0.06)
-    assert posterior.optimum.scales.films[0].marker >= 1.0
+    assert posterior.optimum.hyperparameters.noise[0].marker >= 1.0
 
 
 def test_mass_is_learned_beside_k_where_weights_fix_the_scale(tmp_path: Path) -> None:
@@ -205,8 +206,8 @@ def test_moving_a_push_from_frame_to_frame_keeps_the_derivatives(tmp_path: Path)
     table = "pose,s,weight_N\n0,1,0.1\n1,0.5,0.2\n2,0.8,0.15\n"
     o = seen(tmp_path, loads=table, shown=hanging()[:3])
     spline = Spline(6)
-    one = film(o, 0, np.ones(3, dtype=bool), spline)
-    at = layout(spline, [o], [0], Priors())
+    one = fit_data(o, 0, np.ones(3, dtype=bool), spline)
+    at = make_layout(spline, [o], [0], Priors())
     x = 0.01 * np.random.default_rng(0).normal(size=at.size)
     x[:6] += np.log(0.2)
     now = predict(one, at, x, None)

@@ -45,7 +45,7 @@ def every_figure() -> dict[str, Figure]:
 
 FIGURES = every_figure()
 FITTED = explained(FIT)[0]
-LOGGED = validate(FIT.beam, FIT.films[0].observations)
+LOGGED = validate(FIT.beam, FIT.recordings[0].observations)
 
 
 def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_says() -> None:
@@ -53,15 +53,15 @@ def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_
     residual = 1000 * np.linalg.norm(one.measured - one.predicted, axis=-1)
     np.testing.assert_allclose(1000 * one.rms, np.sqrt(np.nanmean(residual**2, axis=0)), rtol=0.05)
     assert FITTED.line.shape == (len(one.frame), 121, 2)
-    sits = FIT.at.get(FIT.mean, "along"), FIT.at.get(FIT.mean, "across")
+    sits = FIT.layout.get(FIT.mean, "along"), FIT.layout.get(FIT.mean, "across")
     away = np.linalg.norm(FITTED.line[:, [40, 80, 120]] - one.predicted, axis=-1)
     assert np.max(away) < 1.01 * np.max(np.hypot(*sits)) + 2e-5  # the tags ride on the line
-    slow = FIT.slow[0].force[: len(one.frame)] - FIT.films[0].force[: len(one.frame)]
+    slow = FIT.slow[0].force[: len(one.frame)] - FIT.recordings[0].force[: len(one.frame)]
     np.testing.assert_allclose(one.force - FITTED.logged, slow)
 
 
 def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
-    seen = FIT.films[0].observations
+    seen = FIT.recordings[0].observations
     axes = recordings.shapes(FIT.beam, LOGGED, seen, FITTED).axes[0]
     blue = [line for line in axes.lines if line.get_color() == BLUE and line.get_linestyle() == "-"]
     blue = [line for line in blue if np.size(line.get_xdata()) == FITTED.line.shape[1]]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.records import ClockOffset, Remark
 from onebend.report.confidence import alarm_words, tradeoff_words, unidentified_words
 from onebend.report.figures.drawing import draw_all, fit
@@ -251,13 +251,15 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     assert "NOT TO BE TRUSTED" in text
     assert "1 in 1 000 000 000 or less" in text
     assert "the recording contradicts the model of the fit" in text
-    far = replace(found.posterior, films=tuple(_moved(film, 1.0) for film in found.posterior.films))
+    problem = found.posterior.problem
+    moved = replace(problem, recordings=tuple(_moved(recording, 1.0) for recording in problem.recordings))
+    far = replace(found.posterior, problem=moved)
     text = Links(page(replace(found, posterior=far), {}, version="1")).text
     assert "the fit misses tag" in text
     assert "these tests say nothing" in text
     assert "known to±" not in text.replace(" ", "")
 
 
-def _moved(film: Film, away: float) -> Film:
+def _moved(film: FitData, away: float) -> FitData:
     """Its tags seen `away` [m] from where they were."""
     return replace(film, measured=film.measured + away)

@@ -1,8 +1,8 @@
-"""What else beam, bench and tags might do: departures from the fit's model, each a pattern in the tags' poses.
+"""What else beam, clamp, sensors and tags might do: alternatives to the fit's model, each a pattern in the tags' poses.
 
-A departure is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D follows
-from the equilibrium's derivatives (implicit function theorem) at the optimum. Where the model already has the parameter
-under a prior, D is its own column: freeing it asks whether the prior is wrong.
+An alternative is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D follows
+from the equilibrium's derivatives (implicit function theorem) at the optimum. A parameter that the model has under a
+prior is no pattern of its own: freeing it asks whether the prior is wrong (`score_tests.pulls`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.sensitivity import Change, of_clamp_angle, of_rest_curvature
-from onebend.learning.model.fit_data import REST_MODES, Film
+from onebend.learning.model.fit_data import REST_MODES, FitData
 from onebend.learning.model.forward import Prediction, tag_places, tag_ride
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import along_and_across, place_responses, push_moment
@@ -49,7 +49,7 @@ class Suspect:
 
 
 @dataclass(frozen=True)
-class Departure:
+class Alternative:
     """n numbers that the model takes to be zero, and what they do to one film's tags."""
 
     suspect: Suspect
@@ -66,7 +66,7 @@ class Course:
     resting: Array  # (F,) 1 for the frame at rest
 
 
-def course(seen: Film, now: Prediction) -> Course:
+def course(seen: FitData, now: Prediction) -> Course:
     """From the fitted shapes and the frames' times."""
     time = seen.observations.time[seen.frames]
     frames, count = len(time), len(now.pose)
@@ -82,7 +82,7 @@ def course(seen: Film, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def departures(seen: Film, at: Layout, x: Array, now: Prediction) -> list[Departure]:
+def alternatives(seen: FitData, at: Layout, x: Array, now: Prediction) -> list[Alternative]:
     """All that are tested on one film."""
     run, found = course(seen, now), mechanics(seen, at, x, now)
     pliant = found["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
@@ -91,12 +91,12 @@ def departures(seen: Film, at: Layout, x: Array, now: Prediction) -> list[Depart
         del wanted["rest shape"]
     if seen.observations.static:  # poses have no order in time
         del wanted["viscous"]
-        return [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
-    stiff = [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+        return [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+    stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
     return [*stiff, *_changes(seen, run, found), *_trends(seen, run)]
 
 
-def mechanics(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def mechanics(seen: FitData, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
     carried, ride = _carried(seen, at, x, now), tag_ride(seen, at, x, now.solved)
     patterns = {}
@@ -107,8 +107,8 @@ def mechanics(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Ar
     return patterns
 
 
-def _entering(seen: Film, now: Prediction) -> dict[str, Change]:
-    """How the departures enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
+def _entering(seen: FitData, now: Prediction) -> dict[str, Change]:
+    """How the alternatives enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
 
     A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
     """
@@ -135,7 +135,7 @@ def _entering(seen: Film, now: Prediction) -> dict[str, Change]:
     }
 
 
-def _carried(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def _carried(seen: FitData, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
     solved, s = now.solved, tag_places(seen, at, x)[0]
     u, n = _tangents(solved)
@@ -158,7 +158,7 @@ def _clamp_moment(solved: Equilibrium) -> Array:
     return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
 
 
-def _changes(seen: Film, run: Course, found: dict[str, Array]) -> list[Departure]:
+def _changes(seen: FitData, run: Course, found: dict[str, Array]) -> list[Alternative]:
     """What may change in the course of one recording: by the bending so far, and after the largest one."""
     name = seen.observations.source.name
     frames, tags = found["clamp"].shape[:2]
@@ -166,17 +166,17 @@ def _changes(seen: Film, run: Course, found: dict[str, Array]) -> list[Departure
     place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
     slip = np.concatenate([found["clamp"], place], axis=-1)
     out = [
-        Departure(Suspect("change", "creep", recording=name), _in_time(found["rest shape"], run)),
-        Departure(Suspect("change", "slip", recording=name), _in_time(slip, run)),
+        Alternative(Suspect("change", "creep", recording=name), _in_time(found["rest shape"], run)),
+        Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
     ]
     for i, tag in enumerate(seen.observations.tag_id.tolist()):
         own = np.zeros((frames, tags, 3, 3))
         own[:, i] = np.eye(3)
-        out.append(Departure(Suspect("change", "loose", tag, name), _in_time(own, run)))
+        out.append(Alternative(Suspect("change", "loose", tag, name), _in_time(own, run)))
     return out
 
 
-def _trends(seen: Film, run: Course) -> list[Departure]:
+def _trends(seen: FitData, run: Course) -> list[Alternative]:
     """Every coordinate of every tag: smooth in the bending, apart on the way out and back, and in time."""
     side, tags = run.after - 0.5, seen.observations.tag_id.tolist()
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
@@ -186,7 +186,7 @@ def _trends(seen: Film, run: Course) -> list[Departure]:
         for c, axis in enumerate(AXES):
             pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
             pattern[:, i, c] = functions
-            out.append(Departure(Suspect("trend", axis, tag, seen.observations.source.name), pattern))
+            out.append(Alternative(Suspect("trend", axis, tag, seen.observations.source.name), pattern))
     return out
 
 
@@ -206,7 +206,7 @@ def _force(force: Array) -> Change:
     return Change(force[..., None], None, None, np.zeros(1))
 
 
-def _rate(seen: Film, solved: Equilibrium) -> Array:
+def _rate(seen: FitData, solved: Equilibrium) -> Array:
     """(F, Q) rad/s of the curvature; zero at rest."""
     time = seen.observations.time[seen.frames]
     out = np.zeros_like(solved.q)

@@ -23,7 +23,7 @@ from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution, pose
 from onebend.beam.statics.sensitivity import of_mass
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.design.instruments import Bench, ForceDoubt, Push
+from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
@@ -59,13 +59,13 @@ class TagDerivatives:
         return self.blocks["push"]
 
 
-def loads_of(bench: Bench, at_s: float, forces: Array) -> Loads:
+def loads_of(bench: Instruments, at_s: float, forces: Array) -> Loads:
     """Forces (F, 2) N at one place, under the bench's gravity."""
     acting = push(forces, at_s)
     return acting + weight(np.asarray(bench.gravity)) if any(bench.gravity) else acting
 
 
-def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
+def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equilibrium:
     """The push in `STEPS` steps, each in the middle of its share of the push, and the beam at rest.
 
     Raises:
@@ -80,7 +80,7 @@ def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
     return solved
 
 
-def _forces(candidate: Push) -> Array:
+def _forces(candidate: PlannedPush) -> Array:
     """(F, 2) N in the steps of a push, and none at rest."""
     steps = (np.arange(STEPS) + 0.5) / STEPS
     unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
@@ -88,7 +88,7 @@ def _forces(candidate: Push) -> Array:
 
 
 def tag_derivatives(
-    solved: Equilibrium, bench: Bench, candidate: Push, mass: float, on_nodes: Array, tags: Array
+    solved: Equilibrium, bench: Instruments, candidate: PlannedPush, mass: float, on_nodes: Array, tags: Array
 ) -> TagDerivatives:
     """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C), and with
     all else. `mass` [kg] is the beam's."""
@@ -121,7 +121,7 @@ def mass_of(beam: Beam) -> float:
     return float(0.5 * beam.length * w @ np.asarray(beam.mass_per_length(0.5 * (x + 1.0))))
 
 
-def joint_information(seen: TagDerivatives, bench: Bench, candidate: Push, chosen: IntArray) -> Array:
+def joint_information(seen: TagDerivatives, bench: Instruments, candidate: PlannedPush, chosen: IntArray) -> Array:
     """(C + N, C + N) of coefficients and the bench's shared nuisances; `chosen` rows of `seen.tags` are watched.
 
     The first of them are the bench's own tags, in order; any further ones are put on for this push.
@@ -140,7 +140,7 @@ def joint_information(seen: TagDerivatives, bench: Bench, candidate: Push, chose
     return eliminate(information, len(own_sd), 1.0 / own_sd**2)
 
 
-def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
+def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array:
     """(p, p) Fisher information of one push on the coefficients of log k, every nuisance marginalised.
 
     Taken by itself, as on a bench without earlier pushes: tags and rest shape are known by their tolerances alone.
@@ -158,7 +158,7 @@ def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
     return _of_coefficients(solved, beam, bench, candidate, on_nodes)
 
 
-def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array, Array]:
+def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) -> tuple[Array, Array]:
     """Places s (Q,) along the beam and the Fisher information (Q,) about log k there, per unit of s squared.
 
     A bump of log k of height h over a short stretch w at s changes the data's log likelihood by h^2 w^2 / 2 times this.
@@ -172,7 +172,7 @@ def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array,
     return solved.problem.grid.nodes, np.diag(told)
 
 
-def force_covariance(bench: Bench, candidate: Push) -> Array:
+def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     """(2 STEPS, 2 STEPS) N^2: the force's doubt in the steps of a push, x and y in turn, after the rests' say.
 
     The clock's doubt acts as a force along the push.
@@ -221,7 +221,7 @@ def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Arra
     return np.asarray(0.5 * (out + out.T))
 
 
-def alone(bench: Bench) -> Array:
+def alone(bench: Instruments) -> Array:
     """(N,) prior precisions of the shared nuisances before any push."""
     m = len(bench.tags)
     sd = {
@@ -234,19 +234,21 @@ def alone(bench: Bench) -> Array:
     return np.array([one for name in bench.shared for one in sd[name]]) ** -2.0
 
 
-def with_better_sensor(bench: Bench, times: float) -> Bench:
+def with_better_sensor(bench: Instruments, times: float) -> Instruments:
     """The bench with a force sensor whose every error is `times` smaller."""
     return replace(bench, force=bench.force.times(1.0 / times), gain_sd=bench.gain_sd / times)
 
 
-def _of_coefficients(solved: Equilibrium, beam: Beam, bench: Bench, candidate: Push, on_nodes: Array) -> Array:
+def _of_coefficients(
+    solved: Equilibrium, beam: Beam, bench: Instruments, candidate: PlannedPush, on_nodes: Array
+) -> Array:
     tags = np.asarray(bench.tags)
     seen = tag_derivatives(solved, bench, candidate, mass_of(beam), on_nodes, tags)
     joint = joint_information(seen, bench, candidate, np.arange(len(tags), dtype=np.int64))
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def _columns(seen: TagDerivatives, bench: Bench, chosen: IntArray) -> tuple[Array, Array]:
+def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tuple[Array, Array]:
     """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
     own, motion = len(bench.tags), seen.motion
     watched = TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))

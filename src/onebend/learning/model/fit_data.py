@@ -27,7 +27,7 @@ _SLOW = 0.5  # of the cut-off, which is twice the bandwidth of the tags' motion
 
 
 @dataclass(frozen=True)
-class Film:
+class FitData:
     """One recording as the fit sees it: F frames, the last being the beam at rest where it was seen."""
 
     observations: Observations
@@ -50,7 +50,7 @@ class Film:
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
 
 
-def film(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> Film:
+def fit_data(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> FitData:
     """Prepare a recording: everything that does not depend on the parameters."""
     o = observations
     time = o.time[frames]
@@ -77,7 +77,7 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
     problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    return Film(
+    return FitData(
         observations=o,
         number=number,
         frames=frames,

@@ -178,7 +178,7 @@ def _own_time(observations: Observations, time: Array) -> Array:
     o = observations
     out = np.zeros(len(time))
     for change in load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded):
-        out += (RELEASED if change.release else ANEW) * change.part(time)
+        out += (RELEASED if change.release else ANEW) * change.fraction(time)
     return out
 
 

@@ -11,7 +11,7 @@ from onebend.beam.grid import apply
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.sensitivity import of_force, of_moment, respond
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
@@ -57,7 +57,7 @@ class Slopes:
 class Prediction:
     """Tags where the parameters put them."""
 
-    seen: Film
+    seen: FitData
     at: Layout
     x: Array  # (P,) the parameters
     solved: Equilibrium
@@ -71,7 +71,7 @@ class Prediction:
         return _slopes(self)
 
 
-def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+def predict(seen: FitData, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
     warm-started from shapes `start` (F, Q) where given."""
     r = seen.number
@@ -143,20 +143,20 @@ def _bent(now: Prediction) -> BentBeam:
     )
 
 
-def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
+def tag_places(seen: FitData, at: Layout, x: Array) -> tuple[Array, Array]:
     """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
     length = seen.observations.length
     s = seen.observations.marker_s + at.get(x, "along") / length
     return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
 
 
-def tag_ride(seen: Film, at: Layout, x: Array, solved: Equilibrium) -> TagRide:
+def tag_ride(seen: FitData, at: Layout, x: Array, solved: Equilibrium) -> TagRide:
     """The tags on fitted shapes."""
     s, over = tag_places(seen, at, x)
     return TagRide(solved.angle(s), over, at.get(x, "across"), 1.0 + float(at.get(x, "scale", seen.number)[0]))
 
 
-def _pushed(seen: Film, at: Layout, x: Array) -> Array:
+def _pushed(seen: FitData, at: Layout, x: Array) -> Array:
     """(F, Q) share of the push that acts beyond the node."""
     return np.asarray(seen.beyond + at.get(x, "place", seen.number)[0] * seen.farther)
 

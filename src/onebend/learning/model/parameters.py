@@ -95,7 +95,7 @@ class Layout:
         return (own[0].start, own[-1].where.stop) if own else (self.shared, self.shared)
 
 
-def layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
+def make_layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
     """The vector for several recordings of one beam; `knots` counts the force errors' knots of each."""
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]

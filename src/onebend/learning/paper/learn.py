@@ -7,13 +7,15 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.learning.model.rest import AtRest, at_rest
 from onebend.learning.outcome import Learned
-from onebend.learning.paper.selection import Settings, choose, table
+from onebend.learning.paper.selection import RegressionSettings, choose, table
 from onebend.progress import Progress, Silent
 from onebend.records import Observations, Remark
 
 
 @one_blas_thread
-def learn(observations: Observations, settings: Settings = Settings(), *, progress: Progress = Silent()) -> Learned:
+def learn(
+    observations: Observations, settings: RegressionSettings = RegressionSettings(), *, progress: Progress = Silent()
+) -> Learned:
     """The stiffness distribution of the observed beam.
 
     Raises:

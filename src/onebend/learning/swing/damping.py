@@ -25,9 +25,9 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.model.parameters import Priors
-from onebend.learning.swing.free_swing import Part, Swing, find_swing, glance, shortened
+from onebend.learning.swing.free_swing import FilmPart, Swing, find_swing, glance, shortened
 from onebend.learning.swing.swing_fit import Fitted, fit_swing
-from onebend.learning.swing.swing_motion import Problem, at_rest, first_guess, scaled, units_of
+from onebend.learning.swing.swing_motion import SwingProblem, at_rest, first_guess, scaled, units_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations, Remark
 
@@ -118,7 +118,7 @@ def learn_damping(
     recording: Observations,
     *,
     uncertain: UncertainStiffness | None = None,
-    part: Part = Part(),
+    part: FilmPart = FilmPart(),
     settings: DampingSettings = DampingSettings(),
     progress: Progress = Silent(),
 ) -> SwingFit:
@@ -137,7 +137,7 @@ def learn_damping(
         about = _vibration(on, swing)
         seen = glance(swing, float(np.sqrt(about.squared[0])))
         swing = shortened(swing, settings.most_periods * 2.0 * np.pi / seen.omega)
-        problem = Problem(on, swing, about, known, units_of(about, swing, settings.start_modes))
+        problem = SwingProblem(on, swing, about, known, units_of(about, swing, settings.start_modes))
         fitted = fit_swing(problem, first_guess(problem, seen), progress)
         model_sd = _model_sd(weighed, uncertain, swing, settings)
         return _result(problem, fitted, weighed, model_sd)
@@ -191,7 +191,7 @@ def _uneven(mass: Profile, spread: float, rng: np.random.Generator) -> Profile:
     return Table(tuple(_GRID.tolist()), tuple((mass(_GRID) * share / np.trapezoid(share, _GRID)).tolist()))
 
 
-def _result(problem: Problem, fitted: Fitted, beam: Beam, model_sd: float) -> SwingFit:
+def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) -> SwingFit:
     """Numbers of the fit, and what is to be said of them."""
     known, swing = problem.mass_known, problem.swing
     loss, factor = (float(np.exp(v)) for v in fitted.x[:2])

@@ -18,7 +18,7 @@ _NYQUIST = 0.45  # of the frame rate: faster swings cannot be told from slower o
 
 
 @dataclass(frozen=True)
-class Part:
+class FilmPart:
     """Which frames to take, on the film's clock [s]; None: from the release found in the data, to the end."""
 
     begin: float | None = None
@@ -52,7 +52,7 @@ class Glance:
     slope: float  # m/s or rad/s there
 
 
-def find_swing(o: Observations, part: Part = Part()) -> Swing:
+def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
     """The free swing after the last contact, or in the part of the film asked for.
 
     Raises:

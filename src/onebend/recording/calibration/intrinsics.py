@@ -109,14 +109,14 @@ def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progr
 def spread(cv2: Any, seen: BoardFilm, board: Board, most: int) -> list[BoardView]:
     """Views that differ in place, size and tilt: each next one is the furthest from those taken; sharp ones only."""
     sharp = np.array([view.sharpness for view in seen.views])
-    kept = [view for view in seen.views if view.sharpness >= 0.5 * np.median(sharp)]
-    looks = np.array([_looks(cv2, view, board, seen) for view in kept])
-    taken = [int(np.argmax([len(view.number) + 1e-3 * view.sharpness for view in kept]))]
-    away = np.linalg.norm(looks - looks[taken[0]], axis=1)
-    while len(taken) < min(most, len(kept)):
-        taken.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(looks - looks[taken[-1]], axis=1))
-    return [kept[i] for i in sorted(taken)]
+    chosen = [view for view in seen.views if view.sharpness >= 0.5 * np.median(sharp)]
+    looks = np.array([_looks(cv2, view, board, seen) for view in chosen])
+    taken = [int(np.argmax([len(view.number) + 1e-3 * view.sharpness for view in chosen]))]
+    distance = np.linalg.norm(looks - looks[taken[0]], axis=1)
+    while len(taken) < min(most, len(chosen)):
+        taken.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(looks - looks[taken[-1]], axis=1))
+    return [chosen[i] for i in sorted(taken)]
 
 
 def _looks(cv2: Any, view: BoardView, board: Board, seen: BoardFilm) -> Array:
@@ -196,7 +196,7 @@ def _fit(cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], *, k3:
 
 
 def _spread_of_groups(
-    cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], whole: _Fit, *, k3: bool, progress: Progress
+    cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], full: _Fit, *, k3: bool, progress: Progress
 ) -> Array:
     """(9,) sd by leaving out every eighth view in turn (jackknife), no smaller than that of independent corners."""
     count = min(_GROUPS, len(views) // 2)
@@ -208,7 +208,7 @@ def _spread_of_groups(
         found.append(_fit(cv2, seen, board, rest, k3=k3).values)
         progress.advance()
     away = np.array(found) - np.mean(found, axis=0)
-    return np.asarray(np.maximum(np.sqrt((count - 1) / count * np.sum(away**2, axis=0)), whole.sd))
+    return np.asarray(np.maximum(np.sqrt((count - 1) / count * np.sum(away**2, axis=0)), full.sd))
 
 
 def _remarks(found: Calibration) -> tuple[Remark, ...]:

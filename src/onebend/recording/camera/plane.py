@@ -72,12 +72,12 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     Raises:
         ObservationError: no camera in front of the plane explains the sightings.
     """
-    side = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
+    side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
     few = corners[:: max(1, len(corners) // ENOUGH_TO_START)]
     tries = [
         solve(start, few, size, camera, picture, sd=1.0)
-        for start in starts(math.log(focal * size / side), camera is None)
+        for start in starts(math.log(focal * size / side_px), camera is None)
     ]
     best = min(tries, key=lambda fit: float(fit.cost))
     rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / FREEDOMS)
@@ -86,7 +86,7 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     normal = final.jac.T @ final.jac
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
     fit = PlaneFit(final.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
-    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side:
+    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane."
@@ -121,10 +121,10 @@ def residuals(
     view = view_from(unknowns, camera, picture)
     flat = to_plane(view, corners)
     xy, angle = lay_square(flat)
-    left = (corners - project(view, square(xy, angle, size))) / sd
-    left = np.nan_to_num(left, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
+    residual = (corners - project(view, square(xy, angle, size))) / sd
+    residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
     wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])
-    return np.concatenate([left.ravel(), unknowns / wide[: len(unknowns)]])
+    return np.concatenate([residual.ravel(), unknowns / wide[: len(unknowns)]])
 
 
 def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:

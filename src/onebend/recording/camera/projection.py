@@ -82,8 +82,10 @@ def spread(corners: Array) -> Array:
     push. A rest counts a little, too."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
-    way = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
-    frames = np.unique(np.searchsorted(way, np.linspace(0, way[-1], min(CALIBRATION_FRAMES, len(way)))))
+    travelled = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
+    frames = np.unique(
+        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(CALIBRATION_FRAMES, len(travelled))))
+    )
     chosen = corners[frames].reshape(-1, 4, 2)
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]
 
@@ -106,9 +108,9 @@ def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
 
 def lasting_base(corners: Array) -> Array:
     """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
-    seen = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
-    tag = int(np.argmax(seen.any(axis=0)))
-    shown = np.flatnonzero(seen[:, tag])
+    visible = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
+    tag = int(np.argmax(visible.any(axis=0)))
+    shown = np.flatnonzero(visible[:, tag])
     frames = np.arange(len(corners))
     after = np.clip(np.searchsorted(shown, frames), 0, len(shown) - 1)
     before = np.maximum(after - 1, 0)
@@ -134,16 +136,16 @@ def check_lengths(xy: Array, recording: Recording) -> None:
     places += [(tag.s, f"tag {tag.id}", xy[:, i]) for i, tag in enumerate(tags.on_beam)]
     places.sort(key=lambda place: place[0])
     ratios, worst = [], ""
-    for (s, name, here), (t, other, there) in pairwise(places):
-        apart = np.linalg.norm(there - here, axis=1)
-        arc, slack = (t - s) * length, 3 * np.sqrt(2) * tags.placement_sd
-        if not np.isfinite(apart).any() or arc == 0.0:
+    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
+        distance = np.linalg.norm(next_position - position, axis=1)
+        arc, slack = (next_s - s) * length, 3 * np.sqrt(2) * tags.placement_sd
+        if not np.isfinite(distance).any() or arc == 0.0:
             continue
-        farthest = float(np.nanpercentile(apart, FARTHEST))
+        farthest = float(np.nanpercentile(distance, FARTHEST))
         ratios.append(farthest / arc)
         if not worst and not chord_fits(farthest, arc, slack):
             worst = (
-                f"{name} and {other} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
+                f"{name} and {next_name} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
                 f"{1000 * arc:.3g} mm of beam between them"
             )
     if worst:

@@ -40,11 +40,11 @@ def measure_poses(view: View, corners: Array, size: float) -> tuple[Poses, Array
     xy, angle = lay_square(to_plane(view, corners))
     weight = corner_weight(corners)
     for _ in range(REFINEMENTS):
-        jacobian, left = linearise(view, xy, angle, corners, size)
-        step = weighted_step(jacobian, left, weight)
+        jacobian, residual = linearise(view, xy, angle, corners, size)
+        step = weighted_step(jacobian, residual, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]
-    jacobian, left = linearise(view, xy, angle, corners, size)
-    squares = np.einsum("...i,...ij,...j->...", left, weight, left)
+    jacobian, residual = linearise(view, xy, angle, corners, size)
+    squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
     sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2))
     variance = np.maximum(squares / FREEDOMS, sd**2)
     normal = np.swapaxes(jacobian, -1, -2) @ weight @ jacobian
@@ -62,10 +62,10 @@ def grid_covariance(jacobian: Array) -> Array:
     return covariance
 
 
-def weighted_step(jacobian: Array, left: Array, weight: Array) -> Array:
+def weighted_step(jacobian: Array, residual: Array, weight: Array) -> Array:
     """The generalised least-squares solution (..., 3) of `jacobian @ step = left`."""
     across = np.swapaxes(jacobian, -1, -2) @ weight
-    return np.asarray(np.linalg.solve(across @ jacobian, across @ left[..., None])[..., 0])
+    return np.asarray(np.linalg.solve(across @ jacobian, across @ residual[..., None])[..., 0])
 
 
 def corner_weight(corners: Array) -> Array:
@@ -92,12 +92,12 @@ def corner_weight(corners: Array) -> Array:
 def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) -> tuple[Array, Array]:
     """Derivative (..., 8, 3) of the projected corners by (x, y, angle); what they miss of `corners` (..., 8), px."""
 
-    def seen(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
+    def projected(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
         flat = project(view, square(xy + np.array([dx, dy]), angle + turn, size))
         return flat.reshape(*flat.shape[:-2], 8)
 
-    columns = [(seen(**{way: STEP}) - seen(**{way: -STEP})) / (2 * STEP) for way in ("dx", "dy", "turn")]
-    return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - seen()
+    columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
+    return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
 
 
 def drop(poses: Poses, wrong: BoolArray) -> Poses:
@@ -129,6 +129,6 @@ def unwrap(angle: Array) -> Array:
     for column in flat.T:
         known = np.isfinite(column)
         if known.any():
-            whole = np.unwrap(column[known])
-            column[known] = whole - 2 * np.pi * np.round(whole[0] / (2 * np.pi))
+            continuous = np.unwrap(column[known])
+            column[known] = continuous - 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
     return flat.reshape(angle.shape)

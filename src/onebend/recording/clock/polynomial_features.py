@@ -50,16 +50,18 @@ class Track:
     def mean(self, centre: Array, width: float) -> Array:
         """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not say."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
-        held = np.clip(centre, first_centre, last_centre)
-        held = np.where((centre < first_centre - self.before) | (centre > last_centre + self.after), centre, held)
-        low, high = held - width / 2, held + width / 2
-        out = np.asarray((self.integral(high) - self.integral(low)) / width)
+        centre_held = np.clip(centre, first_centre, last_centre)
+        centre_held = np.where(
+            (centre < first_centre - self.before) | (centre > last_centre + self.after), centre, centre_held
+        )
+        low, high = centre_held - width / 2, centre_held + width / 2
+        average = np.asarray((self.integral(high) - self.integral(low)) / width)
         holes = np.concatenate([[0], np.cumsum(~self.covered)])
         first, last = np.searchsorted(self.time, low), np.searchsorted(self.time, high)
         inside = (low >= self.time[0] - 1e-9) & (high <= self.time[-1] + 1e-9)
         full = holes[np.minimum(last + 1, len(self.time))] == holes[np.maximum(first - 1, 0)]
-        out[~(inside & full)] = np.nan
-        return out
+        average[~(inside & full)] = np.nan
+        return average
 
 
 def make_track(
@@ -71,15 +73,15 @@ def make_track(
     `longest_gap` [s] may be interpolated; a beam that stands still at an end of the film does so for `hold` [s] more.
     `steps`: prior sd, per largest force, of an error of the log that changes where the load begins, reverses and ends.
     """
-    kept, covered = lasting(markers, longest_gap)
-    if not kept.any():
+    used, covered = lasting(markers, longest_gap)
+    if not used.any():
         return None
-    xy = bridged(markers.time, markers.xy[:, kept].reshape(len(markers.time), -1)).reshape(-1, int(kept.sum()), 2)
-    angle = bridged(markers.time, markers.angle[:, kept])
+    xy = bridged(markers.time, markers.xy[:, used].reshape(len(markers.time), -1)).reshape(-1, int(used.sum()), 2)
+    angle = bridged(markers.time, markers.angle[:, used])
     per_axis = np.concatenate([np.full((len(xy), 1), FREE), polynomials * monomials(xy, angle)], axis=1)
     columns = [np.stack([per_axis, 0 * per_axis], axis=1), np.stack([0 * per_axis, per_axis], axis=1)]
     if push_s is not None:
-        turns = levers(xy, angle, markers.s[kept], push_s)
+        turns = levers(xy, angle, markers.s[used], push_s)
         if not turns.shape[-1]:
             return None
         columns.append(FREE * turns)
@@ -97,7 +99,7 @@ def _load_steps(time: Array, xy: Array) -> Array:
     """(T, n) ramps from 0 to 1 that follow each other over each change of the load, together of unit variance."""
     size = displacement(time, xy, np.median(xy[:10], axis=0))
     changes = load_changes(time, size, size > TOUCHED * size.max())
-    ramps = [np.clip(PARTS * change.part(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
+    ramps = [np.clip(PARTS * change.fraction(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
     return np.asarray(np.stack([np.zeros(len(time)), *ramps], axis=1)[:, 1:] / np.sqrt(PARTS))
 
 
@@ -110,9 +112,9 @@ def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]
             edge = start == 0 or stop == len(column)
             if edge or markers.time[stop] - markers.time[start - 1] > longest_gap:
                 long[start:stop, i] = True
-    lost = long.sum(axis=0)
-    kept = (lost <= lost.min()) & (lost < len(long))
-    return np.asarray(kept), np.asarray(~long[:, kept].any(axis=1))
+    frames_missing = long.sum(axis=0)
+    used = (frames_missing <= frames_missing.min()) & (frames_missing < len(long))
+    return np.asarray(used), np.asarray(~long[:, used].any(axis=1))
 
 
 def monomials(xy: Array, angle: Array) -> Array:
@@ -120,11 +122,11 @@ def monomials(xy: Array, angle: Array) -> Array:
     reach = float(np.abs(xy).max())
     flat = np.concatenate([xy.reshape(len(xy), -1), 0.1 * reach * angle], axis=1)
     flat = flat - flat[: max(5, len(flat) // 50)].mean(axis=0)
-    left, size, _ = np.linalg.svd(flat, full_matrices=False)
+    components, size, _ = np.linalg.svd(flat, full_matrices=False)
     count = int(min(COMPONENTS, np.sum(size > 1e-9 * max(size[0], np.finfo(float).tiny))))
     if not count:
         return np.empty((len(xy), 0))
-    scores = left[:, :count] / np.abs(left[:, :count]).max(axis=0)
+    scores = components[:, :count] / np.abs(components[:, :count]).max(axis=0)
     terms = [
         scale * np.prod(scores[:, list(which)], axis=1)
         for degree, scale in enumerate(TERMS, start=1)
@@ -175,13 +177,13 @@ def unit_forces(arms: Array, turns: Array) -> Array:
     return np.asarray(np.linalg.solve(inner, rows.transpose(0, 2, 1)) * turns[:, None, :])
 
 
-def along(xy: Array, angle: Array, s: Array, at: float) -> Array:
-    """(T, 2) the place `at` on the beam: on the cubic through the two neighbouring tags with their directions.
+def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
+    """(T, 2) the place `place` on the beam: on the cubic through the two neighbouring tags with their directions.
 
     The tangents' size is that of an arc of the chord's length, so that the cubic of a circle is right to 0.1 %.
     """
-    i = int(np.clip(np.searchsorted(s, at) - 1, 0, len(s) - 2))
-    u = min((at - s[i]) / max(s[i + 1] - s[i], 1e-9), 1.0)
+    i = int(np.clip(np.searchsorted(s, place) - 1, 0, len(s) - 2))
+    u = min((place - s[i]) / max(s[i + 1] - s[i], 1e-9), 1.0)
     chord = xy[:, i + 1] - xy[:, i]
     # sinc(x) = sin(pi x) / (pi x): arc over chord of a circle that turns by the two tags' difference.
     arc = np.linalg.norm(chord, axis=1) / np.sinc(np.clip(angle[:, i + 1] - angle[:, i], -np.pi, np.pi) / (2 * np.pi))
@@ -196,8 +198,8 @@ def along(xy: Array, angle: Array, s: Array, at: float) -> Array:
 
 def is_still(moved: Array, rows: slice) -> bool:
     """Whether nothing moves in `rows` of (T, c) displacements: less than 0.2 % of the whole motion, or noise."""
-    part = moved[rows]
-    half = len(part) // 2
-    change = np.abs(part[half:].mean(axis=0) - part[:half].mean(axis=0))
+    window = moved[rows]
+    half = len(window) // 2
+    change = np.abs(window[half:].mean(axis=0) - window[:half].mean(axis=0))
     noise = np.std(np.diff(moved, n=2, axis=0)[rows], axis=0)
     return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))

@@ -112,16 +112,16 @@ def zero_of(
     time: Array, force: Array, rests: Sequence[tuple[float, float]], noise: ForceNoise | None, settings: ForceSettings
 ) -> Zero:
     """Mean force over each rest, of the part nearest to contact where the rest is long."""
-    places, values, sizes = [], [], []
+    times, values, sizes = [], [], []
     for i, span in enumerate(rests):
         rows = np.flatnonzero(within(time, span))
         if len(rows) < 2:
             continue
         # The first rest is followed by contact, later ones are preceded by it.
-        near = time[rows[-1]] - time[rows] if i == 0 else time[rows] - time[rows[0]]
-        rows = rows[near <= settings.tare_span]
+        distance = time[rows[-1]] - time[rows] if i == 0 else time[rows] - time[rows[0]]
+        rows = rows[distance <= settings.tare_span]
         if len(rows) >= 2:
-            places.append(float(np.mean(time[rows])))
+            times.append(float(np.mean(time[rows])))
             values.append(np.mean(force[rows], axis=0))
             sizes.append(float(np.ptp(time[rows])))
     shortest = min(sizes, default=math.nan)
@@ -129,7 +129,7 @@ def zero_of(
     if noise is not None and sizes:
         # Mean of a process of correlation time tau over a span; the walk within the span.
         sd = math.sqrt(min(1.0, 2 * noise.tau / shortest) * noise.coloured**2 + noise.walk**2 * shortest / 3)
-    return Zero(np.array(places), np.array(values).reshape(-1, 2), sd)
+    return Zero(np.array(times), np.array(values).reshape(-1, 2), sd)
 
 
 def left_over(
@@ -159,19 +159,19 @@ def left_over(
 
 def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...]:
     """What a person should know of the zero and the filter."""
-    out = []
+    remarks = []
     if not len(zero.time):
         text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."
-        out.append(Remark("warning", text))
+        remarks.append(Remark("warning", text))
     elif len(zero.time) == 1:
         text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
-        out.append(Remark("note", text))
+        remarks.append(Remark("note", text))
     elif float(np.ptp(zero.value, axis=0).max()) > 0.2 * largest:
         change = float(np.ptp(zero.value, axis=0).max())
-        out.append(Remark("warning", f"The force's zero drifted by {change:.2g} N between the rests."))
+        remarks.append(Remark("warning", f"The force's zero drifted by {change:.2g} N between the rests."))
     if not math.isfinite(cutoff):
-        out.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
-    return tuple(out)
+        remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
+    return tuple(remarks)
 
 
 def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSettings()) -> float:
@@ -180,6 +180,6 @@ def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSetting
     return max(settings.longest_gap, memory, 3 * step(time))
 
 
-def force_at(clean: CleanForce, at: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
-    """(T, 2) N at the times `at` [s, log's clock]; NaN outside the log and in its gaps."""
-    return at_times(clean.time, clean.force, at, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
+def force_at(clean: CleanForce, time: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
+    """(T, 2) N at the times `time` [s, log's clock]; NaN outside the log and in its gaps."""
+    return at_times(clean.time, clean.force, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))

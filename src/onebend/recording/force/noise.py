@@ -29,9 +29,9 @@ def log_evidence(root: Array, design: Array, values: Array) -> float:
     x = white[:, : axes * p].reshape(n * axes, p)
     y = white[:, axes * p :].reshape(n * axes)
     inner = np.linalg.cholesky(np.eye(p) + x.T @ x)
-    told = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
+    explained = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
     spread = axes * np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner)))
-    return float(-0.5 * (y @ y - told @ told) - spread)
+    return float(-0.5 * (y @ y - explained @ explained) - spread)
 
 
 def first_guess(values: Array, spacing: float) -> ForceNoise:
@@ -51,14 +51,14 @@ def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> F
     spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
-    def unlikely(z: Array) -> float:
+    def negative_log_posterior(z: Array) -> float:
         noise = _sized(start, centre + spread * z)
         return 0.5 * float(z @ z) - log_evidence(noise.root(time), design, values)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    found = minimize(unlikely, np.zeros(4), method="Nelder-Mead", options=options)
-    return _sized(start, centre + spread * found.x)
+    optimum = minimize(negative_log_posterior, np.zeros(4), method="Nelder-Mead", options=options)
+    return _sized(start, centre + spread * optimum.x)
 
 
 def _sized(start: ForceNoise, logs: Array) -> ForceNoise:

@@ -16,7 +16,7 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording.tags.tracking import BlockTracks, Finder, track_block
 from onebend.recording.toml.entries import FAMILIES, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Frame, frame_count, rate_remarks, read_frames
+from onebend.recording.video import FilmFrame, frame_count, rate_remarks, read_frames
 from onebend.records import Detections, Remark
 from onebend.workers import available_cores
 
@@ -48,7 +48,7 @@ def detect_tags(
     for _ in range(threads):
         finders.put(Finder(tags.family))
 
-    def follow_tags(frames: Sequence[Frame]) -> BlockTracks:
+    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
         finder = finders.get()
         try:
             return track_block(frames, tag_id, finder)
@@ -119,7 +119,7 @@ def refuse_doubles(video: VideoEntry, doubles: Sequence[tuple[int, int]]) -> Non
     """An error where one id is in the picture twice."""
     if doubles:
         tag = doubles[0][1]
-        frames = [str(frame) for frame, other in doubles if other == tag]
+        frames = [str(frame) for frame, tag_id in doubles if tag_id == tag]
         raise ObservationError(
             f"{video.file}: tag {tag} is in the picture twice (frame {', '.join(frames[:5])}"
             f"{', ...' if len(frames) > 5 else ''}). Cover or replace one of them and film again."
@@ -152,9 +152,9 @@ def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], f
     for family in FAMILIES:
         if family != tags.family:
             finder = Finder(family)
-            seen = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
-            if seen:
-                ids = ", ".join(map(str, sorted(seen)))
+            ids_found = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
+            if ids_found:
+                ids = ", ".join(map(str, sorted(ids_found)))
                 return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
     need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
     return f"Check that the tags are {tags.family}, {need}."
@@ -163,12 +163,12 @@ def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], f
 def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
     """A remark for each tag that is missing in many frames."""
     remarks = []
-    for tag, seen in zip(tag_id, share, strict=True):
-        if seen < 1 - OFTEN_HIDDEN:
-            text = f"Tag {tag} was not seen in {round((1 - seen) * frames)} of {frames} frames."
-            if not seen:
+    for tag, visible in zip(tag_id, share, strict=True):
+        if visible < 1 - OFTEN_HIDDEN:
+            text = f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames."
+            if not visible:
                 text = f"Tag {tag} is in none of the {frames} frames: correct its id in recording.toml, or take it out."
-            remarks.append(Remark("note" if seen else "warning", text))
+            remarks.append(Remark("note" if visible else "warning", text))
     return remarks
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.records import Array
 
 CELLS = {"tag36h11": 8, "tag25h9": 7, "tag16h5": 6}  # of the black square's side; families with a plain black rim
@@ -44,7 +44,7 @@ class Pattern:
     blur: float  # logarithm of its sd in cells
 
 
-def correct_still(frames: Sequence[Frame], tracks: Array, cells: int | None) -> Array:
+def correct_still(frames: Sequence[FilmFrame], tracks: Array, cells: int | None) -> Array:
     """`tracks` (B, m, 4, 2) with the corners of every tag that stands still moved by what its whole pattern says.
 
     `cells` counts the cells along the black square's side; None for families without a plain rim: nothing is changed.
@@ -53,21 +53,21 @@ def correct_still(frames: Sequence[Frame], tracks: Array, cells: int | None) -> 
     if cells is None:
         return corrected
     for i in range(tracks.shape[1]):
-        seen = np.flatnonzero(np.isfinite(tracks[:, i]).all(axis=(1, 2))).tolist()
-        if len(seen) < LEAST_FRAMES:
+        visible = np.flatnonzero(np.isfinite(tracks[:, i]).all(axis=(1, 2))).tolist()
+        if len(visible) < LEAST_FRAMES:
             continue
-        middle = np.median(tracks[seen, i], axis=0)
-        if np.abs(tracks[seen, i] - middle).max() > STILL:
+        middle = np.median(tracks[visible, i], axis=0)
+        if np.abs(tracks[visible, i] - middle).max() > STILL:
             continue
-        mean = tracks[seen, i].mean(axis=0)
-        picture, corner = mean_picture([frames[t] for t in seen], mean)
+        mean = tracks[visible, i].mean(axis=0)
+        picture, corner = mean_picture([frames[t] for t in visible], mean)
         fitted = fit_pattern(picture, mean - corner, cells)
         if fitted is not None and np.abs(fitted + corner - mean).max() <= MOST_SHIFT:
-            corrected[seen, i] += fitted + corner - mean
+            corrected[visible, i] += fitted + corner - mean
     return corrected
 
 
-def mean_picture(frames: Sequence[Frame], corners: Array) -> tuple[Array, Array]:
+def mean_picture(frames: Sequence[FilmFrame], corners: Array) -> tuple[Array, Array]:
     """The mean of the frames around a tag with its margin, and the pixel (x, y) of its first corner."""
     margin = 0.15 * float(np.ptp(corners, axis=0).max()) + 2
     height, width = frames[0].luma.shape
@@ -93,9 +93,9 @@ def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
     even = np.array([1.0, 0.0, 0.0])
     model = Pattern(homography, dark * even, (bright - dark) * even, float(np.log(FIRST_BLUR * cells / size)))
     for _ in range(STEPS):
-        jacobian, left = linearise(model, printed, x, y, brightness)
+        jacobian, residual = linearise(model, printed, x, y, brightness)
         try:
-            step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ left)
+            step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ residual)
         except np.linalg.LinAlgError:
             return None
         model = replace(
@@ -105,8 +105,8 @@ def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
             contrast=model.contrast + step[11:14],
             blur=model.blur + float(np.clip(step[14], -0.5, 0.5)),
         )
-    _, left = linearise(model, printed, x, y, brightness)
-    if not float(np.sqrt((left**2).mean())) < MOST_MISFIT * model.contrast[0]:
+    _, residual = linearise(model, printed, x, y, brightness)
+    if not float(np.sqrt((residual**2).mean())) < MOST_MISFIT * model.contrast[0]:
         return None
     x, y, _ = carry(homography_inverse(model.homography), outline[:, 0], outline[:, 1])
     return np.asarray(np.stack([x, y], axis=-1) * size + centre)

@@ -30,9 +30,9 @@ def chord_angles(xy: Array, s: Array) -> Array:
     before = turn[:, -2] if turn.shape[1] > 1 else np.zeros(len(turn))
     middle = 0.5 * (span[-1] + span[-2]) if len(span) > 1 else 0.5 * span[-1]
     angle[:, -1] = turn[:, -1] + 0.5 * span[-1] * (turn[:, -1] - before) / middle
-    out = np.empty_like(angle)
-    out[:, order] = angle
-    return out
+    unordered = np.empty_like(angle)
+    unordered[:, order] = angle
+    return unordered
 
 
 def with_angles(markers: Markers) -> Markers:
@@ -46,8 +46,8 @@ def with_angles(markers: Markers) -> Markers:
 
 def _continuous(angle: Array) -> Array:
     """Columns without jumps by whole turns; NaN is stepped over."""
-    out = angle.copy()
-    for column in out.T:
+    continuous = angle.copy()
+    for column in continuous.T:
         known = np.isfinite(column)
         column[known] = np.unwrap(column[known])
-    return out
+    return continuous
