@@ -98,9 +98,9 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
     data = data_information(problem, rows, best.x, best.hyperparameters)
 
     def target(x: Array) -> Here:
-        away, curvature = x - before.mean, before.precision + rests.information
-        slope = before.precision @ away + rests.information @ x - rests.b
-        value = 0.5 * float(away @ before.precision @ away + x @ rests.information @ x) - float(rests.b @ x)
+        away, curvature = x - before.mean, before.precision + rests.matrix
+        slope = before.precision @ away + rests.matrix @ x - rests.vector
+        value = 0.5 * float(away @ before.precision @ away + x @ rests.matrix @ x) - float(rests.vector @ x)
         for (recording, now, noise), r in zip(every, rows, strict=True):
             there: Prediction = predict(recording, layout, x, now.solved.q, now.own)
             if not np.all(there.solved.converged):
@@ -114,7 +114,7 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
             curvature[np.ix_(mine, mine)] += unexplained.reshape(-1, len(mine)).T @ j.reshape(-1, len(mine))
         return Here(value, slope, curvature)
 
-    covariance = np.linalg.inv(data.information + before.precision)
+    covariance = np.linalg.inv(data.matrix + before.precision)
     return target, 0.5 * (covariance + covariance.T)
 
 

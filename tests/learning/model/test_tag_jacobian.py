@@ -9,9 +9,9 @@ import pytest
 
 from onebend.learning.live.forward import FrameInputs, LinearisedTags, linearise
 from onebend.learning.live.session import LiveSession, push_grid_at, session_layout
-from onebend.learning.model.fit_data import film
+from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.records import Array, View
 from tests.learning.bench import SOFT, forces, observed
@@ -62,8 +62,8 @@ class Point:
             gravity=gravity,
             rest_xy=unseen,
         )
-        self.fit_data = film(made, 0, frames, SPLINE)
-        self.fit_layout = layout(SPLINE, [made], [self.fit_data.error_weights.shape[1]], FREE)
+        self.fit_data = fit_data(made, 0, frames, SPLINE)
+        self.fit_layout = make_layout(SPLINE, [made], [self.fit_data.error_weights.shape[1]], FREE)
         self.session_layout = session_layout(
             SPLINE, 3, FREE, placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=MASS
         )

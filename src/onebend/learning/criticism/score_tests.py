@@ -72,9 +72,9 @@ def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
     rows = tuple(residual_rows(now, n) for now, n in zip(optimum.predictions, noise, strict=True))
     data = data_information(problem, rows, x, optimum.hyperparameters)
     before = prior(problem, optimum.hyperparameters)
-    covariance = np.linalg.inv(data.information + before.precision)
+    covariance = np.linalg.inv(data.matrix + before.precision)
     covariance = 0.5 * (covariance + covariance.T)
-    step = covariance @ (data.b - data.information @ x - before.precision @ (x - before.mean))
+    step = covariance @ (data.vector - data.matrix @ x - before.precision @ (x - before.mean))
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
     return LinearisedFit(problem, optimum, rows, known, covariance, step)
 

@@ -16,11 +16,11 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
-from onebend.learning.inference.linear_gaussian import Quadratic, ResidualRows, force_shrinkage, split_off_force
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.linear_gaussian import ResidualRows, force_shrinkage, split_off_force
 from onebend.learning.inference.stiffness_prior import (
     Draws,
     StiffnessMixture,
-    Told,
     mean_part_variances,
     stiffness_mixture,
 )
@@ -51,26 +51,26 @@ class Evidence:
     """The marginal likelihood of the linearised model as a function of the hyperparameters."""
 
     problem: FitProblem
-    data: Quadratic  # of tags and rests
+    data: InformationForm  # of tags and rests
 
-    def told(self, hyperparameters: Hyperparameters, weight: float = 1.0) -> Told:
+    def stiffness_form(self, hyperparameters: Hyperparameters, weight: float = 1.0) -> InformationForm:
         """What is known of log k beside its prior, all else integrated out."""
         layout = self.problem.layout
         before = prior(self.problem, hyperparameters)
-        p, right = layout.spline.count, self.data.b.copy()
+        p, right = layout.spline.count, self.data.vector.copy()
         right[p:] += before.precision[p:, p:] @ before.mean[p:]
-        cross = self.data.information[p:, :p]
-        regression = np.linalg.solve(self.data.information[p:, p:] + before.precision[p:, p:], cross)
-        information = self.data.information[:p, :p] - cross.T @ regression + layout.evenness
-        return Told(information, right[:p] - regression.T @ right[p:], weight)
+        cross = self.data.matrix[p:, :p]
+        regression = np.linalg.solve(self.data.matrix[p:, p:] + before.precision[p:, p:], cross)
+        information = self.data.matrix[:p, :p] - cross.T @ regression + layout.evenness
+        return InformationForm(information, right[:p] - regression.T @ right[p:], weight=weight)
 
     def solve(self, hyperparameters: Hyperparameters) -> tuple[Array, float, tuple[Array, bool]]:
         """Most probable parameters, log evidence (but for a constant), and the factor of their precision (scipy's)."""
         before, data = prior(self.problem, hyperparameters), self.data
-        factor = cho_factor(data.information + before.precision, lower=True)
-        right = data.b + before.precision @ before.mean
+        factor = cho_factor(data.matrix + before.precision, lower=True)
+        right = data.vector + before.precision @ before.mean
         best = cho_solve(factor, right)
-        misfit = data.c - right @ best + before.mean @ before.precision @ before.mean
+        misfit = data.constant - right @ best + before.mean @ before.precision @ before.mean
         ratio = before.log_det - 2.0 * np.sum(np.log(np.diag(factor[0])))
         return best, float(0.5 * ratio - 0.5 * misfit - data.log_noise), factor
 
@@ -122,12 +122,12 @@ class Evidence:
         mine = np.concatenate([np.zeros(0, dtype=np.int64), *order])
         other = np.setdiff1d(np.arange(problem.layout.size), mine)
         before, data = prior(problem, hyperparameters), self.data
-        precision, right = before.precision[np.ix_(other, other)], data.b - data.information @ before.mean
-        cross = data.information[np.ix_(other, mine)]
-        factor = cho_factor(data.information[np.ix_(other, other)] + precision)
+        precision, right = before.precision[np.ix_(other, other)], data.vector - data.matrix @ before.mean
+        cross = data.matrix[np.ix_(other, mine)]
+        factor = cho_factor(data.matrix[np.ix_(other, other)] + precision)
         best = cho_solve(factor, right[other])
-        information = data.information[np.ix_(mine, mine)] - cross.T @ cho_solve(factor, cross)
-        misfit = data.c - (data.b + right) @ before.mean - right[other] @ best
+        information = data.matrix[np.ix_(mine, mine)] - cross.T @ cho_solve(factor, cross)
+        misfit = data.constant - (data.vector + right) @ before.mean - right[other] @ best
         ratio = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
         return axes, information, right[mine] - cross.T @ best, float(0.5 * misfit - 0.5 * ratio + data.log_noise)
 
@@ -147,7 +147,9 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
     spline = problem.layout.spline
-    variances, chains = mean_part_variances(spline, evidence.told(chosen), problem.level, _ON_THE_WAY, start.chains)
+    variances, chains = mean_part_variances(
+        spline, evidence.stiffness_form(chosen), problem.level, _ON_THE_WAY, start.chains
+    )
     return replace(chosen, part_variances=variances, chains=chains)
 
 
@@ -159,9 +161,9 @@ def averaged_posterior(evidence: Evidence, hyperparameters: Hyperparameters) -> 
     for weight, node in zip(weights, nodes, strict=True):
         mean, _, factor = evidence.solve(node)
         covariance += weight * (cho_solve(factor, np.eye(len(best))) + np.outer(mean - best, mean - best))
-    told = [evidence.told(node, weight) for weight, node in zip(weights, nodes, strict=True)]
+    forms = [evidence.stiffness_form(node, weight) for weight, node in zip(weights, nodes, strict=True)]
     spline = problem.layout.spline
-    stiffness = stiffness_mixture(spline, told, problem.level, _AT_THE_END, hyperparameters.chains)
+    stiffness = stiffness_mixture(spline, forms, problem.level, _AT_THE_END, hyperparameters.chains)
     p = spline.count
     regression = np.linalg.solve(covariance[:p, :p], covariance[:p]).T  # of all parameters on those of log k
     covariance = covariance + regression @ (stiffness.covariance - covariance[:p, :p]) @ regression.T

@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
+from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
@@ -50,16 +51,6 @@ class ResidualRows:
     def by_force(self, r: Array) -> Array:
         """(F, 2) `A' r` of residuals (F, R)."""
         return np.asarray(np.einsum("frd,fr->fd", self.a, r))
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """A log likelihood to second order: `-2 log p = x' H x - 2 b' x + c`."""
-
-    information: Array  # (P, P)
-    b: Array  # (P,)
-    c: float
-    log_noise: float  # sum of the logs of the noise's sd: the rest of -log p
 
 
 def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
@@ -107,7 +98,9 @@ def misfit(rows: ResidualRows, r: Array, noise: RecordingNoise) -> float:
     return float(np.sum(r * unexplained)) / noise.marker**2
 
 
-def tag_information(rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise) -> Quadratic:
+def tag_information(
+    rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise
+) -> InformationForm:
     """Log likelihood of one recording's tags at given noise, all but the frames' own forces as parameters.
 
     The slow error of the log moves a frame's tags as the frame's own force does, so the information on its knots
@@ -136,10 +129,10 @@ def tag_information(rows: ResidualRows, layout: Layout, number: int, x: Array, n
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
     information, right = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
     information[np.ix_(mine, mine)], right[mine] = inside, b
-    return Quadratic(information, right, float(c), log_noise)
+    return InformationForm(information, right, float(c), log_noise)
 
 
-def rest_information(problem: FitProblem) -> Quadratic:
+def rest_information(problem: FitProblem) -> InformationForm:
     """Log likelihood of the force logs in the rests, where the true force is zero and the log is its own error."""
     size = problem.layout.size
     information, b, c, log_noise = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
@@ -153,26 +146,16 @@ def rest_information(problem: FitProblem) -> Quadratic:
         b[block.where] = weights.T @ values.ravel() / sd
         c += float(np.sum(values**2)) / sd**2
         log_noise += values.size * float(np.log(sd))
-    return Quadratic(information, b, c, log_noise)
+    return InformationForm(information, b, c, log_noise)
 
 
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
-) -> Quadratic:
+) -> InformationForm:
     """Log likelihood of all tags and all rests."""
     every = zip(problem.recordings, rows, hyperparameters.noise, strict=True)
     tags = [tag_information(r, problem.layout, recording.number, x, noise) for recording, r, noise in every]
     return total([*tags, rest_information(problem)])
-
-
-def total(parts: Sequence[Quadratic]) -> Quadratic:
-    """The log likelihood of independent data together."""
-    return Quadratic(
-        np.sum([p.information for p in parts], axis=0),
-        np.sum([p.b for p in parts], axis=0),
-        sum(p.c for p in parts),
-        sum(p.log_noise for p in parts),
-    )
 
 
 def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:

@@ -15,8 +15,8 @@ from onebend.learning.inference.hyperparameters import (
     choose_hyperparameters,
     new_noise,
 )
+from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.inference.linear_gaussian import (
-    Quadratic,
     ResidualRows,
     data_information,
     residual_rows,
@@ -24,7 +24,6 @@ from onebend.learning.inference.linear_gaussian import (
     rest_information,
     split_off_force,
     tag_information,
-    total,
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
@@ -175,9 +174,9 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     rows = _rows(estimate)
     every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
     tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    information = total([*tags, rest_information(problem)]).information
+    information = total([*tags, rest_information(problem)]).matrix
     covariance = np.linalg.inv(information + prior(problem, hyperparameters).precision)
-    spent = [float(np.sum(covariance * one.information)) for one in tags]  # parameters that each recording settled
+    spent = [float(np.sum(covariance * one.matrix)) for one in tags]  # parameters that each recording settled
     noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
     hyperparameters = replace(hyperparameters, noise=noise)
     data = data_information(problem, rows, estimate.x, hyperparameters)
@@ -198,8 +197,8 @@ def _descend(
     for _ in range(most_steps):
         rows = _rows(estimate)
         data = data_information(problem, rows, estimate.x, estimate.hyperparameters)
-        hessian = data.information + before.precision
-        slope = data.b - data.information @ estimate.x - before.precision @ (estimate.x - before.mean)
+        hessian = data.matrix + before.precision
+        slope = data.vector - data.matrix @ estimate.x - before.precision @ (estimate.x - before.mean)
         cost, diagonal = _cost(before, rests, rows, estimate), np.diag(hessian)
         estimate = replace(estimate, steps=estimate.steps + 1)
         while True:
@@ -223,7 +222,7 @@ def _descend(
     return replace(estimate, converged=False)
 
 
-def _cost(before: Prior, rests: Quadratic, rows: Sequence[ResidualRows], estimate: MapEstimate) -> float:
+def _cost(before: Prior, rests: InformationForm, rows: Sequence[ResidualRows], estimate: MapEstimate) -> float:
     """Minus twice the log posterior at the weights of some rows, but for a constant; infinite without equilibrium."""
     if not _all_converged(estimate.predictions):
         return np.inf
@@ -231,7 +230,7 @@ def _cost(before: Prior, rests: Quadratic, rows: Sequence[ResidualRows], estimat
     every = zip(rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
     tags = sum(_misfit(r.root_weight * residuals(p), p.own, noise) for r, p, noise in every)
     away = x - before.mean
-    return float(tags + away @ before.precision @ away + x @ rests.information @ x - 2.0 * rests.b @ x)
+    return float(tags + away @ before.precision @ away + x @ rests.matrix @ x - 2.0 * rests.vector @ x)
 
 
 def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
