@@ -1,9 +1,9 @@
-"""The sizes of the force's error in the live learner: the evidence's choice, and what it leaves open.
+"""Hyperparameters of the force error in the live learner: a search for the most probable, and an average around them.
 
-One trial at a time, at what is known then. Some climb: one scale in turn is made larger or smaller, and kept if more
-probable. The others look about: pairs to either side along and across the scales give the curvature of their
-probability; pairs far out along its axes are the nodes over which log k is averaged (a cubature of degree three, as in
-the fit). After a round of some thirty looks they begin anew.
+The search makes one trial at a time, with the data so far. Every second trial is a climb: one hyperparameter is made
+larger or smaller, and the change is kept if it is more probable. The others are looks. Pairs of looks near the optimum
+give the curvature of the log probability; pairs far out along its principal axes are the nodes over which log k is
+averaged (a cubature of degree three, as in the fit). A round of looks is followed by the next.
 """
 
 from __future__ import annotations
@@ -17,36 +17,34 @@ from onebend.learning.inference.hyperparameters import CHOSEN, SPREAD
 from onebend.learning.live.key_frame_posterior import KeyFramePosterior, LiveHyperparameters
 from onebend.records import Array
 
+_CHOSEN = ("coloured", "memory", "walk", "load", "white")  # log k is averaged over all but the last
 _CENTRE = 0.25  # share of the node in the middle
-_FARTHEST = 4.0  # sd from what was expected
+_FARTHEST = 4.0  # prior sd from the prior's median
 _SHORTEST, _LONGEST = 0.05, 0.7  # step of a log
-_NEAR = 0.4  # sd of what was expected: so far out the curvature is looked at
+_NEAR = 0.4  # prior sd: distance of the looks that give the curvature
 _CLIMB_EVERY = 2  # trials
-_TRUSTED = 1.0  # of a node's log weight: so far above what was expected, its look is not believed
-_LEAST_CURVATURE = 0.5  # the prior alone has one
+_TRUSTED = 1.0  # a node's log weight is cut off so far above its weight in the cubature
+_LEAST_CURVATURE = 0.5  # the prior alone gives 1
 _SPREAD = dict(zip(CHOSEN, SPREAD.tolist(), strict=True)) | {"white": 0.7}
 MEMORY_DOUBT = _SPREAD["memory"]
 
 
 @dataclass(frozen=True)
 class _CubatureNode:
-    """What would be known of log k at other scales, in units of what is known at the optimum: as that shrinks, so does
-    this."""
+    """Mean and covariance of log k at other hyperparameters, in units of the posterior at the optimum. They shrink as
+    it does."""
 
-    log_weight: float  # over the middle's
-    away: Array  # (p,) from the optimum
-    spread: Array  # (p, p) about it
+    log_weight: float  # relative to the middle node
+    away: Array  # (p,) mean, from that at the optimum
+    spread: Array  # (p, p) covariance
 
 
 class HyperparameterSearch:
-    """What to try next, and what the trials so far have told."""
+    """Proposes the next trial, and keeps the results of those before."""
 
-    def __init__(self, expected: LiveHyperparameters, chosen: tuple[str, ...], memory_doubt: float) -> None:
-        """`chosen` scales are searched; over all of them but white noise, which hardly matters, it is averaged.
-
-        `memory_doubt`: sd of the log of the memory that is expected.
-        """
-        self._chosen = chosen
+    def __init__(self, expected: LiveHyperparameters, memory_doubt: float) -> None:
+        """`expected`: medians of the priors; `memory_doubt`: sd of the log of the memory's prior."""
+        self._chosen = chosen = _CHOSEN
         self._expected = np.log([getattr(expected, name) for name in chosen])
         self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
         self._steps = np.array([0.7 if name == "load" else 0.3 for name in chosen])  # it may be ten times as large
@@ -62,7 +60,7 @@ class HyperparameterSearch:
 
     @property
     def round(self) -> int:
-        """Trials that surely hold a whole round of looks."""
+        """So many trials hold at least one whole round of looks."""
         return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
 
     def proposal(self, now: LiveHyperparameters) -> LiveHyperparameters:
@@ -78,12 +76,12 @@ class HyperparameterSearch:
         return replace(now, **dict(zip(self._chosen, values.tolist(), strict=True)))
 
     def cost(self, hyperparameters: LiveHyperparameters) -> float:
-        """-2 log prior of the scales."""
+        """-2 log prior."""
         z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
         return float(z @ z)
 
     def climbed(self, better: bool) -> None:
-        """After a climb: longer steps after a success; shorter, the other way round, after a failure."""
+        """After a climb: the next step is longer if this one was `better`, else shorter and the other way."""
         i = self._climbs % len(self._chosen)
         step = self._steps[i] * (1.5 if better else -0.6)
         self._steps[i] = np.sign(step) * np.clip(abs(step), _SHORTEST, _LONGEST)
@@ -91,7 +89,7 @@ class HyperparameterSearch:
         self._trials += 1
 
     def looked(self, worse: float, there: KeyFramePosterior, here: KeyFramePosterior) -> None:
-        """After a look: by how much -2 log probability is larger there, and what is known there and at the optimum."""
+        """After a look: `worse`: increase of -2 log probability; `there`, `here`: posteriors there and at the optimum."""
         if self._look < 2 * len(self._pairs):
             self._curve(worse)
             return
@@ -106,7 +104,7 @@ class HyperparameterSearch:
         self._advance()
 
     def _curve(self, worse: float) -> None:
-        """One look near by: the slope drops out of a pair's sum."""
+        """One look near the optimum; in the sum of a pair the slope cancels."""
         self._curved[self._look // 2] += 0.5 * worse / _NEAR**2
         if self._look == 2 * len(self._pairs) - 1:
             self._axes = self._principal()
@@ -119,7 +117,7 @@ class HyperparameterSearch:
             self._begin()
 
     def failed(self) -> None:
-        """After a trial of scales that cannot be."""
+        """After a trial that has no posterior."""
         if self.climbs:
             self.climbed(False)
         elif self._look < 2 * len(self._pairs):
@@ -129,7 +127,7 @@ class HyperparameterSearch:
             self._advance()
 
     def averaged(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """(p,) and (p, p) of log k's coefficients, from those at the scales of the optimum."""
+        """Mean (p,) and covariance (p, p) of log k's coefficients over all nodes, from those at the optimum."""
         nodes = list(self._nodes.values())
         weights = np.exp([0.0, *(node.log_weight for node in nodes)])
         weights /= np.sum(weights)
@@ -151,7 +149,7 @@ class HyperparameterSearch:
         self._look = 0
 
     def _away(self) -> Array:
-        """Where the next look is, in sd of what was expected, from the optimum."""
+        """Offset of the next look from the optimum, in sd of the priors."""
         out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
         if self._look < pairs:
             i, j = self._pairs[self._look // 2]
@@ -162,7 +160,7 @@ class HyperparameterSearch:
         return out
 
     def _principal(self) -> Array:
-        """(d, d) one sd along each axis of the scales' probability, in columns."""
+        """(d, d) columns: one sd along each principal axis of the hyperparameters' probability."""
         count = len(self._open)
         own = {i: c for (i, j), c in zip(self._pairs, self._curved, strict=True) if i == j}
         h = np.diag([own[i] for i in range(count)])

@@ -1,5 +1,6 @@
 """The error of a force log as a process in time: a level, a random walk, an Ornstein-Uhlenbeck part, white noise, and
-what comes with the load (`recording/force/load_stages.py`), whose time is its own: it runs on where the load changes.
+a part that comes with the load (`recording/force/load_stages.py`). That part has a time of its own, which advances only
+while the load changes; `LoadStages` finds it from frames as they come.
 
 Frames that are averaged into one key frame share one number per axis: the mean of the error over their times. Key
 frames follow each other in time and do not overlap, so the covariances of these means have short closed forms.
@@ -23,28 +24,28 @@ _LEAST = 1e-12  # of each variance: what rounding leaves of two that are the sam
 
 @dataclass(frozen=True)
 class ForceProcess:
-    """Sizes of the parts, one sd each."""
+    """One sd of each part."""
 
     level: float  # N, constant
     walk: float  # N per root second
     coloured: float  # N, Ornstein-Uhlenbeck
     memory: float  # s, its correlation time
     white: float  # N, of every frame
-    load: float = 0.0  # N, what comes with the load: as much that stays, as much that changes
+    load: float = 0.0  # N, error that comes with the load: a constant of this sd, and as much that varies
 
 
 @dataclass(frozen=True)
 class TimeSpans:
-    """K stretches of time, in order, that do not overlap."""
+    """K time spans, in order, that do not overlap."""
 
     begin: Array  # (K,) s, first frame
     end: Array  # (K,) s, last frame
     frames: Array  # (K,) how many
-    slow: Array  # (K,) 1 where only level, walk and load count, at `end`; else 0
+    slow: Array  # (K,) 1 where only the slow parts (level, walk, load) count, at `end`; else 0
     own: Array  # (K,) the load's own time
 
     def after(self, time: float, own: float) -> TimeSpans:
-        """With a first one, of which only the slow part counts."""
+        """These spans after one of which only the slow parts count."""
         first = (time, time, 1.0, 1.0, own)
         every = zip(first, (self.begin, self.end, self.frames, self.slow, self.own), strict=True)
         return TimeSpans(*(np.concatenate([[value], values]) for value, values in every))
@@ -61,7 +62,7 @@ class TimeSpans:
 
     @cached_property
     def fast(self) -> Array:
-        """(K,) 1 where coloured and white part count."""
+        """(K,) 1 where the fast parts (coloured, white) count."""
         return np.asarray(1.0 - self.slow)
 
     @cached_property
@@ -73,7 +74,7 @@ class TimeSpans:
 
     @cached_property
     def gap(self) -> Array:
-        """(K, K) s between them; infinite to those of which only the slow part counts."""
+        """(K, K) s between the spans; infinite to those of which only the slow parts count."""
         out = np.maximum(self.begin[:, None], self.begin) - np.minimum(self.end[:, None], self.end)
         np.maximum(out, 0.0, out=out)
         if np.any(self.slow):
@@ -114,31 +115,36 @@ def with_one_more(process: ForceProcess, spans: TimeSpans, time: float, own: flo
 
 
 def fast_variance(process: ForceProcess, width: float, frames: float) -> float:
-    """N^2: what coloured and white part add to the mean over one span."""
+    """N^2: variance of the fast parts' mean over one span."""
     _, own = _averaging(np.array([width / process.memory]))
     return float(process.coloured**2 * own[0] + process.white**2 / frames)
 
 
 def slow_variance(process: ForceProcess, seconds: float, own: float) -> float:
-    """N^2 by which walk and load make the slow part differ after `seconds` and so much of the load's own time."""
+    """N^2: variance of the slow parts' change after `seconds` and after `own` of the load's own time."""
     return float(process.walk**2 * max(seconds, 0.0) - 2.0 * process.load**2 * np.expm1(-abs(own)))
 
 
 def _averaging(u: Array) -> tuple[Array, Array]:
-    """What averaging over u correlation times leaves of covariance with others, and of the variance itself."""
+    """Averages over u correlation times: factors of the covariance with other times, and of the variance."""
     wide = np.maximum(u, 1e-4)
     share = -np.expm1(-wide) / wide
     return np.where(u < 1e-4, 1.0, share), np.where(u < 1e-4, 1.0, 2.0 * (1.0 - share) / wide)
 
 
-_FINE = 0.005  # of the scale: displacements that differ by less are one
+_FINE = 0.005  # of the largest displacement: smaller differences are not kept
 _PATH_LENGTH = 256  # displacements of one stage
-_CHANGES = 6  # the last ones, whose stretch of time is still looked at
-_USUAL = 0.1  # of the length: a push is expected to move the tags by so much
+_CHANGES = 6  # the last ones, whose spans may still change
+_USUAL = 0.1  # of the length: the largest displacement that is expected before the data
 
 
 class LoadStages:
-    """Where the own time stands; its size is fixed."""
+    """The load's own time, found from frames as they come; its memory is fixed.
+
+    As `recording/force/load_stages.py` has it for a whole recording: a load begins, reverses where the beam comes back
+    by more than a share of the largest displacement so far, and ends. A reversal is noticed late; then it counts for
+    the frames before, too.
+    """
 
     def __init__(self, length: float, tags: int) -> None:
         self._largest = _USUAL * length  # m
@@ -149,10 +155,10 @@ class LoadStages:
         self._path: deque[tuple[float, float]] = deque(maxlen=_PATH_LENGTH)  # s, m
         self._changes: deque[tuple[float, LoadChange]] = deque()
         self._past: deque[tuple[float, LoadChange]] = deque()
-        self._open: float | None = None  # m, displacement that a change has begun from and is not over
+        self._open: float | None = None  # m, displacement where the present change began; None: it is over
 
     def add_frame(self, time: float, xy: Array, visible: BoolArray, loaded: bool) -> None:
-        """The next frame: tags (m, 2) m where `seen`."""
+        """The next frame: tags at `xy` (m, 2) m where `visible`."""
         self._here[visible] = xy[visible]
         if not loaded:
             self._rest[visible] = xy[visible]
@@ -181,13 +187,13 @@ class LoadStages:
             self._turn(time, size)
 
     def _go_on(self, time: float, over: bool) -> None:
-        """The change that is on lasts to now."""
+        """The present change lasts until now."""
         amount, change = self._changes[-1]
         self._changes[-1] = amount, LoadChange(change.begin, time, change.release)
         self._open = None if over else self._open
 
     def _turn(self, time: float, size: float) -> None:
-        """The load has reversed: from where it was last clear of the turning point."""
+        """The load has reversed; the change began where the beam was last clear of the turning point."""
         before = [t for t, d in self._path if t < self._peak and abs(d - self._extreme) > BEFORE * self._largest]
         low = before[-1] if before else (self._path[0][0] if self._path else self._peak)
         self._add(ANEW, LoadChange(min(low, self._peak), time, release=False))
@@ -207,11 +213,11 @@ class LoadStages:
         self._changes.append((amount, change))
 
     def own(self, time: Array) -> Array:
-        """(N,) what the changes that are still looked at add to the own time at `time` (N,) [s]."""
+        """(N,) own time at `time` (N,) [s] from the changes that may still change."""
         return _sum(self._changes, time)
 
     def forgotten(self, time: Array) -> tuple[Array, float]:
-        """(N,) what changes that are not looked at any more add at `time` (N,) [s], and to all later frames; once."""
+        """(N,) own time at `time` (N,) [s] from the changes settled since the last call, and of later frames."""
         out = _sum(self._past, time), float(sum(amount for amount, _ in self._past))
         self._past.clear()
         return out

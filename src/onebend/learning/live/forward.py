@@ -1,4 +1,4 @@
-"""Tags of a few frames at given parameters, with derivatives: the model of the live learner."""
+"""Poses of the tags in a few frames at given parameters, with derivatives: the model of the live learner."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from onebend.learning.model.tag_jacobian import (
 )
 from onebend.records import Array, BoolArray
 
-_NEWTON_ITERATIONS = 8  # Newton iterations before the search from rest
+_NEWTON_ITERATIONS = 8  # at most, before the shape is sought from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
 _TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
 
@@ -72,7 +72,8 @@ def linearise(
 ) -> LinearisedTags:
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any.
 
-    Tags are fewer than parameters: the tangent is solved for the former (adjoint), and for the force.
+    The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
+    for the force.
     """
     layout, m = session.layout, len(session.marker_s)
     axes = _axes(layout, x)
@@ -98,7 +99,7 @@ def linearise(
 
 @dataclass(frozen=True)
 class _TagPartials:
-    """How tags move with what holds them, the shape staying as it is."""
+    """Derivatives of the tags' poses at a fixed curvature."""
 
     clamp: Array  # (B, m, 3) with the clamp's angle
     motion: TagMotion

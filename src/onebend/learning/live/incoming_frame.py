@@ -81,7 +81,7 @@ def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) ->
 
 
 def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array) -> int:
-    """Put the frame in the place behind the key frames in use, which is returned; `rate` (2,) N/s of its force."""
+    """Write the frame behind the key frames in use; returns its index. `rate` (2,) N/s of its force."""
     i = keys.used
     keys.begin[i] = keys.end[i] = frame.time
     keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
@@ -93,7 +93,7 @@ def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array) -> int:
 
 
 def expect_shape(keys: KeyFrames, i: int, error: Array) -> None:
-    """Where to seek the shape of frame i, the last one, under the force error (2,) [N] that is expected of it."""
+    """First guess of the shape of frame i, the last one, under the force error (2,) [N] that is expected."""
     keys.error[i], keys.stale[i], keys.lost[i] = error, False, False
     keys.q[i], keys.grid[i] = 0.0, 0.0
     if i > 0:

@@ -1,11 +1,11 @@
 """The posterior over key frames: parameters x and each key frame's force error e, jointly normal once linearised.
 
-    -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e  +  the past  + logs
+    -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e + (marginalised) + logs
 
-C is the force error's covariance over the key frames' times. The unknowns are few (some 35 + 2 a key frame), so all of
-them are solved for at once, from Cholesky factors of matrices that are sums of squares: nothing is carried from frame
-to frame that could lose its definiteness. Log k comes last: what is known of it with all else integrated out is there
-before its prior is added.
+C is the force error's covariance over the key frames' times. The unknowns are few (some 70, and 2 for each key frame),
+so one Cholesky factorisation solves for all of them. The matrix is summed anew from squares each time, so it stays
+positive definite. Log k is eliminated last: this gives its information form with all else integrated out, before the
+prior of log k is added.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from onebend.learning.live.marginalised import Marginalised
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
-_ROUNDING = 1e-11  # of the information: what rounding may take from what is folded and subtracted
+_ROUNDING = 1e-11  # of the information: added to its diagonal against rounding
 
 
 @dataclass(frozen=True)
 class LiveHyperparameters:
-    """Sizes that the data choose; those of log k's prior are drawn (`stiffness_hyperparameters.py`)."""
+    """The hyperparameters but those of log k's prior, which are drawn (`stiffness_hyperparameters.py`)."""
 
     marker: float  # noise of the tags over what their covariances say
     white: float  # N, force error of every frame
     coloured: float  # N, Ornstein-Uhlenbeck part
     memory: float  # s, its correlation time
     walk: float  # N per root second
-    load: float  # of what was expected to come with the load
+    load: float  # error that comes with the load, over the size expected before the data
 
 
 @dataclass(frozen=True)
 class LivePrior:
-    """What is known of the parameters before the data."""
+    """The prior of the parameters."""
 
     layout: Layout
     mean: Array  # (n,)
-    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: by the sizes of its parts
+    fixed: Array | None  # (p, p) precision of log k's coefficients; None: it follows from the variances of its parts
 
     @cached_property
     def nuisance_precision(self) -> Array:
@@ -53,7 +53,7 @@ class LivePrior:
         return np.asarray(1.0 / np.concatenate([b.prior_sd for b in self.layout.blocks if b.start >= 0][1:]) ** 2)
 
     def stiffness_prior(self, parts: Array) -> InformationForm:
-        """The prior of log k's coefficients, its parts having these variances (n,)."""
+        """The prior of log k's coefficients; `parts` (n,): variances of its parts."""
         precision, spline = self.fixed, self.layout.spline
         if precision is None:
             precision, _ = _inverse((spline.parts * parts) @ spline.parts.T)
@@ -62,7 +62,7 @@ class LivePrior:
 
 @dataclass(frozen=True)
 class KeyFrameSums:
-    """What the key frames say, at unit noise; slot 0 is the past's where there is one."""
+    """Sums of products over the key frames, at unit noise; slot 0 is that of the marginalised frames, if any."""
 
     spans: TimeSpans
     xx: Array  # (n, n)
@@ -71,7 +71,7 @@ class KeyFrameSums:
     bx: Array  # (n,)
     be: Array  # (slots, 2)
     c: float
-    rows: float  # numbers measured
+    rows: float  # count of the numbers measured
     rest: Array  # (slots,) 1 where the log shows its error
     log: Array  # (slots, 2) N, the log there
     marginalised: Marginalised
@@ -79,10 +79,10 @@ class KeyFrameSums:
 
 @dataclass(frozen=True)
 class KeyFramePosterior:
-    """The normal posterior of all e and x: of the e and all parameters but log k's first, then of log k's.
+    """The normal posterior of the force errors e and the parameters x.
 
-    `factor` and `lower` are Cholesky factors of the information, `across` what is between the two parts:
-    `[[factor, 0], [across', lower]]` is that of all.
+    The unknowns are in two parts: first e and the nuisances, then log k's coefficients. The Cholesky factor of their
+    information is `[[factor, 0], [across', lower]]`.
     """
 
     x: Array  # (n,)
@@ -93,27 +93,29 @@ class KeyFramePosterior:
     factor: Array
     across: Array
     lower: Array
-    right: Array  # the right side of the first part, behind its factor
-    stiffness_form: InformationForm
+    right: Array  # information vector of the first part, solved with its factor
+    stiffness_form: InformationForm  # of log k before its prior, all else integrated out
     minus_log: float  # -2 log evidence, but for what depends on the prior of log k
 
     def spread(self, errors: Array, j: Array) -> Array:
-        """(R, R) covariance of rows (R, 2 slots) times the e and (R, n) times the parameters."""
+        """(R, R) covariance of R linear functions: rows `errors` (R, 2 slots) times e, plus `j` (R, n) times x."""
         p = len(self.lower)
         first, _ = dtrtrs(self.factor, np.concatenate([errors.T, j[:, p:].T]), lower=1)
         last, _ = dtrtrs(self.lower, j[:, :p].T - self.across.T @ first, lower=1)
         return np.asarray(first.T @ first + last.T @ last)
 
-    def distance(self, errors: Array, x: Array) -> float:
-        """Of e (slots, 2) and x (n,) from zero, in sd of all that is unknown."""
-        p = len(self.lower)
-        first = np.concatenate([errors.ravel(), x[p:]])
+    def distance(self, error: Array, x: Array) -> float:
+        """Distance in posterior sd from a point whose last K force errors are `error` (K, 2) and whose parameters are
+        `x` (n,) away."""
+        p, away = len(self.lower), np.zeros_like(self.e)
+        away[len(away) - len(error) :] = self.e[len(away) - len(error) :] - error
+        first = np.concatenate([away.ravel(), x[p:]])
         ahead = self.factor.T @ first + self.across @ x[:p]
         behind = self.lower.T @ x[:p]
         return float(np.sqrt(ahead @ ahead + behind @ behind))
 
     def with_stiffness(self, k: Array, covariance: Array) -> tuple[Array, Array]:
-        """(n,) and (n, n): parameters and their covariance where those of log k's coefficients are these."""
+        """(n,) and (n, n): mean and covariance of all parameters where log k's have these, (p,) and (p, p)."""
         p, m = len(k), len(self.x) - len(k)
         root, across, right = self.factor[-m:, -m:], self.across[-m:], self.right[-m:]
         follow = -np.asarray(dtrtrs(root, across, lower=1, trans=1)[0])
@@ -132,13 +134,13 @@ class KeyFramePosterior:
         return self.with_stiffness(self.x[: len(self.lower)], _symmetric(inverse))[1]
 
     def effective_parameters(self, prior: LivePrior, stiffness_prior: InformationForm) -> float:
-        """How many parameters the data have settled."""
+        """Effective number of parameters: how many the data determine, rather than the prior."""
         p, c = len(self.lower), self.covariance()
         held = float(np.sum(c[:p, :p] * stiffness_prior.matrix)) + float(prior.nuisance_precision @ np.diag(c)[p:])
         return len(self.x) - held
 
     def predicted_error(self, time: float, own: float) -> tuple[Array, Array, float]:
-        """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
+        """Force error of a frame to come: mean (2,), weights (slots,) on the known errors, and conditional variance."""
         with_others, alone = with_one_more(self.process, self.spans, time, own)
         rows = self.inverse @ with_others
         return rows @ self.e, rows, alone - float(rows @ with_others)
@@ -147,7 +149,7 @@ class KeyFramePosterior:
 def gather(
     keys: KeyFrames, marginalised: Marginalised, lately: Callable[[Array], Array] = np.zeros_like
 ) -> KeyFrameSums:
-    """Sums over the key frames, robust weights included; `lately`: what the load's last changes add to its own time."""
+    """Sums over the key frames with their robust weights; `lately`: the part of the load's own time not yet settled."""
     used = keys.used
     rows, weight = keys.rows[:used], keys.weight[:used]
     if np.any((weight != 1.0) & (weight != 0.0)):

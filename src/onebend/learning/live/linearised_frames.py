@@ -1,4 +1,4 @@
-"""Key frames linearised through the equilibrium, those on one grid together."""
+"""Linearises key frames through the equilibrium, those that share a grid together."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from onebend.records import Array
 
 
 class Lineariser:
-    """All grids, made beforehand: a push at a new place costs no more than the one before."""
+    """Holds the grids of all places of the push, made beforehand so that a new place costs no time."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
         self._grids = {s: push_grid_at(session, s) for s in grid_places()}
-        self._pushed = 1.0  # where the last one was
+        self._pushed = 1.0  # place of the last push
 
     def pushed_at(self, push_s: float) -> None:
-        """Where the push is now."""
+        """Take note of the place of the push."""
         self._pushed = nearest_grid_place(push_s)
 
     def near(self, keys: KeyFrames, chosen: list[int], i: int) -> list[int]:
-        """Those of the chosen ones that are on the grid of key frame i; the first one else, where there is one."""
+        """The chosen key frames on the same grid as key frame i; where there are none, the first chosen one."""
         return [k for k in chosen if self._grid_of(keys, k) == self._grid_of(keys, i)] or chosen[:1]
 
     def renew(self, keys: KeyFrames, chosen: list[int], point: Array) -> set[int]:
-        """Linearise key frames at parameters `point` (n,); those that have a shape there. The others stay."""
+        """Linearise key frames at parameters `point` (n,); returns those with an equilibrium there. The others stay."""
         solved: set[int] = set()
         grids = [self._grid_of(keys, i) for i in chosen]
         for push_s in dict.fromkeys(grids):
@@ -51,7 +51,7 @@ class Lineariser:
         return set(solved.tolist())
 
     def _start(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int]) -> Array:
-        """(B, Q) shapes to start from, brought from other grids where they are on one."""
+        """(B, Q) shapes to start from, interpolated where they are on another grid."""
         nodes = push_grid.grid.nodes
         out = keys.q[chosen][:, : len(nodes)]
         for row, i in zip(out, chosen, strict=True):
@@ -61,5 +61,5 @@ class Lineariser:
         return out
 
     def _grid_of(self, keys: KeyFrames, i: int) -> float:
-        """The place of the grid of key frame i; where nothing pushes any will do, and the last one is at hand."""
+        """Place of the push on the grid of key frame i; at rest any grid will do, and the last one is taken."""
         return self._pushed if keys.rest[i] else nearest_grid_place(float(keys.push_s[i]))

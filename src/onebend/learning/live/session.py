@@ -1,5 +1,5 @@
-"""What does not change while the live learner films one beam: its parameters, how it works, and grids for pushes
-anywhere on the beam."""
+"""What stays the same while one beam is filmed live: its parameters, the settings, and grids for the places of the
+push."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from onebend.learning.model.tag_jacobian import free_columns
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, SCALE_SD, TURN_SD, Array
 
 ORDER, WIDEST = 12, 0.5
-_GRIDS = 50  # over the length: a push between two is moved there along the tangent
+_GRIDS = 50  # over the length; a push between two places acts along the tangent from the nearer one
 
 
 @dataclass(frozen=True)
 class LiveSession:
-    """What does not change while one beam is filmed."""
+    """The beam, its tags and its parameters."""
 
     length: float  # m
     marker_s: Array  # (m,)
@@ -41,26 +41,26 @@ class LiveSession:
 
 @dataclass(frozen=True)
 class SmootherSettings:
-    """How the live learner works."""
+    """Settings of the smoother; see `OnlineSettings`."""
 
     key_frames: int
     renewed: int  # key frames linearised anew with every frame
     zero: float  # N, sd of the log's zero
     least_zero: float  # N
-    load: float | None  # N, expected to come with the load; None: a share of the largest force
-    roughness: float  # of log k: where its sizes begin
-    steps: float
+    load: float | None  # N, error expected to come with the load; None: a share of the largest force
+    roughness: float  # of log k, first value
+    steps: float  # of log k, first value
     memory_doubt: float  # of the log of the force error's memory
     adapt: bool
-    bulk: float  # sd
-    gate: float  # sd
+    bulk: float  # sd: tags that fit worse get less weight
+    gate: float  # sd: tags farther from where they are expected are left out
     patience: int  # frames
-    step: float  # of log k
+    step: float  # of log k: the most that one update changes it
 
 
 @dataclass(frozen=True)
 class PushGrid:
-    """Everything that depends only on where the force acts."""
+    """The grid for a push at one place, and everything that depends only on it."""
 
     push_s: float
     grid: Grid
@@ -124,7 +124,7 @@ def grid_places() -> list[float]:
 
 
 def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
-    """The grid and what stands on it for a push at `push_s`."""
+    """The grid for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
     nodes, to_nodes, weights = grid.nodes, grid.integral_to_nodes, grid.weights
     parts, rows = MASS_MODES.curvature(nodes), grid.integral_to(session.marker_s)

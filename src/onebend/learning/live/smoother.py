@@ -1,4 +1,4 @@
-"""The moving parts of the live learner: key frames, their posterior, and the search for the sizes of noise."""
+"""The state of the live learner: key frames, their posterior, and the search for the hyperparameters."""
 
 from __future__ import annotations
 
@@ -22,17 +22,15 @@ from onebend.learning.live.key_frames import accept_average, closest_pairs, empt
 from onebend.learning.live.linearised_frames import Lineariser
 from onebend.learning.live.marginalised import marginalise_oldest, nothing_marginalised
 from onebend.learning.live.session import ORDER, LiveSession, SmootherSettings
+from onebend.learning.live.settings import force_process
 from onebend.learning.live.stiffness_hyperparameters import StiffnessChains
 from onebend.learning.live.tag_noise import robust_weights, tag_noise_size, tag_residuals
-from onebend.learning.model.force_error import LOAD
 from onebend.records import Array, BoolArray
 
-_MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
-_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
-_MANY = 6  # key frames linearised at once: then nothing else is done
-_MISSED_EVERY = 8  # turns between two solutions, in one of which missed tags are sought
-_WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
-_LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
+_MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
+_NOISE_EVERY = 8  # of so many trials one counts the effective parameters instead
+_MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
+_MISSED_EVERY = 8  # of so many updates without a solution one looks for a missed tag
 
 
 class Smoother:
@@ -48,47 +46,45 @@ class Smoother:
     ) -> None:
         tags, n = len(session.marker_s), session.layout.size
         self.x = x  # (n,) the estimate
-        self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
+        self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
         self.hyperparameters = hyperparameters
         self.keys = empty(settings.key_frames, tags, n, 3 * ORDER)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
-        self._search = HyperparameterSearch(
-            hyperparameters, ("coloured", "memory", "walk", "load", "white"), settings.memory_doubt
-        )
+        self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
         spline, level = session.layout.spline, float(prior.mean[0])
         begin = spline.variances(settings.roughness, settings.steps)
         self._stiffness_prior = prior.stiffness_prior(begin)
         drawn = settings.adapt and prior.fixed is None
         self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
         self._stages = LoadStages(session.length, tags)
-        self._before = 0.0  # the load's own time by changes that are not looked at any more
+        self._before = 0.0  # the load's own time from changes of the load that are settled
         self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0
-        self._linearised = 0  # key frames, with the last frame
-        self._coarse = 0.0
-        self._failed = False  # the last attempt to solve
-        self._missed = ""  # the tag that was missed when that was last looked at
-        self._too_soft = False  # the last frame had no equilibrium
-        self.pending = True  # a frame has come since the posterior was solved for
+        self._linearised = 0  # key frames linearised in the last update
+        self._misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
+        self._failed = False  # whether the last solution failed
+        self._missed = ""  # what `missed_tag` returned last
+        self._too_soft = False  # whether the last frame had no equilibrium
+        self.pending = True  # whether a frame has come since the last solution
         self._lineariser = Lineariser(session)
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
-        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before its tags count
         self._sums: KeyFrameSums = gather(self.keys, self.marginalised)
         self.solution: KeyFramePosterior = solve(
             self._sums, prior, self._stiffness_prior, hyperparameters, self._process(hyperparameters)
         )
 
     def enter(self, frame: CheckedFrame, rate: Array) -> bool:
-        """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
+        """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
 
-        In the same stroke the key frames that have waited longest are linearised anew, and room is made.
+        Also linearise the stale key frames that have waited longest, and average or marginalise others to make room.
         """
         keys = self.keys
         self._stages.add_frame(frame.time, frame.measured[:, :2], frame.visible, frame.loaded)
         i = self._write(frame, rate)
-        over = 0 if self.pending else keys.used - self._settings.key_frames  # less is done where it is solved too
+        over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
         own = keys.own[: keys.used] + self._stages.own(keys.centre)
         pairs = closest_pairs(keys, i, self._largest, own, over)
         fresh = [i]
@@ -96,7 +92,7 @@ class Smoother:
             propose_average(keys, pair, slot)
             fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
         if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
-            fresh.append(0)  # it will be folded, and stays as it is linearised then
+            fresh.append(0)  # it is marginalised next, with the linearisation that it has then
         room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
         waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
         solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
@@ -111,12 +107,12 @@ class Smoother:
             if missed.isdisjoint((pair, pair + 1, slot)):
                 accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
-            marker = max(self.hyperparameters.marker, self._coarse)
+            marker = max(self.hyperparameters.marker, self._misfit)
             marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)
         return True
 
     def _linearise(self, chosen: list[int]) -> set[int]:
-        """Those of the chosen key frames that have an equilibrium at the point; the others are not waited for."""
+        """Linearise the chosen key frames; returns those that have an equilibrium. The others count as lost."""
         self._linearised = len(chosen)
         solved = self._lineariser.renew(self.keys, chosen, self.point)
         gone = [k for k in chosen if k not in solved]
@@ -124,7 +120,7 @@ class Smoother:
         return solved
 
     def _write(self, frame: CheckedFrame, rate: Array) -> int:
-        """The frame in the place behind the key frames in use, which is returned."""
+        """Write the frame behind the key frames in use; returns its index."""
         keys, i = self.keys, write_frame(self.keys, frame, rate)
         if frame.loaded:
             self._lineariser.pushed_at(frame.push_s)
@@ -135,10 +131,8 @@ class Smoother:
         return i
 
     def _forget_changes(self, i: int) -> None:
-        """Keep what changes of the load that are not looked at any more did to the own time of what came before them;
-        i: the frame that has just come."""
-        keys = self.keys
-        keys.own[i] = self._before
+        """Add the settled changes of the load to the own times of the frames before; i: the frame that just came."""
+        keys, self.keys.own[i] = self.keys, self._before
         added, after = self._stages.forgotten(np.append(keys.centre, self.marginalised.time))
         keys.own[: keys.used] += added[:-1]
         self.marginalised.own += float(added[-1])
@@ -147,12 +141,11 @@ class Smoother:
     def gate(self, frame: CheckedFrame) -> tuple[Array, Array, BoolArray]:
         """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
 
-        Tags too far from where they were expected get no weight, unless they stay away.
+        A tag too far from where it was expected gets no weight, unless that lasts for some frames.
         """
         keys, i = self.keys, self.keys.used - 1
-        innovation, distance = surprise(
-            keys, frame, self.solution, self.x, self.hyperparameters.marker, self._expected[1:]
-        )
+        marker, expected = self.hyperparameters.marker, self._expected[1:]
+        innovation, distance = surprise(keys, frame, self.solution, self.x, marker, expected)
         far = frame.visible & (distance > self._settings.gate)
         self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
         used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
@@ -161,13 +154,12 @@ class Smoother:
             keys.information[i] *= used[:, None, None]
             keys.root[i] *= used[:, None, None]
             keys.whiten(i)
-        unseen = ~frame.visible
-        innovation[unseen], distance[unseen] = np.nan, np.nan
+        innovation[~frame.visible], distance[~frame.visible] = np.nan, np.nan
         return innovation, distance, used
 
     def advance(self) -> None:
-        """After a frame: every other time the posterior is solved for; in between log k's sizes make a step and other
-        scales are tried on it in turn, unless many frames were linearised: no frame shall cost much more than others.
+        """After a frame: every other update solves for the posterior. The updates between take one step of the chains
+        or try other hyperparameters; after many linearisations they do neither, so that all updates cost alike.
         """
         if self.pending or self._failed:
             self.pending = False
@@ -180,13 +172,13 @@ class Smoother:
         if self._turns % _MISSED_EVERY == 0:
             self._missed = missed_tag(self.keys)
         elif self._turns % 2 and self._chains is not None:
-            if self._coarse == 0.0:
+            if self._misfit == 0.0:
                 self._chains.step(self.solution.stiffness_form)
         elif self._settings.adapt:
             self.look_about()
 
     def look_about(self) -> None:
-        """Other scales on what the last solution was made from, or a count of what the data have settled."""
+        """Try other hyperparameters on the last solution's sums, or count the effective parameters."""
         self._looks += 1
         if self._looks % _NOISE_EVERY == 0:
             self._spent = self.solution.effective_parameters(self._prior, self._stiffness_prior)
@@ -194,13 +186,13 @@ class Smoother:
             self._try_hyperparameters()
 
     def renew(self) -> bool:
-        """Solve with what is linearised now, move the estimate, weigh the tags anew. False where that fails: what was
-        known before stands, which `doubts` says, until a later frame's attempt."""
+        """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
+        last one stays, and `doubts` says so until a later one succeeds."""
         keys, settings = self.keys, self._settings
         self._sums = gather(keys, self.marginalised, self._stages.own)
         if self._chains is not None:
             self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
-        self._coarse = misfit(keys, self.hyperparameters.marker)
+        self._misfit = misfit(keys, self.hyperparameters.marker)
         try:
             self.solution = solution = self._solve(self.hyperparameters)
         except np.linalg.LinAlgError:
@@ -208,23 +200,22 @@ class Smoother:
             return False
         self._failed = False
         step = solution.x - self.x
-        largest = float(np.max(np.abs(step[: self._session.layout.spline.count])))
-        self.x = self.x + step * min(1.0, settings.step / max(largest, 1e-300))
+        largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
+        self.x = self.x + step * min(1.0, settings.step / largest)
         residual = tag_residuals(keys, solution)
         if settings.adapt:
-            self.hyperparameters = replace(
-                self.hyperparameters, marker=tag_noise_size(keys, residual, self._spent, self._guess)
-            )
-        marker = max(self.hyperparameters.marker, self._coarse)
+            marker = tag_noise_size(keys, residual, self._spent, self._guess)
+            self.hyperparameters = replace(self.hyperparameters, marker=marker)
+        marker = max(self.hyperparameters.marker, self._misfit)
         keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
-        moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
-        if moved > _MOVED:
+        fresh = not np.any(keys.stale[: keys.used])
+        if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
             self.move()
         return True
 
     def _solve(self, hyperparameters: LiveHyperparameters) -> KeyFramePosterior:
-        """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
-        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self._coarse))
+        """The posterior under these hyperparameters; a misfit beyond the tags' noise counts as noise."""
+        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self._misfit))
         return solve(self._sums, self._prior, self._stiffness_prior, coarse, self._process(hyperparameters))
 
     def catch_up(self) -> None:
@@ -234,9 +225,9 @@ class Smoother:
             self.pending = False
 
     def settle(self, rounds: int) -> None:
-        """Linearise everything anew and solve, several times; then look about the scales once more."""
+        """Linearise all key frames and solve, several times; then try other hyperparameters for two rounds."""
         self.catch_up()
-        if self._failed and not self.renew():  # where it would be linearised is of other key frames
+        if self._failed and not self.renew():  # its force errors belong to other key frames
             return
         for _ in range(rounds):
             self.move()
@@ -250,14 +241,14 @@ class Smoother:
                     self._chains.step(self.solution.stiffness_form)
 
     def move(self) -> None:
-        """Linearise at the present estimate from now on."""
+        """Make the present estimate the linearisation point."""
         keys = self.keys
         self.point = self.x
         keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
         keys.stale[: keys.used] = True
 
     def stiffen(self, amount: float) -> None:
-        """Raise log k by so much, and linearise there from now on: the beam stood where the estimate cannot."""
+        """Raise log k by `amount` and linearise there: the beam withstood a force that the estimate cannot."""
         self.x = self.x.copy()
         self.x[: self._session.layout.spline.count] += amount
         self.point = self.x
@@ -265,44 +256,38 @@ class Smoother:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why the posterior is not to be relied on at the moment; empty as a rule."""
+        """Reasons not to rely on the posterior as it is now; usually none."""
         self._missed = missed_tag(self.keys)
         return self.last_doubts
 
     @property
     def last_doubts(self) -> tuple[str, ...]:
-        """The same; whether a tag is missed is looked at every now and then only."""
+        """The same, with the missed tag of the last look for one."""
         reasons = {FAILED: self._failed, TOO_SOFT: self._too_soft}
-        held = tuple(words for words, holds in reasons.items() if holds)
-        return held + key_frame_doubts(self.keys, self.hyperparameters.marker, self._coarse, self._missed)
-
-    def _moved(self) -> float:
-        """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
-        keys, solution = self.keys, self.solution
-        away = np.zeros_like(solution.e)
-        away[len(away) - keys.used :] = solution.e[len(away) - keys.used :] - keys.error[: keys.used]
-        return solution.distance(away, self.x - self.point)
+        return tuple(words for words, holds in reasons.items() if holds) + key_frame_doubts(
+            self.keys, self.hyperparameters.marker, self._misfit, self._missed
+        )
 
     def _try_hyperparameters(self) -> None:
-        """One trial of other scales on what the last solution was made from."""
-        search, here, now = self._search, self.solution, self.hyperparameters
+        """One trial of other hyperparameters on the last solution's sums."""
+        search, solution, now = self._search, self.solution, self.hyperparameters
         tried = search.proposal(now)
         try:
             there = self._solve(tried)
         except np.linalg.LinAlgError:
             search.failed()
             return
-        worse = there.minus_log + search.cost(tried) - here.minus_log - search.cost(now)
+        worse = there.minus_log + search.cost(tried) - solution.minus_log - search.cost(now)
         if not search.climbs:
-            search.looked(worse, there, here)
+            search.looked(worse, there, solution)
             return
         search.climbed(worse < 0.0)
         if worse < 0.0:
             self.hyperparameters, self.solution = tried, there
 
     def posterior(self) -> tuple[Array, Array, Array]:
-        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
-        solution, p = self.solution, len(self._stiffness_prior.vector)
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
+        solution, p = self.solution, self._session.layout.spline.count
         if self._chains is None:
             k, covariance, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
         else:
@@ -310,11 +295,6 @@ class Smoother:
         return *solution.with_stiffness(*self._search.averaged(k, covariance)), steps
 
     def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
-        """The force's error under these scales."""
-        level = float(np.hypot(self._settings.zero, max(_LEVEL * self._largest, self._settings.least_zero)))
-        load = hyperparameters.load * (LOAD * self._largest if self._settings.load is None else self._settings.load)
-        if self._coarse > FAR_OFF * hyperparameters.marker:  # then the force may be wrong by more than is thought, too
-            load *= _WRONG
-        return ForceProcess(
-            level, hyperparameters.walk, hyperparameters.coloured, hyperparameters.memory, hyperparameters.white, load
-        )
+        """The force log's error under these hyperparameters."""
+        far_off = self._misfit > FAR_OFF * hyperparameters.marker
+        return force_process(self._settings, hyperparameters, self._largest, far_off)

@@ -1,8 +1,8 @@
-"""The sizes in log k's prior, drawn frame by frame from their posterior: the same density as in `stiffness_prior.py`.
+"""Hyperparameters of log k's prior in the live learner: drawn from the same density as in `stiffness_prior.py`.
 
-A few chains go on for as long as frames come. What the data say changes little from frame to frame, so that a step of
-every chain at a time keeps up with it. The last draws are kept: given the sizes log k is normal, so its mean and
-covariance are averages over them.
+A few Markov chains run for as long as frames come. The posterior changes little from frame to frame, so a few steps of
+the chains follow it. The last draws are kept. Given the hyperparameters log k is normal, so its mean and covariance
+are averages over draws.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from onebend.learning.model.spline import Spline
 from onebend.records import Array
 
 _CHAINS = 2
-_KEPT_STEPS = 20  # steps whose draws are kept
-_COPIES, _LEFT_OUT, _READ = 2, 5, 20  # of every chain, where the band is read, and their steps
-_LEAST_INFORMATION = 1e-3  # information of log k: directions of which no more is told are left out
+_KEPT_STEPS = 20  # the last steps, whose draws are kept
+_COPIES, _LEFT_OUT, _READ = 2, 5, 20  # for the band: copies of every chain, their burn-in and draws
+_LEAST_INFORMATION = 1e-3  # of log k: directions with less are left out
 
 
 @dataclass(frozen=True)
 class _PartRows:
-    """What the data say of log k's parts: `seen = on_parts @ parts + unit noise`."""
+    """The data's information on log k's parts as rows: `values = on_parts @ parts + unit noise`."""
 
     on_parts: Array  # (r, n)
     values: Array  # (r,)
 
 
 class StiffnessChains:
-    """Chains, and their last draws."""
+    """The chains and their last draws."""
 
     def __init__(self, spline: Spline, level: float, tau: float, rho: float) -> None:
-        """`level`: prior mean of log k; `tau`, `rho`: where roughness and steps begin."""
+        """`level`: prior mean of log k; `tau`, `rho`: first values of roughness and steps."""
         self._spline, self._level = spline, level
         self._rng = np.random.default_rng(0)
         self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
@@ -56,10 +56,10 @@ class StiffnessChains:
 
     @property
     def parts(self) -> Array:
-        """(n,) usual variances of the parts, by their mean logs: the prior under which the estimate moves.
+        """(n,) geometric means of the parts' variances over the kept draws: the prior for the estimate.
 
-        A few draws of large steps make the plain mean so large that, of the few frames of a push that begins, log k
-        would follow every error.
+        A few draws of large steps would dominate the plain mean; under so wide a prior log k would follow every error
+        of the first few frames.
         """
         return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
 
@@ -75,8 +75,8 @@ class StiffnessChains:
     def mixed(self, stiffness_form: InformationForm) -> tuple[Array, Array, Array]:
         """Mean (p,) and covariance (p, p) of log k averaged over fresh draws, and the mean steps (p - 1,).
 
-        The kept draws lag behind: they are of less data. So copies of the chains go on from where these stand, which
-        stay there: reading changes nothing.
+        The kept draws are of earlier data. So copies of the chains make fresh draws; the chains themselves stay as they
+        are, and reading a band changes nothing.
         """
         data, rng, drawn = self._data(stiffness_form), deepcopy(self._rng), []
         logs, own = np.repeat(self._logs, _COPIES, axis=0), np.repeat(self._own, _COPIES, axis=0)
@@ -114,7 +114,7 @@ class StiffnessChains:
         return both[chosen], drawn_sizes(self._spline, both[chosen], local, rng)
 
     def _data(self, stiffness_form: InformationForm) -> _PartRows:
-        """What the data say, as rows of unit noise on log k less its level: as many as they tell of directions."""
+        """The information form as rows on log k less its level, one for each direction with information."""
         lower, order, rank, _ = dpstrf(stiffness_form.matrix, tol=_LEAST_INFORMATION, lower=1)
         if rank == 0:
             return _PartRows(np.zeros((1, self._spline.parts.shape[1])), np.zeros(1))
@@ -139,8 +139,8 @@ class StiffnessChains:
         return factors, value
 
     def _local(self, variance: Array, factors: list[Array], data: _PartRows, rng: np.random.Generator) -> Array:
-        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
-        misses."""
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by its
+        residual."""
         drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
         missed = data.values - drawn @ data.on_parts.T - rng.standard_normal((len(factors), len(data.values)))
         pull = np.stack([dpotrs(root, residual, lower=1)[0] for root, residual in zip(factors, missed, strict=True)])
