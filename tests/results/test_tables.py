@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from onebend.records import Detections, Remark
-from onebend.results.kept import KeptDetections, key_of
+from onebend.results.detection_cache import DetectionCache, key_of
 from onebend.results.summary import summary_of, validation_summary, write_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
@@ -152,23 +152,23 @@ def detections() -> Detections:
     )
 
 
-def test_detections_are_kept_and_found_again(tmp_path: Path) -> None:
-    kept = KeptDetections(tmp_path / "out.partial", "1")
-    assert kept.load("k") is None
-    kept.save("k", detections())
-    again = kept.load("k")
+def test_cached_detections_are_found_again(tmp_path: Path) -> None:
+    cache = DetectionCache(tmp_path / "out.partial", "1")
+    assert cache.load("k") is None
+    cache.save("k", detections())
+    again = cache.load("k")
     assert again is not None
     assert all(same(getattr(again, field.name), getattr(detections(), field.name)) for field in fields(Detections))
-    assert kept.load("another") is None
+    assert cache.load("another") is None
 
 
 @pytest.mark.parametrize("size", [0, 10, 300])
 def test_kept_detections_that_were_cut_count_as_not_there(tmp_path: Path, size: int) -> None:
-    kept = KeptDetections(tmp_path, "1")
-    kept.save("k", detections())
+    cache = DetectionCache(tmp_path, "1")
+    cache.save("k", detections())
     file = tmp_path / "detections-k.npz"
     file.write_bytes(file.read_bytes()[:size])
-    assert kept.load("k") is None
+    assert cache.load("k") is None
 
 
 def test_the_key_follows_the_file_and_the_settings(tmp_path: Path) -> None:

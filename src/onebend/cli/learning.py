@@ -24,8 +24,9 @@ from onebend.pipeline import compare, learn_recording, plan_next
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
+from onebend.results.detection_cache import DetectionCache
 from onebend.results.folder import publish
-from onebend.results.kept import KeptDetections
+from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -33,7 +34,6 @@ from onebend.results.summary import (
     summary_of,
     validation_summary,
 )
-from onebend.results.writing import learned_writer, validation_writer
 from onebend.terminal.plans import show_plan
 from onebend.terminal.screens import show_run, show_validation
 
@@ -122,7 +122,7 @@ def learn(
             fitting=fitting,
             observing=_observing(threads, epsilon),
             validate_on=validate_on or (),
-            detect=KeptDetections(place.partial, onebend.__version__).detect,
+            detect=DetectionCache(place.partial, onebend.__version__).detect,
             progress=progress,
         )
         began = time.perf_counter()
@@ -156,7 +156,7 @@ def validate(
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                pairs = work(detect=KeptDetections(place.partial, onebend.__version__).detect, progress=progress)
+                pairs = work(detect=DetectionCache(place.partial, onebend.__version__).detect, progress=progress)
                 summary = validation_summary(str(model), pairs, written_by=BY)
                 publish(place, validation_writer(pairs, draw(validation_figures(beam, pairs), progress), summary))
     if as_json:

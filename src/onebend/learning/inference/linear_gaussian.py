@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
 from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
 _REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
@@ -68,7 +69,7 @@ def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
 
 def unweighted_rows(now: Prediction) -> ResidualRows:
     """Rows of one recording, whitened alone."""
-    whiten, slopes, frames = now.seen.whiten, now.slopes, len(now.pose)
+    whiten, slopes, frames = now.recording.whiten, now.slopes, len(now.pose)
     known = np.any(whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
     j, a = (np.asarray((whiten @ one).reshape(*known.shape, -1)) for one in (slopes.j, slopes.a))
     return ResidualRows(residuals(now) + explained_by(a, now.own), replace(slopes, j=j, a=a), known, known)
@@ -76,7 +77,7 @@ def unweighted_rows(now: Prediction) -> ResidualRows:
 
 def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
-    data = now.seen
+    data = now.recording
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
     return np.asarray(np.einsum("fmab,fmb->fma", data.whiten, difference).reshape(len(difference), -1))
 
@@ -162,3 +163,52 @@ def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:
     """(F, 2, 2) `((s/f)^2 + A'A)^-1`: covariance of each frame's own force over `s^2`."""
     (xx, xy), (_, yy) = np.moveaxis((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram, 0, -1)
     return np.asarray(np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), -1, 0))
+
+
+@dataclass(frozen=True)
+class LinearPosterior:
+    """The posterior of the linearised model."""
+
+    mean: Array  # (P,)
+    root: Array  # (P, P): the covariance is `root' root`
+    log_evidence: float  # but for a constant
+
+    @property
+    def covariance(self) -> Array:
+        """(P, P)."""
+        return np.asarray(self.root.T @ self.root)
+
+
+def posterior_of(data: InformationForm, before: Prior) -> LinearPosterior:
+    """Data and prior together: with `x = m + L z`, z has the precision `I + L' H L = G G'`."""
+    factor = whitened_factor(data.matrix, before.root)
+    white = _solved(factor, before.root.T @ (data.vector - data.matrix @ before.mean))
+    root = _solved(factor, before.root.T)
+    misfit = data.constant - 2.0 * data.vector @ before.mean + before.mean @ data.matrix @ before.mean - white @ white
+    log_det = 2.0 * float(np.sum(np.log(np.diag(factor))))
+    return LinearPosterior(before.mean + root.T @ white, root, float(-0.5 * (log_det + misfit) - data.log_noise))
+
+
+def marginal(data: InformationForm, before: Prior, kept: IntArray, others: IntArray) -> InformationForm:
+    """What the data say of the `kept` parameters, the `others` integrated out under their prior (independent of that of
+    the kept); its noise term includes the volume of the others."""
+    mean, root = before.mean[others], before.root[np.ix_(others, others)]
+    information = data.matrix[np.ix_(others, others)]
+    factor = whitened_factor(information, root)
+    cross = _solved(factor, root.T @ data.matrix[np.ix_(others, kept)])
+    white = _solved(factor, root.T @ (data.vector[others] - information @ mean))
+    return InformationForm(
+        matrix=data.matrix[np.ix_(kept, kept)] - cross.T @ cross,
+        vector=data.vector[kept] - data.matrix[np.ix_(kept, others)] @ mean - cross.T @ white,
+        constant=float(data.constant - 2.0 * data.vector[others] @ mean + mean @ information @ mean - white @ white),
+        log_noise=data.log_noise + float(np.sum(np.log(np.diag(factor)))),
+    )
+
+
+def whitened_factor(information: Array, root: Array) -> Array:
+    """(n, n) lower Cholesky factor of `I + L' H L`."""
+    return np.asarray(np.linalg.cholesky(root.T @ information @ root + np.eye(len(root))))
+
+
+def _solved(factor: Array, right: Array) -> Array:
+    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))

@@ -89,7 +89,7 @@ class HyperparameterSearch:
         self._trials += 1
 
     def looked(self, worse: float, there: KeyFramePosterior, here: KeyFramePosterior) -> None:
-        """After a look: `worse`: increase of -2 log probability; `there`, `here`: posteriors there and at the optimum."""
+        """After a look. `worse`: increase of -2 log p; `there`, `here`: the posteriors there and at the optimum."""
         if self._look < 2 * len(self._pairs):
             self._curve(worse)
             return

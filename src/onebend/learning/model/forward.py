@@ -57,8 +57,8 @@ class Slopes:
 class Prediction:
     """Tags where the parameters put them."""
 
-    seen: FitData
-    at: Layout
+    recording: FitData
+    layout: Layout
     x: Array  # (P,) the parameters
     solved: Equilibrium
     pose: Array  # (F, m, 3)
@@ -71,98 +71,100 @@ class Prediction:
         return _slopes(self)
 
 
-def predict(seen: FitData, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
     warm-started from shapes `start` (F, Q) where given."""
-    r = seen.number
-    own = np.zeros_like(seen.force) if own is None else own
-    errors = at.get(x, "force", r).reshape(-1, 2)
-    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T + own
-    k = np.exp(seen.on_nodes @ at.get(x, "stiffness"))
-    weight_beyond = seen.weight
-    if seen.mass is not None:
-        weight_beyond = weight_beyond + seen.mass.force(seen.problem, k, at.get(x, "mass"))
+    r = recording.number
+    own = np.zeros_like(recording.force) if own is None else own
+    slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
+    force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ _axes(layout, x, r).T + own
+    k = np.exp(recording.on_nodes @ layout.get(x, "stiffness"))
+    weight_beyond = recording.weight
+    if recording.mass is not None:
+        weight_beyond = weight_beyond + recording.mass.force(recording.problem, k, layout.get(x, "mass"))
     problem = replace(
-        seen.problem,
+        recording.problem,
         k=k,
-        q0=seen.rest_on_nodes @ at.get(x, "curvature"),
-        alpha0=np.asarray(at.get(x, "clamp", r)[0]),
-        dead_force=_pushed(seen, at, x)[..., None] * force[:, None, :] + weight_beyond,
+        q0=recording.rest_on_nodes @ layout.get(x, "curvature"),
+        alpha0=np.asarray(layout.get(x, "clamp", r)[0]),
+        dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
     )
-    if seen.ends is not None:
-        solved = solve(problem, seen.ends, moved(seen.ends, at, x, r), start)
+    if recording.ends is not None:
+        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start)
     else:
         solved = follow(problem) if start is None else refine(problem, start)
-    s, _ = tag_places(seen, at, x)
-    ride = tag_ride(seen, at, x, solved)
-    xy = ride.scale * (solved.xy(s) + ride.offset) + at.get(x, "origin", r)
-    pose = np.concatenate([xy, (ride.angle + at.get(x, "turn"))[..., None]], axis=-1)
-    return Prediction(seen, at, x, solved, pose, force, own)
+    s, _ = tag_places(recording, layout, x)
+    ride = tag_ride(recording, layout, x, solved)
+    xy = ride.scale * (solved.xy(s) + ride.offset) + layout.get(x, "origin", r)
+    pose = np.concatenate([xy, (ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
+    return Prediction(recording, layout, x, solved, pose, force, own)
 
 
 def _slopes(now: Prediction) -> Slopes:
-    seen, at, x, r, solved = now.seen, now.at, now.x, now.seen.number, now.solved
-    s, _ = tag_places(seen, at, x)
+    recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
+    s, _ = tag_places(recording, layout, x)
     changes = balance_changes(_bent(now))
-    columns, ride = response_columns(changes), tag_ride(seen, at, x, solved)
-    free, error = free_columns(at, r), at.columns("force", r)
-    out = np.zeros((*now.pose.shape, len(at.known_to(r)) if error is None else error.start))
-    if seen.ends is None:
+    columns, ride = response_columns(changes), tag_ride(recording, layout, x, solved)
+    free, error = free_columns(layout, r), layout.columns("force", r)
+    out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
+    if recording.ends is None:
         response = respond(solved, columns.changes).poses(s)
     else:
         wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
         poses = respond(solved, columns.changes + wrench).poses(np.append(s, 1.0))
-        response, by_end = with_ends_held(poses, seen.ends)
-        held = replace(ride, angle=ride.angle[seen.ends.frames])
-        put_ends(out, seen.ends, at, r, held.carry(by_end))
-    blocks, axes = columns.split(ride.carry(response)), _axes(at, x, r)
-    put_blocks(out, free, blocks | push_blocks(blocks["push"], now.force, axes, seen.rate))
-    bend = apply(solved.problem.grid.value_at(s), solved.q) / seen.observations.length
-    xy = (now.pose[..., :2] - at.get(x, "origin", r)) / ride.scale
+        response, by_end = with_ends_held(poses, recording.ends)
+        held = replace(ride, angle=ride.angle[recording.ends.frames])
+        put_ends(out, recording.ends, layout, r, held.carry(by_end))
+    blocks, axes = columns.split(ride.carry(response)), _axes(layout, x, r)
+    put_blocks(out, free, blocks | push_blocks(blocks["push"], now.force, axes, recording.rate))
+    bend = apply(solved.problem.grid.value_at(s), solved.q) / recording.observations.length
+    xy = (now.pose[..., :2] - layout.get(x, "origin", r)) / ride.scale
     put_tags(out, free, ride.motion(xy, np.where(ride.over > 0.0, 0.0, bend)))
-    return Slopes(out, blocks["push"], axes, seen.error_weights)
+    return Slopes(out, blocks["push"], axes, recording.error_weights)
 
 
 def _bent(now: Prediction) -> BentBeam:
     """What the parameters change in the balance of the fitted shapes."""
-    seen, at, x, solved = now.seen, now.at, now.x, now.solved
-    on_nodes, by_mass, weight_by_k = seen.on_nodes, None, None
-    if seen.mass is not None:
+    recording, layout, x, solved = now.recording, now.layout, now.x, now.solved
+    on_nodes, by_mass, weight_by_k = recording.on_nodes, None, None
+    if recording.mass is not None:
         k = solved.problem.k
-        by_mass = seen.mass.by_mass(seen.problem, k)
-        weight_by_k = seen.mass.by_stiffness(seen.problem, k, on_nodes, at.get(x, "mass"))
+        by_mass = recording.mass.by_mass(recording.problem, k)
+        weight_by_k = recording.mass.by_stiffness(recording.problem, k, on_nodes, layout.get(x, "mass"))
     return BentBeam(
         solved,
         on_nodes,
-        seen.rest_on_nodes,
+        recording.rest_on_nodes,
         now.force,
-        _pushed(seen, at, x),
-        seen.farther,
+        _pushed(recording, layout, x),
+        recording.farther,
         by_mass,
         weight_by_k,
     )
 
 
-def tag_places(seen: FitData, at: Layout, x: Array) -> tuple[Array, Array]:
+def tag_places(recording: FitData, layout: Layout, x: Array) -> tuple[Array, Array]:
     """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
-    length = seen.observations.length
-    s = seen.observations.marker_s + at.get(x, "along") / length
+    length = recording.observations.length
+    s = recording.observations.marker_s + layout.get(x, "along") / length
     return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
 
 
-def tag_ride(seen: FitData, at: Layout, x: Array, solved: Equilibrium) -> TagRide:
+def tag_ride(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> TagRide:
     """The tags on fitted shapes."""
-    s, over = tag_places(seen, at, x)
-    return TagRide(solved.angle(s), over, at.get(x, "across"), 1.0 + float(at.get(x, "scale", seen.number)[0]))
+    s, over = tag_places(recording, layout, x)
+    return TagRide(
+        solved.angle(s), over, layout.get(x, "across"), 1.0 + float(layout.get(x, "scale", recording.number)[0])
+    )
 
 
-def _pushed(seen: FitData, at: Layout, x: Array) -> Array:
+def _pushed(recording: FitData, layout: Layout, x: Array) -> Array:
     """(F, Q) share of the push that acts beyond the node."""
-    return np.asarray(seen.beyond + at.get(x, "place", seen.number)[0] * seen.farther)
+    return np.asarray(recording.beyond + layout.get(x, "place", recording.number)[0] * recording.farther)
 
 
-def _axes(at: Layout, x: Array, r: int) -> Array:
+def _axes(layout: Layout, x: Array, r: int) -> Array:
     """(2, 2) by which the logged force is turned."""
-    turn = float(at.get(x, "direction", r)[0])
+    turn = float(layout.get(x, "direction", r)[0])
     cos, sin = np.cos(turn), np.sin(turn)
     return np.array([[cos, -sin], [sin, cos]])

@@ -1,4 +1,4 @@
-"""Tag detections kept on disk, so that an interrupted run does not look for the tags again."""
+"""A cache of tag detections on disk: an interrupted run does not search the same video again."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from onebend.records import Detections, Remark
 
 
 @dataclass(frozen=True)
-class KeptDetections:
-    """Detections in a folder, each under the key of what it was made from."""
+class DetectionCache:
+    """Detections in a folder, each under a key of the files and settings that it was made from."""
 
     folder: Path
-    version: str  # of onebend: another one may find the tags better
+    version: str  # of onebend: another version may find the tags better
 
     def detect(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
     ) -> Detections:
-        """As `detect_tags`, but what was found earlier in the same video is taken from the folder."""
+        """As `detect_tags`, but detections of the same video are read from the folder where it has them."""
         files = files_of(video.file) if video.topic else (video.file,)
         files = files if video.frame_times == "container" else (*files, video.frame_times)
         ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
         key = key_of(files, self.version, tags.family, video.fps, ids, video.topic, video.damaged)
-        found = self.load(key)
-        if found is None:
-            found = detect_tags(video, tags, threads=threads, progress=progress)
-            self.save(key, found)
-        return found
+        detections = self.load(key)
+        if detections is None:
+            detections = detect_tags(video, tags, threads=threads, progress=progress)
+            self.save(key, detections)
+        return detections
 
     def load(self, key: str) -> Detections | None:
-        """What was kept under `key`, or None: a file that cannot be read counts as not there."""
+        """The detections under `key`, or None; a file that cannot be read counts as missing."""
         try:
             with self._file(key).open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 remarks = tuple(Remark(*pair) for pair in json.loads(str(data["remarks"])))
@@ -51,7 +51,7 @@ class KeptDetections:
             return None
 
     def save(self, key: str, detections: Detections) -> None:
-        """Keep `detections` under `key`; the file is whole or not there."""
+        """Write `detections` under `key`; the file appears only once it is complete."""
         file = self._file(key)
         file.parent.mkdir(parents=True, exist_ok=True)
         unfinished = file.with_suffix(".tmp")
