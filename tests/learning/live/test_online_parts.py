@@ -1,4 +1,4 @@
-"""Parts of the live learner against what the fit does: the load's own time, and the sizes in log k's prior."""
+"""Parts of the live learner against the fit: the load's own time, and the hyperparameters of log k's prior."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_what_a_load_did_long_ago_is_kept() -> None:
 
 
 def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
-    """Against `roughness.mixed`, whose chains are many."""
+    """Against `stiffness_mixture`, whose chains are many."""
     spline, rng = Spline(10), np.random.default_rng(3)
     truth = np.where(np.arange(10) < 5, 0.0, 0.4)
     rows = 15.0 * rng.normal(size=(12, 10))

@@ -1,9 +1,9 @@
-"""A bounded set of frames that stand for all that was seen: averaged where alike, folded away where old.
+"""Key frames: a bounded set of frames that stands for all frames so far.
 
-A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
-measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
-present estimate leaves of both, put on its prediction under the mean force, is as if measured there. Where none can be
-averaged the oldest is folded away (`marginalised.py`).
+A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps its
+measurement, so that it can be linearised anew. Two neighbours in time under nearly the same force are averaged: the
+mean of their residuals, added to the prediction under their mean force, counts as a measurement under that force.
+Where no two are alike, the oldest is marginalised (`marginalised.py`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
 _SAME_GRAVITY = 0.5  # m/s^2
 _SAME_FORCE = 0.15  # of the largest force
 _SAME_STAGE = 0.5  # of the load's own time
-AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
+AT_REST = 0.05  # of the force's white noise: sd of the log around its error, where nothing pushes
 _EYE = np.eye(3)
-_REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
+_REST_SHARE = 0.1  # of its cost counts at rest: such frames say less and are averaged earlier
 
 
 @dataclass
 class KeyFrames:
-    """K places, `used` of them taken, in order of time. Few arrays: frames are moved and averaged all the time."""
+    """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
     numbers: Array  # (K, 14): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, `gravity`, `error`
@@ -97,12 +97,12 @@ class KeyFrames:
 
     @property
     def stale(self) -> BoolArray:
-        """(K,) linearised at other parameters than the frames that came last, and to follow them."""
+        """(K,) linearised at an earlier linearisation point; to be renewed."""
         return self.flags[:, 1]
 
     @property
     def lost(self) -> BoolArray:
-        """(K,) has no equilibrium at those parameters: stays as it was linearised before."""
+        """(K,) has no equilibrium at the linearisation point; keeps its earlier linearisation."""
         return self.flags[:, 2]
 
     @property
@@ -181,8 +181,8 @@ class KeyFrames:
         self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
 
     def likelihood_rows(self, i: int, marker: float, white: float) -> Array:
-        """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
-        noise, and two of the log itself where nothing pushes.
+        """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise;
+        at rest two more, of the log itself.
         """
         root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
         rows = root * self.rows[i]
@@ -200,7 +200,7 @@ class KeyFrames:
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
-    """Room for `most` key frames, two that have come since, and two averages that are being made."""
+    """Room for `most` key frames, two new ones, and two averages in the making."""
     count = most + 4
 
     def room(*shape: int) -> Array:
@@ -229,8 +229,8 @@ def _roots(information: Array) -> Array:
 
 
 def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most: int) -> list[int]:
-    """Neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares), none in two of
-    them; at most so many, and those that are alike. `own` (used,): the load's own time.
+    """At most `most` pairs (i, i + 1) of the first `count` frames to average: those alike whose averaging loses least
+    (Ward's sum of squares). No frame is in two pairs. `largest`: N, largest force; `own` (used,): the load's own time.
     """
     if count < 2 or most < 1:
         return []
@@ -258,7 +258,7 @@ def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most:
 
 
 def propose_average(keys: KeyFrames, i: int, slot: int) -> None:
-    """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
+    """Write the average of frames i and i + 1, its tags aside, to the free `slot`; it is linearised there next."""
     k = i + 1
     first, second = keys.numbers[i], keys.numbers[k]
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
@@ -273,10 +273,10 @@ def propose_average(keys: KeyFrames, i: int, slot: int) -> None:
 
 
 def accept_average(keys: KeyFrames, i: int, slot: int, x: Array) -> None:
-    """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
+    """The average in `slot` replaces frames i and i + 1. All three have just been linearised at parameters x."""
     k = i + 1
     share = keys.frames[k] / keys.frames[slot]
-    # At rest all frames are alike, and tags are read wrong in the same way: an average of them counts as one.
+    # At rest the error of reading a tag is the same in all frames: their average counts as one frame.
     counts = (1.0 - share, share) if keys.rest[i] else (1.0, 1.0)
     informations = [
         w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)

@@ -1,10 +1,10 @@
 """k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
 
 A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
-linearised anew at the present estimate, and the posterior over all of them is solved for at once
-(`key_frame_posterior.py`): a poor start does not stay in the answer as it would in an extended Kalman filter. The
-sizes of noise and force error climb the evidence, one trial in two updates; those in log k's prior are drawn. Memory
-and time per update do not grow.
+linearised anew at the present estimate, and the posterior is solved for over all of them (`key_frame_posterior.py`).
+So a poor start is forgotten, which in an extended Kalman filter it would not be. The hyperparameters of noise and force
+error are searched for, one trial in two updates; those of log k's prior are drawn. Memory and time per update do not
+grow.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
 
-_EXACT = 1e-12  # of the largest variance of a start: none is smaller, in rounding
-_STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
+_EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
+_STIFFER = 0.2  # added to log k where the estimate has no equilibrium under a force that the beam withstood
 
 
 @dataclass(frozen=True)
 class Update:
-    """What one frame did."""
+    """The result of one frame."""
 
     innovation: Array  # (m, 3) m, m, rad: measured minus expected; NaN where a tag was not seen
     distance: Array  # (m,) the same in sd of what was expected (root of chi-square with 3 degrees); NaN likewise
     accepted: BoolArray  # (m,) tags that were used
     solved: bool  # False: the estimate has no equilibrium under this force, nothing was learned from the frame
-    doubts: tuple[str, ...]  # why k(s) is not to be relied on after this frame; empty as a rule
+    doubts: tuple[str, ...]  # reasons not to rely on k(s) after this frame; usually none
 
 
 class OnlineLearner:
-    """Learns one beam from one frame after another. Not for two threads at once."""
+    """Learns k(s) of one beam frame by frame. Not thread-safe."""
 
     def __init__(
         self,
@@ -150,7 +150,7 @@ class OnlineLearner:
 
     @property
     def hyperparameters(self) -> LiveHyperparameters:
-        """Noise, force error and roughness as they are now."""
+        """Sizes of the tags' noise and of the force error, as they are now."""
         return self._state.hyperparameters
 
     @property
@@ -174,7 +174,7 @@ class OnlineLearner:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why `stiffness` is not to be relied on as it is now; empty as a rule."""
+        """Reasons not to rely on `stiffness` as it is now; usually none."""
         self._state.catch_up()
         return self._doubts + self._state.doubts
 
@@ -210,7 +210,7 @@ class OnlineLearner:
 
 
 def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness) -> tuple[LivePrior, Array]:
-    """What is known before the data, and the parameters to begin with."""
+    """The prior, and the parameters to begin with."""
     x, mean, p = np.zeros(layout.size), np.zeros(layout.size), layout.spline.count
     if isinstance(start, UncertainStiffness):
         if len(start.mean) < p:
