@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from onebend.learning.inference.misfit import Miss as Miss
     from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
-    from onebend.learning.live.key_frame_posterior import LiveScales as LiveScales
+    from onebend.learning.live.key_frame_posterior import LiveHyperparameters as LiveHyperparameters
     from onebend.learning.live.online_learner import Update as Update
-    from onebend.learning.live.session import Habits as Habits
+    from onebend.learning.live.session import SmootherSettings as SmootherSettings
     from onebend.learning.live.settings import OnlineSettings as OnlineSettings
     from onebend.learning.model.fit_data import FitData as FitData
     from onebend.learning.model.force_error import Filtered as Filtered
@@ -53,9 +53,9 @@ else:
             "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
             "onebend.learning.inference.misfit": "Miss",
             "onebend.learning.inference.optimizer": "OptimizerSettings Optimum",
-            "onebend.learning.live.key_frame_posterior": "LiveScales",
+            "onebend.learning.live.key_frame_posterior": "LiveHyperparameters",
             "onebend.learning.live.online_learner": "Update",
-            "onebend.learning.live.session": "Habits",
+            "onebend.learning.live.session": "SmootherSettings",
             "onebend.learning.live.settings": "OnlineSettings",
             "onebend.learning.model.fit_data": "FitData",
             "onebend.learning.model.force_error": "Filtered ForceError",
