@@ -187,7 +187,7 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
 
 
 def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
-    """What no table can say alone."""
+    """Mistakes between tables, or between keys of one table."""
     push, gravity = entries["push"], entries["gravity"]
     if push is not None and push.column and entries["force"] is not None and entries["force"].topic:
         mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
@@ -202,7 +202,7 @@ def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mist
 
 
 def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
-    """What was assumed because the file does not say it."""
+    """Remarks on values that are assumed because the file does not state them."""
     remarks = []
     if "placement_sd_m" not in data["tags"] and "poses" not in data:
         assumed = f"{1000 * tags.placement_sd:g} mm"

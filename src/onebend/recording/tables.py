@@ -1,4 +1,4 @@
-"""Tables of numbers on disk, CSV or Parquet: named columns, empty cells as NaN, and the row of every mistake."""
+"""Tables of numbers on disk, CSV or Parquet: named columns, empty cells as NaN; errors name the row."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
 
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
-UNKNOWN = "unknown"  # a cell for something that acts, nobody knows how strongly
+UNKNOWN = "unknown"  # a cell of a load that acts with unknown strength
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def read_columns(
 
 
 def _refuse_others(path: Path, cells: dict[str, list[object]], known: Sequence[str], kind: str) -> None:
-    """A number under a name that nobody reads is more likely misnamed, or in another unit, than meant to be ignored."""
+    """An error where a column that is not known holds numbers: it is probably misnamed, or in another unit."""
     for name in (name for name in cells if name not in known):
         if any(_is_number(cell) for cell in cells[name]):
             similar = difflib.get_close_matches(name, known, n=1, cutoff=0.5)

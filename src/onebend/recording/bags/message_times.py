@@ -1,4 +1,4 @@
-"""The times of a bag's messages: the stamps in their headers, or where these are empty when they were received."""
+"""The times of a bag's messages: the stamps of their headers, or the times of receipt where these are empty."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, Literal
 from onebend.errors import RecordingError
 from onebend.recording.bags.reader import Bag, Topic, messages
 
-FIRST = 100  # messages looked at for a stamp
+FIRST = 100  # messages that are searched for a stamp
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,7 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     for part in bag.parts:
         try:
             with reader_of(part) as reader:
-                wanted = [one for one in reader.connections if one.topic == name]
+                wanted = [connection for connection in reader.connections if connection.topic == name]
                 if wanted:
                     for _, received, data in reader.messages(wanted):
                         yield received, data

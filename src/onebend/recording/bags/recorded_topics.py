@@ -24,7 +24,7 @@ TEXT_KEYS = ("columns", "time_unit", "frame_times")  # not for bags
 
 
 def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, Any], mistakes: Mistakes) -> None:
-    """Note what is wrong with the bag that `entry` names, and keys of its table, as `written`, that do not fit it."""
+    """Add mistakes: of the bag that `entry` names, and of keys of its table, as `written`, that do not fit a bag."""
     bag = is_bag(entry.file)
     for key in TEXT_KEYS if bag else BAG_KEYS:
         if key in written:
@@ -45,7 +45,7 @@ def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, A
 
 
 def asked(bag: Bag, name: str) -> str:
-    """What to write where a bag is named without its topic."""
+    """Advice where a bag is named without its topic."""
     likely = guess(bag, "image" if name == "video" else "force")
     hint = f' Add `topic = "{likely}"`.' if likely else ""
     return f"{bag.path} is a bag that holds {listed(bag)}.{hint}"
@@ -103,7 +103,7 @@ def opened_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
 
 
 def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
-    """What is odd about the bag and its topic's clock."""
+    """Remarks on damage of the bag and on its topic's clock."""
     bag, topic = opened_topic(entry)
     remarks = []
     if bag.fault:

@@ -1,5 +1,5 @@
-"""Robot logs (MCAP, ROS 1 bag, sqlite3) read from front to back without their index: what a cut or damaged one still
-holds, and where it breaks off."""
+"""Robot logs (MCAP, ROS 1 bag, sqlite3) read from front to back without their index, up to where a cut or damaged one
+breaks off."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ def scan_mcap(stream: BinaryIO, size: int) -> Iterator[Item]:
 
 @dataclass(frozen=True)
 class McapTables:
-    """What an MCAP file has declared so far."""
+    """The schemas and channels that an MCAP file has declared so far."""
 
     schemas: dict[int, tuple[str, str, str]]  # name, encoding, definition
     channels: dict[int, Channel]
 
 
 def mcap_item(code: int, body: bytes, declared: McapTables) -> Iterator[Item]:
-    """What one record says, if it is a topic or a message; declarations are added to `declared`."""
+    """The topic or message of one record, if it holds one; declarations are added to `declared`."""
     if code == SCHEMA:
         reader = Fields(body)
         key = reader.number("<H")
@@ -169,7 +169,7 @@ def scan_ros1(stream: BinaryIO, size: int) -> Iterator[Item]:
 
 
 def ros1_item(header: dict[str, bytes], body: bytes, channels: dict[int, Channel]) -> Iterator[Item]:
-    """What one record of a ROS 1 bag says, if it is a topic or a message."""
+    """The topic or message of one record of a ROS 1 bag, if it holds one."""
     code = header.get("op", b"\0")[0]
     if code == ROS1_CONNECTION:
         key = struct.unpack("<I", header["conn"])[0]

@@ -1,4 +1,4 @@
-"""What a bag holds, topic by topic, and which of them are likely the force and the film."""
+"""The topics of a bag, and which of them are probably the force and the film."""
 
 from __future__ import annotations
 

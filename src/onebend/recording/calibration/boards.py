@@ -19,7 +19,7 @@ from onebend.records import Array, IntArray
 
 BoardKind = Literal["chessboard", "charuco"]
 
-LOOKED_AT = 240  # frames of a film, evenly spread
+SEARCHED_FRAMES = 240  # frames of a film, evenly spread
 _BURST = 0.35  # s, of which the sharpest frame counts
 _FEWEST_CORNERS = 8
 _MOST_PIXELS = 1_000_000  # of a picture in which a chessboard is first looked for; refined in the whole one
@@ -55,10 +55,10 @@ class Board:
     @property
     def corners(self) -> Array:
         """(N, 2) m, inner corners by their number, row by row."""
-        more = 0 if self.kind == "chessboard" else -1
-        y, x = np.mgrid[: self.rows + more, : self.columns + more]
-        distance = 0.0 if self.kind == "chessboard" else self.square
-        return np.asarray(np.stack([x.ravel(), y.ravel()], axis=1) * self.square + distance)
+        fewer = 0 if self.kind == "chessboard" else 1
+        y, x = np.mgrid[: self.rows - fewer, : self.columns - fewer]
+        first = 0.0 if self.kind == "chessboard" else self.square
+        return np.asarray(np.stack([x.ravel(), y.ravel()], axis=1) * self.square + first)
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class BoardFilm:
     width: int  # px
     height: int  # px
     views: tuple[BoardView, ...]
-    looked_at: int  # frames
-    found: int  # frames among them that show the board
+    frames_searched: int  # frames
+    frames_found: int  # of these, that show the board
 
 
 def opencv() -> Any:
@@ -104,7 +104,7 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
     find = _finder(cv2, board)
     with opened(film) as container:
         count = container.streams.video[0].frames
-    every = max(1, count // LOOKED_AT)
+    every = max(1, count // SEARCHED_FRAMES)
     size: tuple[int, int] | None = None
     views: list[BoardView] = []
     burst: list[BoardView] = []
@@ -118,16 +118,16 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
             size = picture.shape if size is None else size
             if picture.shape != size:
                 raise RecordingError(f"{film}: the picture's size changes at frame {index}. Film in one size.")
-            seen = find(picture)
+            corners = find(picture)
             looked += 1
-            if seen is not None:
+            if corners is not None:
                 boards += 1
                 now = index / 30.0 if frame.time is None else float(frame.time)
                 if burst and now - begin > _BURST:
                     views += _sharpest(burst)
                     burst = []
                 begin = begin if burst else now
-                burst.append(BoardView(index, seen[0], seen[1], _sharpness(cv2, picture, seen[1])))
+                burst.append(BoardView(index, corners[0], corners[1], _sharpness(cv2, picture, corners[1])))
             progress.advance()
     finally:
         progress.done()

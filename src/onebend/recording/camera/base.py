@@ -10,16 +10,16 @@ from onebend.recording.camera.tag_poses import Poses, relative_to, unwrap
 from onebend.recording.toml.entries import TagEntry
 from onebend.records import Array, Remark
 
-MOVED = 5.0  # sd: a base further from its middle place, after a running median, moves
+MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
 RUNNING = 5  # frames of that running median
 
 
 def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
     """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
 
-    The frame is that of the first tag, which sits at its own s on the frame's x axis. Where the base stands still it
-    is the middle of all frames, with the uncertainty of a single one: the detector's error at one place of the pixel
-    grid is the same in every frame and does not average out.
+    The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
+    all frames with the covariance of one frame: the detector's error at one place of the pixel grid is the same in
+    every frame and does not average out.
     """
     pose = together(poses, [tag.s * length for tag in tags])
     state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
@@ -40,7 +40,7 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
 def together(poses: Poses, places: Sequence[float]) -> Poses:
     """The base's pose (T, 1) from all its tags, `places` [m] on its x axis.
 
-    Tags after the first are brought to it by where they are seen beside it, not by where they should sit.
+    Other tags are related to the first by their measured relative pose, not by their stated place.
     """
     first = behind(column(poses, 0), places[0])
     others = [behind(column(poses, i), s) for i, s in enumerate(places) if i > 0]
@@ -66,7 +66,7 @@ def aligned(other: Poses, first: Poses) -> Poses:
     difference = relative_to(other, first)
     both = np.isfinite(difference.angle[:, 0])
     if not both.any():
-        return other  # never seen together: its written place must do
+        return other  # never seen together: its stated place is used
     x, y = np.median(difference.xy[both, 0], axis=0)
     turn = float(np.median(difference.angle[both, 0]))
     cos, sin = np.cos(other.angle), np.sin(other.angle)

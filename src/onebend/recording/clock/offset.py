@@ -1,17 +1,17 @@
-"""Two clocks made one: the offset between the video's clock and the force log's, from the data.
+"""The offset between the video's clock and the force log's, from the data.
 
-For every offset the log is explained by what the markers say of the force (`polynomial_features.py`: levers and
-polynomials with unknown coefficients; no stiffness enters) plus the sensor's noise, and the offset is judged by how
-probable that makes the log. Three things decide about the accuracy, and all are minded here:
+For every offset the log is modelled by features of the markers with unknown coefficients (`polynomial_features.py`:
+levers and polynomials; no stiffness enters) plus the sensor's noise. The evidence of the log under this model is the
+likelihood of the offset. Three choices matter for the accuracy:
 
-- the log's rows stay fixed and the markers are shifted under them. Shifting the log instead would compare different
-  samples of its noise, whose scatter is larger than what an offset of some hundredths of a second changes;
+- the log's rows stay fixed and the markers are shifted. Shifting the log would compare different samples of its noise,
+  whose scatter is larger than the effect of an offset of some hundredths of a second;
 - coefficients are integrated out under a prior (evidence), not fitted: for a push in one direction a free function of
-  the displacement could follow any offset, and a maximum would claim an accuracy it does not have;
-- the noise is coloured and wanders (`noise.py`); its sizes come from the same data.
+  the displacement fits any offset, and the maximum would claim more accuracy than there is;
+- the noise has coloured and random-walk parts (`noise.py`); its sizes come from the same data.
 
 A push whose force rises at F' [N/s] during T under a noise of spectral density S tells the offset to about
-sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force leave tens of milliseconds. `sd` says so.
+sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force leave tens of milliseconds in `sd`.
 """
 
 from __future__ import annotations
@@ -35,19 +35,22 @@ from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, R
 class ClockSettings:
     """How the offset is searched."""
 
-    margin: float = 2.0  # s, searched beyond what was said plus its uncertainty
-    corrections: tuple[float, ...] = (0.001, 0.01)  # prior of the polynomials that mend the levers, tried in turn
+    margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
+    corrections: tuple[float, ...] = (
+        0.001,
+        0.01,
+    )  # prior sds, tried in turn, of the polynomials that correct the levers
     most_rows: int = 250  # of the log, after averaging
-    sharp_rows: int = 120  # of these, where they are explained by the spans' turns
+    sharp_rows: int = 120  # of these, for the model by the spans' moments
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
     steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
-    hold: float = 2.0  # s, a beam that stands still in the first (last) frames is taken to stand still before (after)
+    hold: float = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
 
 
 @dataclass(frozen=True)
 class ClockFit:
-    """The offset, and what was learned of the noise on the way (None where nothing was found)."""
+    """The offset, and the noise of the log (None where it was not fitted)."""
 
     clock: ClockOffset
     noise: ForceNoise | None
@@ -65,11 +68,11 @@ def fit_clock(
 ) -> ClockFit:
     """The posterior of the offset between the two clocks.
 
-    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails beyond. Where `stated` is NaN every
-    offset counts alike under which half of the film is inside the log. `match` is False where the data leave more than
-    half of the prior's spread; then the offset is what was said. An `uncertainty` of 0 says that `stated` is exact: it
-    is taken with an sd of 0, and only the log's noise is looked for. `push_s` is the place of the push; with it, `log`
-    must be in the beam's axes (its sign and bias do not matter).
+    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails beyond. Where `stated` is NaN,
+    offsets that put half of the film or more inside the log are equally likely. The clock's `found` is False where the
+    posterior sd is more than half of the prior's; the offset is then the stated one. An `uncertainty` of 0 says that
+    `stated` is exact: it is taken with an sd of 0, and only the log's noise is fitted. `push_s` is the place of the
+    push; with it, `log` must be in the beam's axes (its sign and bias do not matter).
 
     Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
     beam moves slowly against its own oscillations for most of the film.
@@ -98,7 +101,7 @@ def fit_clock(
 def compared_rows(
     markers: Markers, log: ForceLog, rate: float, within: tuple[float, float], settings: ClockSettings
 ) -> BinnedLog | None:
-    """The log's rows that the film is laid over at offsets `within` [s]; None where they are too few, or all zero."""
+    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero."""
     span = (markers.time[0] + within[0], markers.time[-1] + within[1])
     highest_rate = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
     rows = binned(log, max(8 * rate, settings.slowest), span, highest_rate)
@@ -130,7 +133,8 @@ def matched(
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
-    A first look explains the force by polynomials of the tags, a closer one by the moments of the push, where known.
+    A first search models the force by features of the tags; a second one by the moments of the push, if its place is
+    known.
     """
     low, high = within
     feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
@@ -161,7 +165,7 @@ def matched(
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:
-    """The explanations to try: polynomials alone, and levers with small and larger polynomials to mend them."""
+    """The sets of features: polynomials alone, and levers with small and with larger polynomials."""
     same = {"longest_gap": settings.longest_gap, "hold": settings.hold, "steps": steps}
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
     made = [make_track(markers, push_s=push_place, polynomials=scale, **same) for push_place, scale in ways]

@@ -1,13 +1,13 @@
-"""What the markers say of the force, up to unknown coefficients: the features the clock search regresses on.
+"""Features of the markers on which the clock search regresses the force.
 
-Two readings, none of which knows the beam:
+Two kinds, neither of which needs a model of the beam:
 
 - levers: on a slowly moving beam the moment of the force about the middle of a span between two tags is proportional
   to the turn of that span. So F = sum_i k_i f_i with f_i = (A^T A + ridge)^-1 A^T e_i turn_i, A the levers of all spans
-  (moment = A F) and k_i one unknown stiffness a span. The ridge (a part of the longest lever squared) keeps the force
-  along a straight beam, which bends nothing, from being made up of noise;
-- polynomials of the markers' leading principal components: any smooth function of the shape. Alone, they serve where
-  the place of the push is not known or levers fail (a beam that swings); with a small prior they mend the levers.
+  (moment = A F) and k_i one unknown stiffness per span. The ridge (a fraction of the longest lever squared) bounds the
+  force along a straight beam, which bends nothing, so that it is not fitted to noise;
+- polynomials of the markers' leading principal components: any smooth function of the shape. They are used alone where
+  the place of the push is not known or levers fail (a beam that swings), and with a small prior to correct the levers.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from onebend.records import Array, BoolArray, Markers
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
 RIDGE = 0.01  # of the longest lever squared
 PLACE = 1.0  # prior sd of the change with a span's lever, per largest force
-SHORTEST_SPAN = 0.05  # of the beam: what is left between a tag and the push must be longer to count
+SHORTEST_SPAN = 0.05  # of the beam: a shorter span between a tag and the push does not count
 TERMS = (2.0, 0.5, 0.25)  # prior sd of a polynomial's coefficient by degree, per largest force
-TOUCHED = 0.02  # of the largest displacement: less is taken for rest
-PARTS = 5  # of a change of the load: in any of them a log's error may change
+TOUCHED = 0.02  # of the largest displacement: a smaller one counts as rest
+PARTS = 5  # into which a change of the load is divided; the log's error may change in each
 COMPONENTS = 3  # principal components
 
 
@@ -39,8 +39,8 @@ class Track:
     integral: PPoly  # antiderivative of the features, (2 axes, p)
     covered: BoolArray  # (T,) frames whose features are known
     time: Array  # (T,) s, video clock
-    before: float  # s, how long the beam is taken to have stood still before the film, as in its first frames
-    after: float  # s, the same after the film
+    before: float  # s before the film for which its first frames are taken to hold
+    after: float  # s after the film for which its last frames are taken to hold
 
     @property
     def duration(self) -> float:
@@ -48,7 +48,7 @@ class Track:
         return float(self.time[-1] - self.time[0])
 
     def mean(self, centre: Array, width: float) -> Array:
-        """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not say."""
+        """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
         centre_held = np.clip(centre, first_centre, last_centre)
         centre_held = np.where(
@@ -67,7 +67,7 @@ class Track:
 def make_track(
     markers: Markers, *, push_s: float | None, polynomials: float, longest_gap: float, hold: float, steps: float = 0.0
 ) -> Track | None:
-    """Features of the markers that are hardly ever missing; None where levers are asked for and there are none.
+    """Features of the markers that are missing least; None where there is no such marker, or no lever.
 
     `push_s`: the place of the push for levers, None for polynomials alone; `polynomials` scales their prior;
     `longest_gap` [s] may be interpolated; a beam that stands still at an end of the film does so for `hold` [s] more.
@@ -96,7 +96,7 @@ def make_track(
 
 
 def _load_steps(time: Array, xy: Array) -> Array:
-    """(T, n) ramps from 0 to 1 that follow each other over each change of the load, together of unit variance."""
+    """(T, n) consecutive ramps over each change of the load, scaled so that their sum has unit variance."""
     size = displacement(time, xy, np.median(xy[:10], axis=0))
     changes = load_changes(time, size, size > TOUCHED * size.max())
     ramps = [np.clip(PARTS * change.fraction(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
@@ -104,7 +104,7 @@ def _load_steps(time: Array, xy: Array) -> Array:
 
 
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
-    """(m,) the markers that are missing longest the least, and (T,) where none of these is missing for long."""
+    """(m,) the markers with the fewest frames in long gaps, and (T,) frames where none of these has a long gap."""
     missing = ~(np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle))
     long = np.zeros_like(missing)
     for i, column in enumerate(missing.T):
@@ -136,10 +136,10 @@ def monomials(xy: Array, angle: Array) -> Array:
 
 
 def levers(xy: Array, angle: Array, s: Array, push_s: float) -> Array:
-    """(T, 2, p) force that turns each span up to the push as seen, were its stiffness one; the largest scaled to 1.
+    """(T, 2, p) force that gives each span up to the push its turn at unit stiffness; the largest scaled to 1.
 
-    Where in a span the bending sits depends on its stiffness. So for every span more features follow: how the forces
-    change when its lever is taken a quarter of the span before or behind the middle.
+    Where in a span the bending takes place depends on its stiffness. So for every span there are further features: the
+    change of the forces when its lever is taken a quarter of the span before or behind the middle.
     """
     count = len(xy)
     s = np.concatenate([[0.0], s])
@@ -180,7 +180,7 @@ def unit_forces(arms: Array, turns: Array) -> Array:
 def along(xy: Array, angle: Array, s: Array, place: float) -> Array:
     """(T, 2) the place `place` on the beam: on the cubic through the two neighbouring tags with their directions.
 
-    The tangents' size is that of an arc of the chord's length, so that the cubic of a circle is right to 0.1 %.
+    The tangents have the length of the arc over the chord, so that the cubic of a circle is exact to 0.1 %.
     """
     i = int(np.clip(np.searchsorted(s, place) - 1, 0, len(s) - 2))
     u = min((place - s[i]) / max(s[i + 1] - s[i], 1e-9), 1.0)

@@ -1,8 +1,8 @@
-"""Turns and levers of the spans between the tags: what the markers say of the force on the beam, without its stiffness.
+"""Turns and levers of the spans between the tags: the data of the markers on the force, without the stiffness.
 
 The turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k the compliance along it and a the lever of a unit
-force about s: exact for a beam that moves slowly, and linear in F. Of w only what the span's levers show counts: its
-mean, and its slope.
+force about s. This is exact for a beam that moves slowly, and linear in F. Of w, the mean over the span and the slope
+are used.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from onebend.records import Array, BoolArray, IntArray, Markers
 
 JUMP = 8.0  # robust sd, of a pose that is read wrongly
 NODES = 5  # Gauss, on a span
-LEAST = 0.02  # of the largest turn: a span that turns by less says nothing
-FINEST = 1e-3  # of a span's turn: least noise it is trusted to
-SLACK = 0.2  # s, that a change of the load may show earlier or later in the log
-FEWEST_SPANS = 2  # spans
+LEAST = 0.02  # of the largest turn: a span that turns by less is not used
+FINEST = 1e-3  # of a span's largest turn: least noise of the turn
+SLACK = 0.2  # s, by which the log's error may change before or after the load does
+FEWEST_SPANS = 2  # that end at or before the push
 STILL = 10  # first frames, whose angles are the ones at rest
 
 
@@ -31,7 +31,7 @@ class Moments:
     """Turns and levers of k spans in time, to be averaged over any span of time."""
 
     track: Track  # features (k, 5): turn, mean of the lever, its first Legendre moment
-    tangent: Track  # (2,), what a push that acts farther on adds to all levers
+    tangent: Track  # (2,), change of all levers with the place of the push
     steps: Track  # (n,), ramps over the changes of the load
     noise: Array  # (k,) rad, one sd of a turn in one frame
     largest: Array  # (k,) rad
@@ -48,7 +48,7 @@ class MomentsAtRows:
 
     @property
     def known(self) -> BoolArray:
-        """(N,) rows of which the film says something."""
+        """(N,) rows that the film covers."""
         return np.asarray(np.isfinite(self.turn).all(axis=1))
 
     def select(self, rows: BoolArray) -> MomentsAtRows:
@@ -57,8 +57,8 @@ class MomentsAtRows:
 
 
 def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: float) -> Moments | None:
-    """Moments of the markers that are hardly ever missing; None where less than WHOLE whole spans up to the push turn:
-    then most of what the film tells is in the places of the tags beyond, which turns do not hold.
+    """Moments of the markers that are missing least; None where fewer than `FEWEST_SPANS` whole spans before the push
+    turn. Most of the information is then in the places of the tags beyond, which turns do not contain.
 
     `push_s`: the place of the push; `longest_gap` [s] may be interpolated; a beam that stands still at an end of the
     film does so for `hold` [s] more.
@@ -121,7 +121,7 @@ def load_change_share(rows: MomentsAtRows) -> Array:
 
 
 def without_jumps(markers: Markers) -> Markers:
-    """Markers without single frames that lie far off the cubic through the two before and the two after."""
+    """Markers without single frames that are far from the cubic through the two frames before and the two after."""
     state = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)
     if len(state) < 9:
         return markers
@@ -135,7 +135,7 @@ def without_jumps(markers: Markers) -> Markers:
 
 
 def load_change_ramps(time: Array, xy: Array) -> Array:
-    """(T, n) from 0 to 1 over each change of the load: the time of the random walk that a log's error makes there."""
+    """(T, n) ramps from 0 to 1 over each change of the load, in which the log's error may change."""
     size = displacement(time, xy, np.median(xy[:STILL], axis=0))
     changes = load_changes(time, size, size > TOUCHED * size.max())
     wide = [replace(change, begin=change.begin - SLACK, end=change.end + SLACK) for change in changes]
@@ -143,6 +143,7 @@ def load_change_ramps(time: Array, xy: Array) -> Array:
 
 
 def moments_at(moments: Moments, centre: Array, width: float) -> MomentsAtRows:
+    """Moments averaged over `width` [s] around every `centre` (N,) [s, video clock]."""
     f = moments.track.mean(centre, width)
     return MomentsAtRows(
         f[..., 0],

@@ -1,4 +1,4 @@
-"""The force log made clean: sign, frame, outliers, zero, zero-phase low-pass, and what noise is left."""
+"""Cleaning the force log: sign, frame, outliers, zero, zero-phase low-pass, and the noise that remains."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ class ForceSettings:
     """How the log is cleaned."""
 
     overtone: float = 2.0  # cut-off over the bandwidth of the markers' motion: see `choose_cutoff`
-    tare_span: float = 3.0  # s of a rest used for the zero, nearest to contact: longer lets drift in, shorter noise
+    tare_span: float = (
+        3.0  # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
+    )
     outlier_sd: float = 6.0
     longest_gap: float = 0.1  # s, or as long as the filter's memory where that is longer: a longer gap stays a gap
 
 
 @dataclass(frozen=True)
 class Zero:
-    """The log's zero at each rest, beam's frame, and how well it is known."""
+    """The log's zero at each rest, beam's frame, and its sd."""
 
     time: Array  # (r,) s, log's clock
     value: Array  # (r, 2) N
@@ -42,8 +44,8 @@ class Zero:
 def choose_cutoff(motion: float, settings: ForceSettings) -> float:
     """Cut-off of the low-pass from the bandwidth `motion` [Hz] of the markers; infinite where that is not known.
 
-    A beam that moves slowly follows the force, so the force holds no frequency that the markers do not. It is a
-    nonlinear function of their displacement; its square doubles the bandwidth. Hence twice that of the markers.
+    A beam that moves slowly is in equilibrium with the force, so the force is a function of the markers'
+    displacements. The function is nonlinear: its square terms double the bandwidth. Hence twice that of the markers.
     """
     return settings.overtone * motion if np.isfinite(motion) and motion > 0 else math.inf
 
@@ -80,7 +82,7 @@ def clean_force(
         time=log.time,
         force=smooth - zero.at(log.time),
         push_s=log.push_s,
-        noise_sd=left_over(log.time, smooth, rests, zero, cutoff, noise),
+        noise_sd=remaining_sd(log.time, smooth, rests, zero, cutoff, noise),
         tare=zero.value[0] if len(zero.time) else np.zeros(2),
         drift=drift,
         cutoff=cutoff,
@@ -132,7 +134,7 @@ def zero_of(
     return Zero(np.array(times), np.array(values).reshape(-1, 2), sd)
 
 
-def left_over(
+def remaining_sd(
     time: Array,
     smooth: Array,
     rests: Sequence[tuple[float, float]],
@@ -140,9 +142,8 @@ def left_over(
     cutoff: float,
     noise: ForceNoise | None,
 ) -> Array:
-    """(2,) N, sd of what is wrong with the clean force in mid-contact: the filtered noise, the zero's own error, and
-    the drift that the zero could not follow (random walk: a bridge between two rests, free after one). NaN without a
-    rest."""
+    """(2,) N, sd of the clean force's error in mid-contact: the filtered noise, the error of the zero, and the drift
+    beside the zero (a random walk: a bridge between two rests, free after one). NaN without a rest."""
     if not len(zero.time):
         return np.full(2, math.nan)
     at_rest = np.any([within(time, span) for span in rests], axis=0)
@@ -158,7 +159,7 @@ def left_over(
 
 
 def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...]:
-    """What a person should know of the zero and the filter."""
+    """Remarks on the zero and the filter."""
     remarks = []
     if not len(zero.time):
         text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."

@@ -1,8 +1,7 @@
-"""When the beam is touched and when it is free, from the markers and the force.
+"""Contact and rest: when the beam is pushed and when it is free, from the markers and the force.
 
-The film is taken to begin with a free beam (a person starts the camera, then the push). The beam is free where its
-markers stand as they did then, and stand still; it is also free where it swings about that rest with no more force
-than before the push. Everything between is contact.
+The film must begin with a free beam (the camera starts before the push). The beam is free where its markers stand still
+at their first places, and where it swings about that rest with no more force than before the push. All else is contact.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from onebend.records import Array, BoolArray, ForceLog, Markers, Remark
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """How contact is told from rest."""
+    """Thresholds between contact and rest."""
 
     window: int = 5  # frames averaged
     first: int = 10  # frames that must show the beam at rest

@@ -1,4 +1,4 @@
-"""A force log on disk: a CSV file with one row a sample, read and checked."""
+"""A force log on disk, read and checked: a CSV file with one row per sample."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOST = (
     "left out"
 )
 HUNG = "rows of the force log only repeat the row before, for long (the sensor or the logger hung), and are left out"
-MANY = 0.1  # of the rows: more that are left out or share a time are a warning
+MANY = 0.1  # of the rows: if more are left out or share a time, it is a warning
 
 
 def read_force_log(
@@ -138,7 +138,7 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
 
 
 def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
-    """What is likely wrong with a header that lacks wanted columns, as a sentence with a space before it; or ""."""
+    """The probable mistake of a header that lacks wanted columns: a sentence after a space, or ""."""
     if len(header) == 1 and set(header[0]) & set(";\t"):
         return " Columns must be separated by commas, and decimals written with a point."
     if all(is_number(name) for name in header if name):

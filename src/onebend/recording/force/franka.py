@@ -1,4 +1,4 @@
-"""Logs of Franka robots as text: which columns hold the force, and what to write to have them read."""
+"""Text logs of Franka robots: which columns hold the force, and what to write in recording.toml."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""When a load begins, reverses and ends, as the tags show it: a sensor's error may change with that.
+"""When a load begins, reverses and ends, from the tags: a sensor's error may change then.
 
-Robots that estimate forces from the torques of their joints have friction there: the error of the estimate is nearly
-constant while the load grows or falls, and another one as soon as it begins or reverses. The tags say when that is; the
-log itself would show its error too.
+Robots that estimate forces from joint torques have friction in the joints: the error of the estimate is nearly constant
+while the load grows or falls, and changes when the load begins, reverses or ends. These times are read from the tags,
+as the log itself contains the error.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from onebend.records import Array, BoolArray
 
 TURN = 0.05  # of the largest displacement: a beam that comes back by less has not reversed
 CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
-BEFORE = 0.03  # of the same: nearer to a turning point than this the load may be turning
-EARLY = 0.1  # s, of a contact that the tags do not show yet
+BEFORE = 0.03  # of the same: within this of a turning point the load may be reversing
+EARLY = 0.1  # s, by which contact may begin before the tags show it
 
 
 @dataclass(frozen=True)
 class LoadChange:
-    """A stretch of time in which the load begins, reverses or ends."""
+    """A span of time in which the load begins, reverses or ends."""
 
     begin: float  # s
     end: float  # s

@@ -1,10 +1,10 @@
 """A tag's corners from its whole printed pattern, for tags that stand still.
 
-The detector reads only the outer edges, each a few dozen noisy points, and its error at one place of the pixel grid
-is the same in every frame. A tag that does not move can do better: the mean of its pictures is nearly free of noise,
-and all the black-white edges inside the pattern tell where it is. The pattern is blurred by a Gaussian whose width is
-fitted too; edges that go from black to white and from white to black bound the same cells, so a printer's or sensor's
-bloom cancels where it would shift the outer edges outward.
+The detector uses only the outer edges, each a few dozen noisy points, and its error at one place of the pixel grid is
+the same in every frame. For a tag that does not move there is more information: the mean of its pictures has little
+noise, and all the black-white edges inside the pattern show its place. The model is the pattern blurred by a Gaussian,
+whose width is fitted too. Bloom of the printer or the sensor shifts outer edges outward; inside, edges from black to
+white and from white to black shift in opposite directions, so that their shifts cancel.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ CELLS = {"tag36h11": 8, "tag25h9": 7, "tag16h5": 6}  # of the black square's sid
 RIM = 0.5  # cells of the white margin that are used
 LEAST_FRAMES = 8  # of a block, in which a tag must be seen to be taken as still
 STILL = 0.2  # px: a tag whose corners stay this near to their median stands still
-MOST_SHIFT = 0.3  # px: a correction beyond is no correction of an edge fit
-MOST_MISFIT = 0.1  # of the contrast between black and white; more means the tag is partly hidden or not of this family
+MOST_SHIFT = 0.3  # px: a larger correction is not used, as the errors of an edge fit are smaller
+MOST_MISFIT = 0.1  # RMS residual over the contrast; a larger one: the tag is partly hidden, or of another family
 STEPS = 4  # Gauss-Newton
 FIRST_BLUR = 0.8  # px
 ROOT = float(np.sqrt(2 * np.pi))
@@ -129,7 +129,7 @@ def read_cells(picture: Array, homography: Array, centre: Array, size: float, ce
 
 
 def linearise(model: Pattern, printed: Array, x: Array, y: Array, brightness: Array) -> tuple[Array, Array]:
-    """Derivatives (15, pixels) of the model by its numbers, and what it misses of `brightness`.
+    """Jacobian (15, pixels) of the model, transposed, and its residual of `brightness`.
 
     Near an edge between cells the blurred pattern is a blend of the four cells around the nearest crossing of cell
     borders, with the normal distribution's integral as weight; farther edges do not matter for blurs below 0.3 cells.

@@ -1,6 +1,6 @@
-"""What a printed tag looks like, cell by cell, from the detector's own table of codes.
+"""The cells of a printed tag, from the detector's own table of codes.
 
-A tag that is printed from this is a tag that the detector finds, with the same number and the same upper edge.
+The detector finds a tag that is printed from them, with the same number and the same upper edge.
 """
 
 from __future__ import annotations

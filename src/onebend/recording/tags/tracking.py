@@ -1,4 +1,4 @@
-"""Finding tags in pictures, and following them through a block of frames by looking only where they must be."""
+"""Finding tags in pictures, and tracking them through a block of frames near their predicted places."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class Sighting:
     tag_id: int
     corners: Array  # (4, 2) px
     errors: int  # bits of the code that had to be corrected
-    margin: float  # contrast of the code's bits; the larger the surer
+    margin: float  # contrast of the code's bits; larger is more certain
 
 
 @dataclass(frozen=True)
 class BlockTracks:
-    """What one block of consecutive frames shows."""
+    """The tags in one block of consecutive frames."""
 
     time: Array  # (B,) s
     corners: Array  # (B, m, 4, 2) px, NaN where not seen
     shape: tuple[int, int]  # height, width, px
     looks: int  # how often the whole picture was searched
-    strangers: tuple[int, ...]  # ids seen then that nobody expects, one entry a sighting
-    doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was surely seen at two places
+    strangers: tuple[int, ...]  # unexpected ids in those searches, one entry per sighting
+    doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was read without error at two places
 
 
 class Finder:
@@ -51,7 +51,7 @@ class Finder:
         self._detector = Detector(families=family, quad_decimate=DECIMATE, quad_sigma=BLUR)
 
     def look(self, picture: Picture) -> list[Sighting]:
-        """Every tag in `picture`, the surest first."""
+        """Every tag in `picture`, the most certain first."""
         sightings = [
             Sighting(tag.tag_id, tag.corners - HALF_PIXEL, tag.hamming, tag.decision_margin)
             for tag in self._detector.detect(np.ascontiguousarray(picture))
@@ -62,10 +62,9 @@ class Finder:
 def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
     """Follow the tags `tag_id` through consecutive frames.
 
-    The first picture is searched as a whole. From then on each tag is sought around the place its last two sightings
-    predict; every `LOOK_EVERY` frames, and in the last one, the whole picture is searched again if a tag is missing. A
-    second pass, backward in time, finds what became visible between two such searches. The result depends on nothing
-    but the frames.
+    The whole first picture is searched. Then each tag is searched near the place that its last two sightings predict.
+    If a tag is missing, the whole picture is searched again every `LOOK_EVERY` frames and in the last one. A second
+    pass, backward in time, finds tags that became visible between two such searches.
     """
     tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
     looks, strangers, doubles = 0, [], []
@@ -129,7 +128,7 @@ def look_around(picture: Picture, expected: Array, margin: float, finder: Finder
 
 
 def take(row: Array, sightings: Sequence[Sighting], tag_id: Sequence[int]) -> None:
-    """Put the surest sighting of each id into `row` (m, 4, 2), where it holds none yet."""
+    """Put the most certain sighting of each id into `row` (m, 4, 2), where it has none yet."""
     for i, wanted in enumerate(tag_id):
         if np.isnan(row[i]).any():
             row[i] = next((tag.corners for tag in sightings if tag.tag_id == wanted), np.nan)

@@ -1,4 +1,4 @@
-"""What in recording.toml is possible but unlikely: a camera, a mass, or an sd, that was probably written down wrong."""
+"""Implausible numbers in recording.toml, possible but probably wrong: of the camera, the mass, an sd."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, 
 
 
 def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
-    """Of the stated sds of clamp, rest shape and scale: a warning where one is too large, a note where none is used."""
+    """A warning for each stated sd (clamp, rest shape, scale) that is too large, a note on one that is not used."""
     warnings = []
     clamp = max((entries[name].clamp_sd for name in SOURCES if entries[name] is not None), default=math.nan)
     if clamp > LOOSEST:

@@ -22,7 +22,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Key:
-    """A key of the file: its name with the unit, its check, one line that says what it is, and an example as TOML."""
+    """A key of the file: its name with the unit, its check, one line of explanation, and an example as TOML."""
 
     name: str
     check: Check

@@ -1,4 +1,4 @@
-"""Angles read off the places of neighbouring markers, for trackers that give points only."""
+"""Angles from the places of neighbouring markers, for trackers that give points only."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from onebend.records import Array, Markers
 def chord_angles(xy: Array, s: Array) -> Array:
     """(T, m) rad: the beam's angle at the markers, from places (T, m, 2) [m] and the clamp at the origin.
 
-    A parabola in s through each marker and its neighbours on either side; at the tip the last chord, turned on by as
-    much again as it turned from the one before. Good to a few hundredths of a radian: enough to read clocks and rests,
-    not to learn from. NaN where a marker or a neighbour is missing.
+    The slope of a parabola in s through each marker and its two neighbours; at the tip the angle of the last chord is
+    extrapolated. Good to a few hundredths of a radian: enough for clocks and rests, not for learning. NaN where a
+    marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
     places = np.concatenate([[0.0], s[order]])

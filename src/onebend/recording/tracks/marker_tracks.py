@@ -1,7 +1,7 @@
-"""Tracks of markers from a motion capture, or any tracker --> Markers in the base's frame, as from a film.
+"""Tracks of markers from a motion capture or any tracker to markers in the base's frame, as from a film.
 
-In space the plane of bending is found first. Markers on the base say where the clamp is and follow it where it moves;
-without them the beam at rest does: straight, with every marker at its own place along it.
+Of tracks in space the plane of bending is fitted first. Markers on the base give the clamp's pose, also where it moves;
+without them it comes from the straight beam at rest, with every marker at its place along it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.plane_fit import best_plane, plane_remarks
 from onebend.records import UNKNOWN_ANGLE_SD, Array, Markers, Remark
 
-LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, of a tracker's noise: it has errors that do not show as noise
+LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Tracks in space --> the plane of bending: the best plane by least squares, and how far the markers leave it."""
+"""Tracks in space to the plane of bending: the plane by least squares, and the markers' distances from it."""
 
 from __future__ import annotations
 

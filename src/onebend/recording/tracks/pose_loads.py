@@ -1,4 +1,4 @@
-"""What loads the beam in static poses: a table with one row a load, weights along gravity, forces, moments."""
+"""The loads of static poses: a table with one row per load, weights along gravity, forces, moments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
 
 @dataclass(frozen=True)
 class PoseLoads:
-    """P poses in the order of the table; in every one the clamp, the weight's direction and the loads."""
+    """The clamp, gravity and the loads of P poses, in the order of the table."""
 
     names: tuple[str, ...]
     clamp: Array  # (P,) rad, the beam's x axis in the room; NaN where nothing says it

@@ -16,7 +16,7 @@ from onebend.recording.beam_frame import RestShape
 from onebend.recording.force.cleaning import to_beam
 from onebend.records import Array, BoolArray, Markers
 
-TURNS: dict[str, Array] = {
+READINGS: dict[str, Array] = {
     "as it is": np.array([[1.0, 0.0], [0.0, 1.0]]),
     "opposite": np.array([[-1.0, 0.0], [0.0, -1.0]]),
     "x and y swapped": np.array([[0.0, 1.0], [1.0, 0.0]]),
@@ -37,7 +37,7 @@ SHARPER = 0.25  # of that share: a turned log that leaves less is named in the m
 class Reading:
     """How well each reading of the force's axes explains the bending."""
 
-    unexplained: dict[str, float]  # share of the moments' squares, 0 to 1, by name of TURNS
+    unexplained: dict[str, float]  # share of the moments' squares, 0 to 1, by name of READINGS
     turn: float = 0.0  # rad, of the log's axes, at which the log explains the bending best
     turned: float = 1.0  # share that is unexplained then
 
@@ -47,7 +47,7 @@ class Reading:
         return self.unexplained["as it is"] > CERTAIN
 
     @property
-    def hopeless(self) -> bool:
+    def inexplicable(self) -> bool:
         """No reading explains the bending."""
         return min(self.unexplained.values()) > CERTAIN
 
@@ -59,7 +59,7 @@ class Reading:
         return best if self.unexplained[best] < BETTER * as_written and as_written > 0.2 else ""
 
     @property
-    def askew(self) -> bool:
+    def rotated(self) -> bool:
         """The log explains the bending far better when its axes are turned by `turn`."""
         as_written = self.unexplained["as it is"]
         return as_written > DOUBT and self.turned < SHARPER * as_written
@@ -84,7 +84,7 @@ def read_force(
         return None
     turns, levers = turns[good], levers[good]
     axes = to_beam(rotation)
-    unexplained = {n: _unexplained(force[good] @ axes.T @ turn.T @ axes, turns, levers) for n, turn in TURNS.items()}
+    unexplained = {n: _unexplained(force[good] @ axes.T @ turn.T @ axes, turns, levers) for n, turn in READINGS.items()}
     angles = np.arange(-math.pi, math.pi, math.radians(2.0))
     by_angle = [_unexplained(force[good] @ to_beam(float(a)), turns, levers) for a in angles]
     best = int(np.argmin(by_angle))
