@@ -27,7 +27,7 @@ _BATCH = 128  # frames solved together: what stays in the cache
 
 @dataclass(frozen=True)
 class PathSamples:
-    """T equilibria under the same hands, and their multipliers."""
+    """T equilibria under the same actuators, and their multipliers."""
 
     q: Array  # (T, Q) rad
     u: Array  # (T, m) N, N m
