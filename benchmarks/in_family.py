@@ -14,11 +14,11 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline
-from onebend.lab.pushes import Push
+from onebend.lab.direct_observation import observe_from_truth
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.shortcut import observe_quickly
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, virtual_recording
+from onebend.lab.virtual import VirtualBench, virtual_recording
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import Evidence
 from onebend.learning.inference.linear_gaussian import data_information, rest_information, unweighted_rows
@@ -55,9 +55,9 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     beam = Beam(0.15, stiffness)
     direction = own.uniform(1.4, 2.1)
     peak = force_that_bends(beam, own.uniform(0.7, 1.3), direction)
-    push = Push(peak, direction=direction, turn=own.uniform(0.2, 0.8))
-    exact = virtual_recording(Bench(beam, push, sensor=ForceSensor()), seed=seed)
-    template = observe_quickly(exact, clock_sd=CLOCK)
+    push = PushProfile(peak, direction=direction, turn=own.uniform(0.2, 0.8))
+    exact = virtual_recording(VirtualBench(beam, push, sensor=ForceSensor()), seed=seed)
+    template = observe_from_truth(exact, clock_sd=CLOCK)
     assert template.source.clean_force is not None
     noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=MEMORY, walk=WALK * peak)
     clean = replace(template.source.clean_force, noise=noise)

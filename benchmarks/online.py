@@ -92,9 +92,9 @@ def case(cell: str, seed: int) -> Case:
     kind, errors = cell.split()
     bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
     seen = observe_virtual(virtual_recording(bench, seed=seed))
-    batch = fit_from_nothing(seen, gain_sd=bench.said.gain_sd).stiffness
+    batch = fit_from_nothing(seen, gain_sd=bench.declared.gain_sd).stiffness
     truth = np.asarray(bench.beam.stiffness(S))
-    learner = replay(seen, START, gain_sd=bench.said.gain_sd)
+    learner = replay(seen, START, gain_sd=bench.declared.gain_sd)
     end = learner.stiffness
     learner.settle()
     found = (end, learner.stiffness, batch)

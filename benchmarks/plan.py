@@ -13,8 +13,8 @@ from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.pushes import Push
-from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.lab.pushes import PushProfile
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import PLACES, Proposal
@@ -106,15 +106,15 @@ def ranked_pushes(known: UncertainStiffness, beam: Beam, bench: Instruments, set
     return [one for one in found if not one.needs and not one.repeats]
 
 
-def _anew(bench: Bench, push: PlannedPush, seed: int, number: int) -> Bench:
+def _anew(bench: VirtualBench, push: PlannedPush, seed: int, number: int) -> VirtualBench:
     """The bench for one more push: clamped anew, place and axes of the push off anew, by what is stated of them."""
     rng = np.random.default_rng([seed, number, 31])
     x, y, turn = np.array([PLACEMENT, PLACEMENT, MOUNTING_SD]) * rng.standard_normal(3)
     off, axes = np.array([PLACE_SD / bench.beam.length, DIRECTION_SD]) * rng.standard_normal(2)
     return replace(
         bench,
-        push=Push(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
-        said=replace(bench.said, push_s=push.at_s, axes=float(axes)),
+        push=PushProfile(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
+        declared=replace(bench.declared, push_s=push.at_s, axes=float(axes)),
         base=(float(x), float(y), float(turn)),
         name=f"{bench.name} {number + 2}",
     )

@@ -30,6 +30,7 @@ from onebend.learning.inference.linear_gaussian import (
     explained_by,
     force_shrinkage,
     misfit,
+    posterior_of,
     residual_rows,
     residuals,
     rest_information,
@@ -96,11 +97,12 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
     rows = [residual_rows(now, noise) for _, now, noise in every]
     before, rests = prior(problem, best.hyperparameters), rest_information(problem)
     data = data_information(problem, rows, best.x, best.hyperparameters)
+    precision = cho_solve((before.root, True), np.eye(len(best.x)))
 
     def target(x: Array) -> Here:
-        away, curvature = x - before.mean, before.precision + rests.information
-        slope = before.precision @ away + rests.information @ x - rests.b
-        value = 0.5 * float(away @ before.precision @ away + x @ rests.information @ x) - float(rests.b @ x)
+        away, curvature = x - before.mean, precision + rests.information
+        slope = precision @ away + rests.information @ x - rests.b
+        value = 0.5 * float(away @ precision @ away + x @ rests.information @ x) - float(rests.b @ x)
         for (recording, now, noise), r in zip(every, rows, strict=True):
             there: Prediction = predict(recording, layout, x, now.solved.q, now.own)
             if not np.all(there.solved.converged):
@@ -114,8 +116,7 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
             curvature[np.ix_(mine, mine)] += unexplained.reshape(-1, len(mine)).T @ j.reshape(-1, len(mine))
         return Here(value, slope, curvature)
 
-    covariance = np.linalg.inv(data.information + before.precision)
-    return target, 0.5 * (covariance + covariance.T)
+    return target, posterior_of(data, before).covariance
 
 
 def force_errors(found: Posterior) -> BoolArray:

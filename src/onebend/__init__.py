@@ -3,9 +3,9 @@
 from onebend.beam.model import Beam, Shape
 from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
-from onebend.control.loop.feedback import controller
-from onebend.control.loop.loop import rehearse
-from onebend.control.path.path import follow_goals
+from onebend.control.loop.controller import controller
+from onebend.control.loop.simulation import simulate_loop
+from onebend.control.path.follow import follow_goals
 from onebend.control.reach.reach import Reach, ReachSettings, reach
 from onebend.control.reach.reachable import reachable
 from onebend.control.reach.uncertainty import predicted_error
@@ -39,7 +39,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.records import Observations
 from onebend.results.model import load_model, load_uncertain, save_model
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 
 __version__ = "0.1.0"
 
@@ -100,10 +100,10 @@ __all__ = [
     "reachable",
     "read_design",
     "read_recording",
-    "rehearse",
     "replay",
     "save_model",
     "save_observations",
     "shape",
+    "simulate_loop",
     "validate",
 ]

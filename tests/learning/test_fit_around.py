@@ -228,7 +228,7 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(posterior, "conclude", singular)
+    monkeypatch.setattr(posterior, "laplace_posterior", singular)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
         pipeline.learn_recording(EXAMPLE / "train")

@@ -14,7 +14,7 @@ import pytest
 
 from onebend.errors import ResultsError
 from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up
 from tests.made_up import same, with_source

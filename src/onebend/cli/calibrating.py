@@ -15,7 +15,7 @@ from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.errors import RecordingError
 from onebend.recording.calibration.boards import Board, BoardKind
 from onebend.recording.calibration.intrinsics import calibrate as calibrate_camera
-from onebend.results.single import free_place, write_file
+from onebend.results.single_file import check_free, write_file
 from onebend.terminal.calibrating import show_calibration
 
 Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]
@@ -55,7 +55,7 @@ def calibrate(
     """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
     with clean_errors():
         wanted = _board(board, square, marker, dictionary)
-        free_place(output, overwrite=overwrite)
+        check_free(output, overwrite=overwrite)
         with progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)

@@ -17,7 +17,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.model import StoredModel
-from onebend.results.single import fresh_file, write_file
+from onebend.results.single_file import fresh_file, write_file
 
 ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
 OutFile = Annotated[

@@ -14,9 +14,9 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_nan, print_json, progress_of
 from onebend.cli.options import Json, Quiet
 from onebend.lab.design_file import find_design
+from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
 from onebend.lab.filming.film import film as make_film
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.named import CameraName, PushName, SensorName, Wish, filming_of
 from onebend.lab.random_bench import random_bench
 
 Design = Annotated[
@@ -95,8 +95,8 @@ def film(
     quiet: Quiet = False,
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
-    seen = Wish(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
-    wish = replace(
+    seen = FilmRequest(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
+    request = replace(
         seen,
         push=push,
         at_s=or_nan(push_at),
@@ -110,7 +110,7 @@ def film(
         calibrated=not uncalibrated,
     )
     with clean_errors(), progress_of(quiet) as progress:
-        filming, folder = _filming(design, wish, seed, output)
+        filming, folder = _filming(design, request, seed, output)
         make_film(filming, folder, seed=seed, progress=progress)
     bench = filming.bench
     if as_json:
@@ -123,11 +123,11 @@ def film(
     )
 
 
-def _filming(design: str, wish: Wish, seed: int, output: Path | None) -> tuple[Filming, Path]:
+def _filming(design: str, request: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:
     """What is filmed, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")
         return random_bench(np.random.default_rng([seed, 20]), name=folder.resolve().name), folder
     found = find_design(design)
-    folder = output or Path(f"{found.name}-{wish.push}")
-    return filming_of(found, wish, folder.resolve().name), folder
+    folder = output or Path(f"{found.name}-{request.push}")
+    return filming_of(found, request, folder.resolve().name), folder

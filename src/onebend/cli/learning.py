@@ -26,6 +26,7 @@ from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
 from onebend.results.detection_cache import DetectionCache
 from onebend.results.folder import publish
+from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -33,7 +34,6 @@ from onebend.results.summary import (
     summary_of,
     validation_summary,
 )
-from onebend.results.writing import learned_writer, validation_writer
 from onebend.terminal.plans import show_plan
 from onebend.terminal.screens import show_run, show_validation
 

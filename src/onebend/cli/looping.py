@@ -10,11 +10,11 @@ from rich.console import Console
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
-from onebend.control.loop.feedback import ControllerSettings, controller
-from onebend.control.loop.loop import Eye
+from onebend.control.loop.controller import ControllerSettings, controller
 from onebend.control.loop.margins import Timing
-from onebend.control.loop.prospect import prospect
-from onebend.control.loop.tuning import Wanted
+from onebend.control.loop.robustness import simulate_range
+from onebend.control.loop.simulation import LoopCamera
+from onebend.control.loop.tuning import RequiredMargins
 from onebend.report.figures.looping import looping
 from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
@@ -63,13 +63,13 @@ def loop(
         settings = ControllerSettings(
             timing=Timing(fps=fps, delay=delay),
             longest_delay=max(0.1, delay),
-            wanted=Wanted(k_error=k_error),
+            wanted=RequiredMargins(k_error=k_error),
             most_force=or_unlimited(max_force),
         )
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
-        trials = prospect(control, k_error=k_error, eye=Eye(fps=fps, delay=delay), duration=duration)
+        trials = simulate_range(control, k_error=k_error, eye=LoopCamera(fps=fps, delay=delay), duration=duration)
         known = control.margins()
         summary = loop_summary(str(model), control, known, trials, written_by=BY)
         if output is not None:

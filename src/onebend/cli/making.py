@@ -23,15 +23,22 @@ from onebend.lab.fabrication.mould import MouldSettings, PrintedPart
 from onebend.lab.fabrication.mould import mould as make_mould
 from onebend.lab.fabrication.page import files_of
 from onebend.lab.fabrication.sheet import Sheet, strip_page, tag_pages
-from onebend.lab.materials import Stiffness, from_shore_00, from_shore_a, silicone
+from onebend.lab.materials import ModulusEstimate, from_shore_00, from_shore_a, silicone
 from onebend.recording.folder import read_recording
 from onebend.recording.toml.entries import FAMILIES
 from onebend.report.figures.parts import design_figure, parts_figure
 from onebend.report.figures.style import png_of
+from onebend.results.fabrication import (
+    DESIGN_FORMAT,
+    MOULD_FORMAT,
+    TAGS_FORMAT,
+    design_csv,
+    parts_summary,
+    parts_writer,
+)
 from onebend.results.folder import publish
-from onebend.results.making import DESIGN_FORMAT, MOULD_FORMAT, TAGS_FORMAT, design_csv, parts_summary, parts_writer
 from onebend.results.model import StoredModel, model_text
-from onebend.results.single import free_place, write_file
+from onebend.results.single_file import check_free, write_file
 from onebend.terminal.making import show_design, show_parts
 
 DesignName = Annotated[
@@ -140,7 +147,7 @@ def mould(
     """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
     with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
         if picture is not None:
-            free_place(picture, overwrite=overwrite)
+            check_free(picture, overwrite=overwrite)
         settings = MouldSettings(
             kind=kind,
             wall=1e-3 * wall,
@@ -230,7 +237,7 @@ def _of_material(
         return found.of(from_shore_a(shore_a))
     if shore_zero is not None:
         return found.of(from_shore_00(shore_zero))
-    return found if modulus is None else found.of(Stiffness(1e3 * modulus, 0.0, "given"))
+    return found if modulus is None else found.of(ModulusEstimate(1e3 * modulus, 0.0, "given"))
 
 
 def _design_files(
@@ -250,6 +257,6 @@ def _design_files(
 def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
     """Each file whole; none where one of them must not be replaced."""
     for path in files:
-        free_place(path, overwrite=overwrite)
+        check_free(path, overwrite=overwrite)
     for path, data in files.items():
         write_file(path, data, overwrite=overwrite)

@@ -18,7 +18,7 @@ from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.results.model import model_text
-from onebend.results.single import free_place, write_file
+from onebend.results.single_file import check_free, write_file
 from onebend.results.summary import damp_summary
 from onebend.terminal.damping import show_damping
 
@@ -60,7 +60,7 @@ def damp(
     with clean_errors():
         stored = read_trusted(model)
         if output is not None:
-            free_place(output, overwrite=overwrite)
+            check_free(output, overwrite=overwrite)
         files = read_recording(recording)
         check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:

@@ -21,7 +21,7 @@ from onebend.forecast.rehearsal import Rehearsal
 from onebend.forecast.rehearsal import rehearse as make_rehearsal
 from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.forecast.writing import REHEARSE_FORMAT, summary_of, writer_of
-from onebend.lab.named import PushName, Wish
+from onebend.lab.film_request import FilmRequest, PushName
 from onebend.results.folder import publish
 from onebend.terminal.rehearsals import show_rehearsal
 from onebend.workers import available_cores
@@ -107,7 +107,7 @@ def rehearse(
 ) -> None:
     """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
     with clean_errors():
-        first = Wish(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
+        first = FilmRequest(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
         first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
         setup = setup_of(
             known_beam(design),
@@ -139,7 +139,7 @@ def _carried_out(work: Callable[..., Rehearsal], output: Path | None, *, overwri
     return found
 
 
-def wishes_of(first: Wish, at: list[float], force: list[float], direction: list[float]) -> list[Wish]:
+def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
     """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
     given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
     count = max(1, *map(len, given.values()))

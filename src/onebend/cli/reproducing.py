@@ -15,7 +15,7 @@ from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.results.folder import publish
 from onebend.studies.figures import draw_figures
 from onebend.studies.run import reproduce as run
-from onebend.studies.setting import SensorKind, Setting
+from onebend.studies.settings import SensorKind, StudySettings
 from onebend.studies.writing import REPRODUCE_FORMAT, summary_of, writer
 from onebend.terminal.reproducing import show_reproduced
 
@@ -50,7 +50,7 @@ def reproduce(
 ) -> None:
     """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
     with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-        setting = Setting(seed=seed, quick=quick, video=not without_video, sensor=sensor)
+        setting = StudySettings(seed=seed, quick=quick, video=not without_video, sensor=sensor)
         found = run(place.partial, setting, written_by=BY, processes=processes or 0, progress=progress)
         figures = draw_figures(found, progress=progress)
         summary = summary_of(found, written_by=BY)

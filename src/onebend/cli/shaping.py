@@ -15,12 +15,12 @@ from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_sum
 from onebend.cli.options import LEAST, Gravity, Json, Model, Output, Overwrite
 from onebend.control.goals.moving_goals import Between, Goals
 from onebend.control.goals.target_files import read_goals, read_targets
-from onebend.control.path.force_way import by_force
-from onebend.control.path.path import PathSettings, follow_goals
+from onebend.control.path.follow import PathSettings, follow_goals
+from onebend.control.path.force_interpolation import by_force
 from onebend.control.path.path_spread import path_spread
-from onebend.control.path.timing import Rates
+from onebend.control.path.timing import RateLimits
 from onebend.control.path.trajectory_files import FRAME
-from onebend.control.shape.grip import Grip, Push
+from onebend.control.shape.actuators import Grip, Pusher
 from onebend.control.shape.shape import ShapeSettings
 from onebend.control.shape.shape import shape as solve_shape
 from onebend.errors import ControlError
@@ -165,7 +165,7 @@ def path(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
             )
         turning = math.radians(or_unlimited(max_turn_rate))
-        limits = Rates(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
+        limits = RateLimits(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
         settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
         weight = gravity_on(stored.beam, gravity)
         by_points: Between = "smooth" if between is None or between == "force" else between
@@ -184,12 +184,12 @@ def path(
         show_path(Console(), way, sure, output)
 
 
-def _alone(goals: Goals, pushes: tuple[Push, ...], grip: Grip | None) -> bool:
+def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
     """Whether one push leads one point."""
     return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
 
 
-def _led(beam: Beam, goals: Goals, pushes: tuple[Push, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
+def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
     if grip is not None or len(pushes) != 1:
         raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
     [one] = pushes
@@ -206,9 +206,9 @@ def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
 
 def _hands(
     grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
-) -> tuple[tuple[Push, ...], Grip | None]:
+) -> tuple[tuple[Pusher, ...], Grip | None]:
     """Without a word a push at the tip; with a grip only the pushes that are named."""
     _no_idle_limit(grip, {"--max-moment-N-m": max_moment})
     places = push_at if push_at is not None else ([] if grip else [1.0])
-    pushes = tuple(Push(place, or_unlimited(max_force)) for place in places)
+    pushes = tuple(Pusher(place, or_unlimited(max_force)) for place in places)
     return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None

@@ -29,7 +29,7 @@ KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench
 
 @dataclass(frozen=True)
 class Origin:
-    """How a model came about. Informative: nothing is computed from it."""
+    """Where a model comes from. For people: nothing is computed from it."""
 
     recording: str  # several: with " + " between them
     method: str
@@ -54,8 +54,8 @@ class StoredModel:
 
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
     """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
-    pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in trainings])
-    rms = marker_rms(np.concatenate([one.measured - one.predicted for one in trainings]))
+    pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in trainings])
+    rms = marker_rms(np.concatenate([comparison.measured - comparison.predicted for comparison in trainings]))
     if posterior is not None:
         made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.layout.spline.count)
     else:
@@ -63,7 +63,7 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
         trial = learned.trials[learned.chosen]
         made = (learned.method, learned.family, trial.n, trial.m)
     return Origin(
-        " + ".join(one.name for one in trainings),
+        " + ".join(comparison.name for comparison in trainings),
         *made,
         marker_s=tuple(float(s) for s in trainings[0].marker_s),
         push_s=float(pushed.max()) if pushed.size else None,
@@ -236,16 +236,16 @@ def _uncertain(file: Path, data: Any, beam: Beam) -> UncertainStiffness | None:
         return None
     s = np.linspace(0.0, 1.0, 21)
     try:
-        found = UncertainStiffness.from_dict(data)
-        spread = np.linalg.eigvalsh(found.covariance)
-        if spread[0] < -1e-9 * spread[-1] or not np.allclose(found.covariance, found.covariance.T):
+        uncertain = UncertainStiffness.from_dict(data)
+        spread = np.linalg.eigvalsh(uncertain.covariance)
+        if spread[0] < -1e-9 * spread[-1] or not np.allclose(uncertain.covariance, uncertain.covariance.T):
             raise MechanicsError("its covariance is none")
-        fits = np.allclose(found.band(s).k, beam.stiffness(s), rtol=1e-9)
+        fits = np.allclose(uncertain.band(s).k, beam.stiffness(s), rtol=1e-9)
     except (MechanicsError, KeyError, TypeError, ValueError, IndexError) as error:
         raise ResultsError(f"{file}: key 'uncertain' describes no stiffness ({error!r}). {_ADVICE}") from error
     if not fits:
         raise ResultsError(f"{file}: key 'uncertain' is not the band of the beam's stiffness. {_ADVICE}")
-    return found
+    return uncertain
 
 
 def _check_profile(where: str, profile: Profile) -> None:

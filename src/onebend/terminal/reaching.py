@@ -13,18 +13,18 @@ from onebend.report.wording import length_words
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
 
-def show_reach(console: Console, found: Reach, error: PredictedError | None, output: Path | None) -> None:
+def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
     """The force, the point and how sure it is."""
     table = facts_table()
-    table.add_row(f"force at s = {found.push_s:.3g}", force_words(found.force))
-    if found.settings.moment:
-        table.add_row("moment there", f"[bold]{found.moment:.4g} N m[/]")
-    x, y = 1e3 * found.reached[:2]
-    angle = math.degrees(found.reached[2])
-    table.add_row(f"point s = {found.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
-    table.add_row("from the goal", f"{length_words(found.error)} in the model, after {found.iterations} iterations")
+    table.add_row(f"force at s = {result.push_s:.3g}", force_words(result.force))
+    if result.settings.moment:
+        table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
+    x, y = 1e3 * result.reached[:2]
+    angle = math.degrees(result.reached[2])
+    table.add_row(f"point s = {result.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
+    table.add_row("from the goal", f"{length_words(result.error)} in the model, after {result.iterations} iterations")
     table.add_row("sure to within", _sureness(error))
-    table.add_row("way there", f"{len(found.path) - 1} steps from rest, each a stable equilibrium on one branch")
+    table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table, highlight=False)
     say_written(console, output, "path.csv, reach.png, summary.json")
 

@@ -9,52 +9,52 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from onebend.control.path.path import Path as Way
+from onebend.control.path.follow import FollowedPath
 from onebend.control.path.path_spread import PathSpread
-from onebend.control.shape.shape import Shaped
+from onebend.control.shape.shape import ShapeResult
 from onebend.report.wording import length_words, significant
 from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_written
 
 
-def show_shape(console: Console, found: Shaped, output: Path | None) -> None:
+def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
     """The hands, how close the shape is, how far from buckling, how sure."""
     table = facts_table()
-    for one, force in zip(found.stand.hands.pushes, found.forces, strict=True):
-        table.add_row(f"force at s = {one.at_s:.3g}", force_words(force))
-    if found.wrench is not None:
-        x, y, angle = found.pose
+    for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
+        table.add_row(f"force at s = {pusher.at_s:.3g}", force_words(force))
+    if result.wrench is not None:
+        x, y, angle = result.pose
         table.add_row("gripper", f"[bold]({1e3 * x:.3f}, {1e3 * y:.3f}) mm at {math.degrees(angle):.2f} deg[/]")
         table.add_row(
-            "it puts on the beam", f"({found.wrench[0]:.4g}, {found.wrench[1]:.4g}) N and {found.wrench[2]:.4g} N m"
+            "it puts on the beam", f"({result.wrench[0]:.4g}, {result.wrench[1]:.4g}) N and {result.wrench[2]:.4g} N m"
         )
-    table.add_row("from the targets", f"{length_words(found.rms, 3)} rms: {_why(found)}")
-    table.add_row("from buckling", f"margin {found.margin:.3f} (1 without loads, 0 where it buckles)")
-    table.add_row("sure to within", _sureness(found))
+    table.add_row("from the targets", f"{length_words(result.rms, 3)} rms: {_why(result)}")
+    table.add_row("from buckling", f"margin {result.margin:.3f} (1 without loads, 0 where it buckles)")
+    table.add_row("sure to within", _sureness(result))
     console.print(table, highlight=False)
-    for warning in found.warnings:
+    for warning in result.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
     say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
-def _why(found: Shaped) -> str:
-    if found.limits:
-        return f"held back by {escape(', '.join(found.limits))}"
-    return "the closest that was found" if found.rms > 1e-9 else "they are met"
+def _why(result: ShapeResult) -> str:
+    if result.limits:
+        return f"held back by {escape(', '.join(result.limits))}"
+    return "the closest that was found" if result.rms > 1e-9 else "they are met"
 
 
-def _sureness(found: Shaped) -> str:
-    if found.spread is None:
+def _sureness(result: ShapeResult) -> str:
+    if result.spread is None:
         return NO_BAND
-    return f"{length_words(2.0 * found.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
+    return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
-def show_path(console: Console, way: Way, sure: PathSpread | None, output: Path | None) -> None:
+def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None) -> None:
     """Length, stretch, forces, misses, margin."""
     table = facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
-    for one, force in zip(way.hands.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
-        table.add_row(f"force at s = {one.at_s:.3g}", f"up to {significant(float(np.max(np.hypot(*force.T))))} N")
+    for pusher, force in zip(way.actuators.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
+        table.add_row(f"force at s = {pusher.at_s:.3g}", f"up to {significant(float(np.max(np.hypot(*force.T))))} N")
     if way.wrench is not None:
         table.add_row("gripper's force", f"up to {significant(float(np.max(np.hypot(*way.wrench[:, :2].T))))} N")
     table.add_row("from the goals", f"at worst {length_words(float(np.max(way.miss)))} rms in the model")

@@ -101,8 +101,8 @@ def drawn(linear_fit: LinearisedFit, posterior: Posterior, rng: np.random.Genera
     """Residuals drawn from the linearised model: parameters, force errors of frames, noise of tags."""
     rows, noise = linear_fit.rows[0], linear_fit.optimum.hyperparameters.noise[0]
     known = linear_fit.known[0]
-    precision = prior(posterior.problem, posterior.optimum.hyperparameters).precision
-    x: Array = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal(posterior.layout.size))
+    root = prior(posterior.problem, posterior.optimum.hyperparameters).root
+    x: Array = root @ rng.standard_normal(posterior.layout.size)
     r = rows.slopes.times(x[known])
     r = r + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
     r = r + noise.marker * rng.standard_normal(r.shape)

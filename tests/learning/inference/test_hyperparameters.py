@@ -44,5 +44,5 @@ def test_what_is_integrated_out_once_leaves_the_evidence_as_it_is(count: int) ->
     assert sum(b.name == "force" and b.start >= 0 for b in blocks) == count
     cost = evidence.cost(expected)
     for z in np.random.default_rng(count).standard_normal((6, 4)):
-        whole = 0.5 * float(z @ z) - evidence.solve(evidence.hyperparameters_at(expected, z))[1]
+        whole = 0.5 * float(z @ z) - evidence.posterior(evidence.hyperparameters_at(expected, z)).log_evidence
         assert cost(z) == pytest.approx(whole, rel=1e-8, abs=1e-5)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, Said, observe_virtual, virtual_recording
+from onebend.lab.virtual import DeclaredValues, VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.parameters import Layout, Priors, make_layout
@@ -89,7 +89,9 @@ def learned(
     """A push of known beam, place and axes, through the real way, with the tolerances that are said (Observations)."""
     peak = force_that_bends(SOFT, bend, 1.75) / at_s
     sensor = ForceSensor(white_sd=0.02 * peak, coloured_sd=0.02 * peak)
-    bench = Bench(beam=SOFT, push=Push(peak, at_s=at_s), sensor=sensor, said=Said(push_s=said))
+    bench = VirtualBench(
+        beam=SOFT, push=PushProfile(peak, at_s=at_s), sensor=sensor, declared=DeclaredValues(push_s=said)
+    )
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))

@@ -9,10 +9,10 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers
-from onebend.lab.pushes import Push
+from onebend.lab.direct_observation import observe_from_truth
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.shortcut import observe_quickly
-from onebend.lab.virtual import Bench, Virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualRecording, virtual_recording
 from onebend.learning.model.force_error import force_error
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
@@ -20,12 +20,12 @@ from tests.made_up import with_source, with_stated
 
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))
-BENCH = Bench(Beam(0.15, STIFFNESS), Push(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))
+BENCH = VirtualBench(Beam(0.15, STIFFNESS), PushProfile(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))
 STEPS = np.array([[0.12, -0.10], [-0.06, 0.14]]) * PEAK  # while the load grows, while it falls
 S = np.linspace(0.05, 0.9, 35)
 
 
-def stepped(steps: Array, *, after: float = 1.0, bench: Bench = BENCH, seed: int = 0) -> Virtual:
+def stepped(steps: Array, *, after: float = 1.0, bench: VirtualBench = BENCH, seed: int = 0) -> VirtualRecording:
     """A recording whose log is off by `steps` (2, 2) N; by `after` of the second when the load has gone."""
     made = virtual_recording(bench, seed=seed)
     begin, end = bench.push.contact
@@ -36,8 +36,8 @@ def stepped(steps: Array, *, after: float = 1.0, bench: Bench = BENCH, seed: int
     return replace(made, log=replace(made.log, force=made.log.force + error))
 
 
-def seen(made: Virtual) -> Observations:
-    return observe_quickly(made, clock_sd=0.01, cutoff=2.5)
+def seen(made: VirtualRecording) -> Observations:
+    return observe_from_truth(made, clock_sd=0.01, cutoff=2.5)
 
 
 def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:

@@ -9,10 +9,10 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.model.frames import learnable_frames, usable_frames
 from onebend.learning.posterior import FitSettings, fit
 from onebend.records import Observations
@@ -25,8 +25,8 @@ PEAK = force_that_bends(SOFT, 1.0, 1.75)
 def pushed(fall: float, *, noise: float = 0.02) -> Observations:
     """Held for a while, then let go within `fall` [s]."""
     sensor = ForceSensor(white_sd=noise * PEAK, coloured_sd=noise * PEAK)
-    push = Push(PEAK, hold=1.5, fall=fall, after=1.5)
-    return observe_virtual(virtual_recording(Bench(beam=SOFT, push=push, sensor=sensor, fps=30.0), seed=2))
+    push = PushProfile(PEAK, hold=1.5, fall=fall, after=1.5)
+    return observe_virtual(virtual_recording(VirtualBench(beam=SOFT, push=push, sensor=sensor, fps=30.0), seed=2))
 
 
 def test_of_a_slow_push_every_usable_frame_is_learned_from() -> None:

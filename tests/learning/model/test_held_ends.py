@@ -26,7 +26,7 @@ from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn_recording
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
 G = 9.81

@@ -18,7 +18,7 @@ from onebend.learning.replay import replay, settings_for
 from onebend.learning.verdict import fit_remarks
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from tests.learning.bench import SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 

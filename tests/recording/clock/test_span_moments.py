@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.studies import bench_of
-from onebend.lab.virtual import Virtual, virtual_recording
+from onebend.lab.virtual import VirtualRecording, virtual_recording
 from onebend.recording.clock.likelihood import ForceLogModel, covariance, film_misfit, fit_jumps
 from onebend.recording.clock.moment_posterior import moments_of
 from onebend.recording.clock.offset import fit_clock
@@ -25,13 +25,13 @@ from onebend.records import ForceNoise
 PUSH_S = 0.98
 
 
-def made(errors: str, seed: int) -> Virtual:
+def made(errors: str, seed: int) -> VirtualRecording:
     bench = bench_of("smooth", errors, seed)
-    late = replace(bench.clock, said=bench.clock.offset + 0.7, uncertainty=2.0)  # so that the data decide
+    late = replace(bench.clock, declared=bench.clock.offset + 0.7, uncertainty=2.0)  # so that the data decide
     return virtual_recording(replace(bench, clock=late), seed=seed)
 
 
-def exact(seed: int) -> tuple[Virtual, Moments]:
+def exact(seed: int) -> tuple[VirtualRecording, Moments]:
     """A virtual recording with the true poses of the tags, and its moments."""
     virtual = made("white", seed)
     markers = replace(virtual.markers, xy=virtual.pose[..., :2], angle=virtual.pose[..., 2])
@@ -40,7 +40,7 @@ def exact(seed: int) -> tuple[Virtual, Moments]:
     return virtual, moments
 
 
-def rows_of(virtual: Virtual, moments: Moments) -> tuple[np.ndarray, MomentsAtRows]:
+def rows_of(virtual: VirtualRecording, moments: Moments) -> tuple[np.ndarray, MomentsAtRows]:
     time = np.arange(1.0, virtual.markers.time[-1] - 1.0, 0.1)
     return time, moments_at(moments, time, 1e-3)
 
@@ -119,7 +119,7 @@ def misses(errors: str, seeds: range) -> tuple[np.ndarray, np.ndarray]:
     for seed in seeds:
         virtual = made(errors, seed)
         clock = virtual.bench.clock
-        found = fit_clock(virtual.markers, virtual.log, clock.said, clock.uncertainty, push_s=PUSH_S).clock
+        found = fit_clock(virtual.markers, virtual.log, clock.declared, clock.uncertainty, push_s=PUSH_S).clock
         assert found.found
         error.append(found.offset - clock.offset - virtual.bench.sensor.lag)
         sd.append(found.sd)

@@ -9,9 +9,9 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.recording.force.load_stages import displacement, load_changes, turning_points
 
 TIME = np.linspace(0.0, 10.0, 501)
@@ -57,7 +57,7 @@ def test_displacement_bridges_missing_tags() -> None:
 
 
 def test_the_clock_is_found_though_the_logs_error_changes_with_the_load() -> None:
-    bench = Bench(Beam(0.15, Uniform(0.02)), Push(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
+    bench = VirtualBench(Beam(0.15, Uniform(0.02)), PushProfile(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
     for seed in range(3):
         steps = observe_virtual(virtual_recording(bench, seed=seed)).source.clock
         assert steps is not None

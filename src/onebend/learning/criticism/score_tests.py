@@ -28,6 +28,7 @@ from onebend.learning.inference.linear_gaussian import (
     ResidualRows,
     data_information,
     force_shrinkage,
+    posterior_of,
     residual_rows,
     split_off_force,
 )
@@ -71,12 +72,9 @@ def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
     rows = tuple(residual_rows(now, n) for now, n in zip(optimum.predictions, noise, strict=True))
     data = data_information(problem, rows, x, optimum.hyperparameters)
-    before = prior(problem, optimum.hyperparameters)
-    covariance = np.linalg.inv(data.information + before.precision)
-    covariance = 0.5 * (covariance + covariance.T)
-    step = covariance @ (data.b - data.information @ x - before.precision @ (x - before.mean))
+    posterior = posterior_of(data, prior(problem, optimum.hyperparameters))
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
-    return LinearisedFit(problem, optimum, rows, known, covariance, step)
+    return LinearisedFit(problem, optimum, rows, known, posterior.covariance, posterior.mean - x)
 
 
 def pulls(fit: LinearisedFit) -> list[Score]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
@@ -44,35 +46,54 @@ class FitProblem:
 
 @dataclass(frozen=True)
 class Prior:
-    """The parameters before the data: normal with this precision and mean."""
+    """The parameters before the data: `x = mean + root z` with z of covariance one.
 
-    precision: Array  # (P, P)
+    The fit is computed in z. There the posterior's precision is the identity plus what the data add, so that every
+    factor of it exists, however exactly a parameter is known beforehand; the prior covariance is never inverted.
+    """
+
     mean: Array  # (P,)
-    log_det: float  # of the precision
+    root: Array  # (P, P) lower triangular
+
+    @cached_property
+    def precisions(self) -> Array:
+        """(P,) of each parameter, all others known."""
+        rows = solve_triangular(self.root, np.eye(len(self.root)), lower=True)
+        return np.asarray(np.sum(rows**2, axis=0))
+
+    def whiten(self, x: Array) -> Array:
+        """(P,) z of parameters x."""
+        return np.asarray(solve_triangular(self.root, x - self.mean, lower=True))
 
 
 def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | None = None) -> Prior:
     """The prior at given hyperparameters; `log_k` (p,): mean of log k's coefficients, where it is not one level."""
     layout, size = problem.layout, problem.layout.size
-    precision, mean, log_det = np.zeros((size, size)), np.zeros(size), 0.0
+    root, mean = np.zeros((size, size)), np.zeros(size)
     for block in layout.blocks:
         if block.start < 0:
             continue
         where = block.where
         if block.name == "stiffness":
-            precision[where, where] = layout.spline.precision_of(hyperparameters.part_variances) + layout.evenness
+            root[where, where] = _stiffness_root(layout, hyperparameters.part_variances)
             mean[where] = problem.level if log_k is None else log_k
-            log_det += float(np.linalg.slogdet(precision[where, where])[1])
         elif block.name == "force":  # x and y in turn, alike
             error, h = problem.recordings[block.recording].error, hyperparameters
-            covariance = error.covariance(h.coloured, h.memory, h.walk, h.load)
             mean[where] = error.mean.ravel()
-            inverse = np.linalg.inv(covariance)
+            of_axis = np.linalg.cholesky(error.covariance(h.coloured, h.memory, h.walk, h.load))
             for axis in range(2):
                 same_axis = slice(where.start + axis, where.stop, 2)
-                precision[same_axis, same_axis] = inverse
-            log_det -= 2.0 * float(np.linalg.slogdet(covariance)[1])
+                root[same_axis, same_axis] = of_axis
         else:
-            precision[where, where] = np.diag(1.0 / block.prior_sd**2)
-            log_det -= 2.0 * float(np.sum(np.log(block.prior_sd)))
-    return Prior(precision, mean, log_det)
+            root[where, where] = np.diag(block.prior_sd)
+    return Prior(mean, root)
+
+
+def _stiffness_root(layout: Layout, variances: Array) -> Array:
+    """(p, p) lower triangular factor of the prior covariance of log k's coefficients."""
+    root = layout.spline.root_of(variances)
+    if not layout.even:
+        return root
+    differences = layout.differences @ root
+    factor = np.linalg.qr(np.concatenate([np.eye(len(root)), differences]), mode="r")
+    return np.asarray(np.linalg.qr(solve_triangular(factor, root.T, trans="T"), mode="r")).T

@@ -12,11 +12,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
-from onebend.learning.inference.linear_gaussian import Quadratic, ResidualRows, force_shrinkage, split_off_force
+from onebend.learning.inference.linear_gaussian import (
+    LinearPosterior,
+    Quadratic,
+    ResidualRows,
+    force_shrinkage,
+    marginal,
+    posterior_of,
+    split_off_force,
+)
 from onebend.learning.inference.stiffness_prior import (
     Draws,
     StiffnessMixture,
@@ -55,24 +63,14 @@ class Evidence:
 
     def told(self, hyperparameters: Hyperparameters, weight: float = 1.0) -> Told:
         """What is known of log k beside its prior, all else integrated out."""
-        layout = self.problem.layout
-        before = prior(self.problem, hyperparameters)
-        p, right = layout.spline.count, self.data.b.copy()
-        right[p:] += before.precision[p:, p:] @ before.mean[p:]
-        cross = self.data.information[p:, :p]
-        regression = np.linalg.solve(self.data.information[p:, p:] + before.precision[p:, p:], cross)
-        information = self.data.information[:p, :p] - cross.T @ regression + layout.evenness
-        return Told(information, right[:p] - regression.T @ right[p:], weight)
+        layout, before = self.problem.layout, prior(self.problem, hyperparameters)
+        p = layout.spline.count
+        log_k = marginal(self.data, before, np.arange(p), np.arange(p, layout.size))
+        return Told(log_k.information + layout.differences.T @ layout.differences, log_k.b, weight)
 
-    def solve(self, hyperparameters: Hyperparameters) -> tuple[Array, float, tuple[Array, bool]]:
-        """Most probable parameters, log evidence (but for a constant), and the factor of their precision (scipy's)."""
-        before, data = prior(self.problem, hyperparameters), self.data
-        factor = cho_factor(data.information + before.precision, lower=True)
-        right = data.b + before.precision @ before.mean
-        best = cho_solve(factor, right)
-        misfit = data.c - right @ best + before.mean @ before.precision @ before.mean
-        ratio = before.log_det - 2.0 * np.sum(np.log(np.diag(factor[0])))
-        return best, float(0.5 * ratio - 0.5 * misfit - data.log_noise), factor
+    def posterior(self, hyperparameters: Hyperparameters) -> LinearPosterior:
+        """Of all parameters, at these hyperparameters."""
+        return posterior_of(self.data, prior(self.problem, hyperparameters))
 
     def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
         """Sizes of the force error z (4,) sd from what was expected, all else as at `start`."""
@@ -120,16 +118,12 @@ class Evidence:
                 axes.append((problem.recordings[block.recording].error, (slice(*ends[:2]), slice(*ends[1:]))))
                 start = ends[2]
         mine = np.concatenate([np.zeros(0, dtype=np.int64), *order])
-        other = np.setdiff1d(np.arange(problem.layout.size), mine)
-        before, data = prior(problem, hyperparameters), self.data
-        precision, right = before.precision[np.ix_(other, other)], data.b - data.information @ before.mean
-        cross = data.information[np.ix_(other, mine)]
-        factor = cho_factor(data.information[np.ix_(other, other)] + precision)
-        best = cho_solve(factor, right[other])
-        information = data.information[np.ix_(mine, mine)] - cross.T @ cho_solve(factor, cross)
-        misfit = data.c - (data.b + right) @ before.mean - right[other] @ best
-        ratio = np.linalg.slogdet(precision)[1] - 2.0 * np.sum(np.log(np.diag(factor[0])))
-        return axes, information, right[mine] - cross.T @ best, float(0.5 * misfit - 0.5 * ratio + data.log_noise)
+        others = np.setdiff1d(np.arange(problem.layout.size), mine)
+        before = prior(problem, hyperparameters)
+        errors, mean = marginal(self.data, before, mine, others), before.mean[mine]
+        right = errors.b - errors.information @ mean
+        constant = 0.5 * (errors.c - (errors.b + right) @ mean) + errors.log_noise
+        return axes, errors.information, right, float(constant)
 
     def place(self, hyperparameters: Hyperparameters) -> Array:
         """(4,) sd of the force error's sizes from what was expected."""
@@ -154,11 +148,11 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
 def averaged_posterior(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[StiffnessMixture, Array]:
     """log k and the covariance (P, P) of all parameters, averaged over the hyperparameters that the data leave open."""
     nodes, weights = _cubature(evidence, hyperparameters)
-    best, problem = evidence.solve(hyperparameters)[0], evidence.problem
+    best, problem = evidence.posterior(hyperparameters).mean, evidence.problem
     covariance = np.zeros((len(best), len(best)))
     for weight, node in zip(weights, nodes, strict=True):
-        mean, _, factor = evidence.solve(node)
-        covariance += weight * (cho_solve(factor, np.eye(len(best))) + np.outer(mean - best, mean - best))
+        posterior = evidence.posterior(node)
+        covariance += weight * (posterior.covariance + np.outer(posterior.mean - best, posterior.mean - best))
     told = [evidence.told(node, weight) for weight, node in zip(weights, nodes, strict=True)]
     spline = problem.layout.spline
     stiffness = stiffness_mixture(spline, told, problem.level, _AT_THE_END, hyperparameters.chains)

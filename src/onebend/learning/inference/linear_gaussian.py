@@ -18,11 +18,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
 _REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
@@ -179,3 +180,52 @@ def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:
     """(F, 2, 2) `((s/f)^2 + A'A)^-1`: covariance of each frame's own force over `s^2`."""
     (xx, xy), (_, yy) = np.moveaxis((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram, 0, -1)
     return np.asarray(np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), -1, 0))
+
+
+@dataclass(frozen=True)
+class LinearPosterior:
+    """The posterior of the linearised model."""
+
+    mean: Array  # (P,)
+    root: Array  # (P, P): the covariance is `root' root`
+    log_evidence: float  # but for a constant
+
+    @property
+    def covariance(self) -> Array:
+        """(P, P)."""
+        return np.asarray(self.root.T @ self.root)
+
+
+def posterior_of(data: Quadratic, before: Prior) -> LinearPosterior:
+    """Data and prior together: with `x = m + L z`, z has the precision `I + L' H L = G G'`."""
+    factor = whitened_factor(data.information, before.root)
+    white = _solved(factor, before.root.T @ (data.b - data.information @ before.mean))
+    root = _solved(factor, before.root.T)
+    misfit = data.c - 2.0 * data.b @ before.mean + before.mean @ data.information @ before.mean - white @ white
+    log_det = 2.0 * float(np.sum(np.log(np.diag(factor))))
+    return LinearPosterior(before.mean + root.T @ white, root, float(-0.5 * (log_det + misfit) - data.log_noise))
+
+
+def marginal(data: Quadratic, before: Prior, kept: IntArray, others: IntArray) -> Quadratic:
+    """What the data say of the `kept` parameters, the `others` integrated out under their prior (independent of that of
+    the kept); its noise term includes the volume of the others."""
+    mean, root = before.mean[others], before.root[np.ix_(others, others)]
+    information = data.information[np.ix_(others, others)]
+    factor = whitened_factor(information, root)
+    cross = _solved(factor, root.T @ data.information[np.ix_(others, kept)])
+    white = _solved(factor, root.T @ (data.b[others] - information @ mean))
+    return Quadratic(
+        information=data.information[np.ix_(kept, kept)] - cross.T @ cross,
+        b=data.b[kept] - data.information[np.ix_(kept, others)] @ mean - cross.T @ white,
+        c=float(data.c - 2.0 * data.b[others] @ mean + mean @ information @ mean - white @ white),
+        log_noise=data.log_noise + float(np.sum(np.log(np.diag(factor)))),
+    )
+
+
+def whitened_factor(information: Array, root: Array) -> Array:
+    """(n, n) lower Cholesky factor of `I + L' H L`."""
+    return np.asarray(np.linalg.cholesky(root.T @ information @ root + np.eye(len(root))))
+
+
+def _solved(factor: Array, right: Array) -> Array:
+    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from onebend.errors import LearningError
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise, prior
@@ -19,6 +20,7 @@ from onebend.learning.inference.linear_gaussian import (
     Quadratic,
     ResidualRows,
     data_information,
+    posterior_of,
     residual_rows,
     residuals,
     rest_information,
@@ -125,7 +127,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         shape=stiffness.shape,
         hyperparameters=hyperparameters,
         predictions=predictions,
-        log_evidence=evidence.solve(hyperparameters)[1],
+        log_evidence=evidence.posterior(hyperparameters).log_evidence,
         steps=estimate.steps,
         converged=estimate.converged,
         stopped=f"the last step was worth less than {settings.tolerance:g} of a sd"
@@ -175,8 +177,8 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     rows = _rows(estimate)
     every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
     tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    information = total([*tags, rest_information(problem)]).information
-    covariance = np.linalg.inv(information + prior(problem, hyperparameters).precision)
+    data = total([*tags, rest_information(problem)])
+    covariance = posterior_of(data, prior(problem, hyperparameters)).covariance
     spent = [float(np.sum(covariance * one.information)) for one in tags]  # parameters that each recording settled
     noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
     hyperparameters = replace(hyperparameters, noise=noise)
@@ -195,15 +197,18 @@ def _descend(
 ) -> MapEstimate:
     """Levenberg-Marquardt at fixed hyperparameters; weights and frames' covariances are renewed at every step."""
     noise, damping, rests = estimate.hyperparameters.noise, 1e-4, rest_information(problem)
+    identity = np.eye(len(estimate.x))
     for _ in range(most_steps):
         rows = _rows(estimate)
         data = data_information(problem, rows, estimate.x, estimate.hyperparameters)
-        hessian = data.information + before.precision
-        slope = data.b - data.information @ estimate.x - before.precision @ (estimate.x - before.mean)
-        cost, diagonal = _cost(before, rests, rows, estimate), np.diag(hessian)
+        hessian = before.root.T @ data.information @ before.root + identity  # of z, see `Prior`
+        slope = before.root.T @ (data.b - data.information @ estimate.x) - before.whiten(estimate.x)
+        diagonal = np.diag(data.information) + before.precisions  # damped in the parameters' own units (Marquardt)
+        damped, cost = (before.root.T * diagonal) @ before.root, _cost(before, rests, rows, estimate)
         estimate = replace(estimate, steps=estimate.steps + 1)
         while True:
-            step = np.linalg.solve(hessian + damping * np.diag(diagonal), slope)
+            in_z = cho_solve(cho_factor(hessian + damping * damped), slope)
+            step = before.root @ in_z
             longest = float(np.max(np.abs(step[: problem.layout.spline.count])))
             x = estimate.x + step * min(1.0, 1.5 / max(longest, 1e-300))
             every = zip(rows, estimate.predictions, noise, strict=True)
@@ -216,7 +221,7 @@ def _descend(
             damping *= 8.0
             if damping > _LARGEST_DAMPING:
                 return replace(estimate, converged=False)
-        decrease = float(step @ slope)  # twice the cost's expected decrease, in units of one sd squared
+        decrease = float(in_z @ slope)  # twice the cost's expected decrease, in units of one sd squared
         estimate, damping = tried, max(damping / 16.0, 1e-12)
         if decrease < tolerance**2:
             return replace(estimate, converged=True)
@@ -230,8 +235,8 @@ def _cost(before: Prior, rests: Quadratic, rows: Sequence[ResidualRows], estimat
     x = estimate.x
     every = zip(rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
     tags = sum(_misfit(r.root_weight * residuals(p), p.own, noise) for r, p, noise in every)
-    away = x - before.mean
-    return float(tags + away @ before.precision @ away + x @ rests.information @ x - 2.0 * rests.b @ x)
+    z = before.whiten(x)
+    return float(tags + z @ z + x @ rests.information @ x - 2.0 * rests.b @ x)
 
 
 def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:

@@ -14,7 +14,7 @@ noise of each frame. In the rests the true force is zero, so there the log shows
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -31,7 +31,6 @@ _FINE = 4  # steps between knots, where the load's error is filtered
 LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
-_LEAST = 1e-5  # of the largest force: a log that is more exact is made by a simulator, and rounding decides below this
 
 
 @dataclass(frozen=True)
@@ -105,9 +104,9 @@ def expected_noise(observations: Observations, largest: float) -> ForceNoise:
     """What the clock search found; a stated share of the largest force where it found nothing."""
     clean = observations.source.clean_force
     if clean is not None and clean.noise is not None:
-        return replace(clean.noise, coloured=max(clean.noise.coloured, _LEAST * largest))
+        return clean.noise
     size = float(np.nanmean(observations.force_sd)) if np.any(np.isfinite(observations.force_sd)) else 0.0
-    size = max(size, _LEAST * largest) if size > 0.0 else _UNKNOWN_NOISE * largest
+    size = size if size > 0.0 else _UNKNOWN_NOISE * largest
     seconds = float(np.ptp(observations.time)) if len(observations.time) > 1 else 1.0
     return ForceNoise(white=0.0, coloured=size, tau=0.2, walk=size / np.sqrt(max(seconds, 1.0)))
 

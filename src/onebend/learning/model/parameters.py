@@ -62,10 +62,11 @@ class Layout:
     even: bool = False  # k is one number, as somebody knows
 
     @property
-    def evenness(self) -> Array:
-        """(p, p) precision of the differences between the coefficients of log k; zero unless `even`."""
+    def differences(self) -> Array:
+        """(p, p) by which the coefficients of log k become their differences from their mean, in prior sds; zero unless
+        k is even."""
         count = self.spline.count
-        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN**2 if self.even else 0.0))
+        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN if self.even else 0.0))
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
         """Values of a block; zeros (of the right length) where it is frozen."""

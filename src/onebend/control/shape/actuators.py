@@ -33,7 +33,7 @@ _RANK = 1e-9  # share of the largest singular value below which one is nothing
 
 
 @dataclass(frozen=True)
-class Push:
+class Pusher:
     """A hand that pushes at `at_s` with a force no larger than `max_force` [N]."""
 
     at_s: float = 1.0
@@ -59,7 +59,7 @@ class Grip:
 
 
 @dataclass(frozen=True)
-class Bound:
+class LoadBound:
     """`|u[columns]| <= most`."""
 
     columns: slice
@@ -68,11 +68,11 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Hands:
+class Actuators:
     """All hands on one beam: the controls u are the pushes' forces in turn, then the grip's force and moment."""
 
     problem: Problem  # one frame, under the weight alone; an edge at every push
-    pushes: tuple[Push, ...]
+    pushes: tuple[Pusher, ...]
     grip: Grip | None
 
     @property
@@ -95,21 +95,21 @@ class Hands:
     @cached_property
     def beyond(self) -> Array:
         """(m, Q) 1 where a control acts beyond the node."""
-        rows = [np.repeat((self.problem.grid.nodes < one.at_s)[None], 2, axis=0) for one in self.pushes]
+        rows = [np.repeat((self.problem.grid.nodes < pusher.at_s)[None], 2, axis=0) for pusher in self.pushes]
         return np.concatenate([*rows, *([] if self.grip is None else [np.ones((3, len(self.problem.weights)))])])
 
     @property
-    def bounds(self) -> tuple[Bound, ...]:
+    def bounds(self) -> tuple[LoadBound, ...]:
         """The limits that are finite."""
         every = [
-            Bound(slice(2 * i, 2 * i + 2), one.max_force, f"force at s = {one.at_s:g}")
-            for i, one in enumerate(self.pushes)
+            LoadBound(slice(2 * i, 2 * i + 2), pusher.max_force, f"force at s = {pusher.at_s:g}")
+            for i, pusher in enumerate(self.pushes)
         ]
         if self.grip is not None:
             a = 2 * len(self.pushes)
-            every.append(Bound(slice(a, a + 2), self.grip.max_force, "the gripper's force"))
-            every.append(Bound(slice(a + 2, a + 3), self.grip.max_moment, "the gripper's moment"))
-        return tuple(one for one in every if np.isfinite(one.most))
+            every.append(LoadBound(slice(a, a + 2), self.grip.max_force, "the gripper's force"))
+            every.append(LoadBound(slice(a + 2, a + 3), self.grip.max_moment, "the gripper's moment"))
+        return tuple(bound for bound in every if np.isfinite(bound.most))
 
     def loaded(self, u: Array) -> Problem:
         """The problem with the controls u (T, m) as dead loads."""
@@ -120,22 +120,22 @@ class Hands:
 
     def solved(self, q: Array, u: Array) -> Equilibrium:
         """Known equilibria q (T, Q) under the controls u (T, m), as the mechanics has them."""
-        yes, one = np.ones(len(q), dtype=bool), np.ones(len(q))
-        return Equilibrium(self.loaded(u), q, yes, yes, one, np.nan * one, ~yes, 0)
+        yes, ones = np.ones(len(q), dtype=bool), np.ones(len(q))
+        return Equilibrium(self.loaded(u), q, yes, yes, ones, np.nan * ones, ~yes, 0)
 
 
 @dataclass(frozen=True)
-class Stand:
+class BeamState:
     """One equilibrium under hands."""
 
-    hands: Hands
+    actuators: Actuators
     q: Array  # (Q,)
     u: Array  # (m,)
 
     @cached_property
     def solved(self) -> Equilibrium:
         """As the mechanics has it, the controls as dead loads; stability is `margin`'s matter."""
-        return self.hands.solved(self.q[None], self.u[None])
+        return self.actuators.solved(self.q[None], self.u[None])
 
     @cached_property
     def tangent(self) -> Array:
@@ -145,12 +145,12 @@ class Stand:
     @cached_property
     def actions(self) -> Array:
         """(m, Q), scaled: `A D`, rows over the controls' units so that they are numbers about 1."""
-        return np.asarray(actions(self.hands, self.solved)[0] * self.unbend)
+        return np.asarray(actions(self.actuators, self.solved)[0] * self.unbend)
 
     @property
     def unbend(self) -> Array:
         """(Q,) D: scaled curvature to curvature."""
-        problem = self.hands.problem
+        problem = self.actuators.problem
         return np.asarray(1.0 / np.sqrt(problem.weights * problem.k))
 
     @cached_property
@@ -159,11 +159,11 @@ class Stand:
 
         Orthonormal in curvature over `sqrt(mean k)` with weights `w k`, and in controls over their units.
         """
-        unit = self.hands.scale / np.sqrt(self.hands.mean_stiffness)
+        unit = self.actuators.scale / np.sqrt(self.actuators.mean_stiffness)
         rows = np.concatenate([self.tangent, -(self.actions.T * unit)], axis=1)
         basis = np.linalg.qr(rows.T, mode="complete")[0][:, len(self.q) :]
-        root = np.sqrt(self.hands.mean_stiffness)
-        return root * self.unbend[:, None] * basis[: len(self.q)], self.hands.scale[:, None] * basis[len(self.q) :]
+        root = np.sqrt(self.actuators.mean_stiffness)
+        return root * self.unbend[:, None] * basis[: len(self.q)], self.actuators.scale[:, None] * basis[len(self.q) :]
 
     @cached_property
     def margin(self) -> float:
@@ -173,7 +173,7 @@ class Stand:
         would buckle at `1 / (1 - margin)` times them.
         """
         matrix = self.tangent
-        if self.hands.grip is not None:
+        if self.actuators.grip is not None:
             _, sizes, rows = np.linalg.svd(self.actions[-3:])  # of a straight beam, nothing moves the end along it
             free = rows[int(np.sum(sizes > _RANK * sizes[0])) :]
             matrix = free @ matrix @ free.T
@@ -182,25 +182,25 @@ class Stand:
     @property
     def end(self) -> Array:
         """(3,) x, y [m] and angle of the end s = 1."""
-        return np.asarray(end_pose(self.hands.problem, self.q[None])[0])
+        return np.asarray(end_pose(self.actuators.problem, self.q[None])[0])
 
 
-def actions(hands: Hands, solved: Equilibrium) -> Array:
+def actions(actuators: Actuators, solved: Equilibrium) -> Array:
     """(T, m, Q) A: derivative of the pushed places' positions and the gripped end's pose with the curvature."""
     problem, alpha = solved.problem, solved.alpha
-    count = 2 * len(hands.pushes)
+    count = 2 * len(actuators.pushes)
     turning = np.empty((len(alpha), count, alpha.shape[1]))
-    lw = problem.length * problem.weights * hands.beyond[:count:2]
+    lw = problem.length * problem.weights * actuators.beyond[:count:2]
     turning[:, 0::2], turning[:, 1::2] = -lw * np.sin(alpha)[:, None], lw * np.cos(alpha)[:, None]
     rows = turning @ problem.to_nodes
-    if hands.grip is None:
+    if actuators.grip is None:
         return np.asarray(rows)
     return np.asarray(np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
 
 
-def rest(
-    beam: Rod, pushes: tuple[Push, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
-) -> Stand:
+def resting_state(
+    beam: Rod, pushes: tuple[Pusher, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
+) -> BeamState:
     """The beam under its weight, hands on it but idle.
 
     Raises:
@@ -208,36 +208,36 @@ def rest(
     """
     if not pushes and grip is None:
         raise ControlError("no hand on the beam: give a push or a grip")
-    loads = sum((push((0.0, 0.0), one.at_s) for one in pushes), Loads())
+    loads = sum((push((0.0, 0.0), pusher.at_s) for pusher in pushes), Loads())
     if gravity is not None:
         loads = loads + weight(gravity)
-    hands = Hands(pose(beam, loads, resolution), pushes, grip)
+    actuators = Actuators(pose(beam, loads, resolution), pushes, grip)
     solved = equilibrium(beam, loads, resolution=resolution)
     if not solved.stable[0]:
         raise ControlError("the beam buckles under its own weight; there is no stable shape at rest to start from")
-    return Stand(hands, solved.q[0], np.zeros(hands.count))
+    return BeamState(actuators, solved.q[0], np.zeros(actuators.count))
 
 
-def moved(stand: Stand, z: Array, trust: float) -> Stand | None:
+def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
     """The equilibrium a step z (m,) along the tangent plane away; None if it was not found within `trust` rad of there.
 
     With forces alone the controls are the step's end, exactly; with a grip the way back is square to the plane.
     """
-    hands, (dq, du) = stand.hands, stand.plane
-    q, u, count = stand.q + dq @ z, stand.u + du @ z, len(stand.q)
-    problem, unit, root = hands.problem, hands.scale, np.sqrt(hands.mean_stiffness)
+    actuators, (dq, du) = state.actuators, state.plane
+    q, u, count = state.q + dq @ z, state.u + du @ z, len(state.q)
+    problem, unit, root = actuators.problem, actuators.scale, np.sqrt(actuators.mean_stiffness)
     begin = q
-    sides = np.zeros((hands.count, count + hands.count))
-    if hands.grip is None:
-        sides[:, count:] = np.eye(hands.count)
+    sides = np.zeros((actuators.count, count + actuators.count))
+    if actuators.grip is None:
+        sides[:, count:] = np.eye(actuators.count)
     else:
-        sides[:, :count], sides[:, count:] = (dq / (root * stand.unbend[:, None])).T, (du / unit[:, None]).T
+        sides[:, :count], sides[:, count:] = (dq / (root * state.unbend[:, None])).T, (du / unit[:, None]).T
     for _ in range(_MOST):
-        here = Stand(hands, q, u)
+        here = BeamState(actuators, q, u)
         out, matrix = balance(here.solved.problem, q[None])
         scale = here.unbend
         top = np.concatenate([scaled(here.solved.problem, matrix)[0], -here.actions.T * (unit / root)], axis=1)
-        right = np.append(-out[0] * scale / root, np.zeros(hands.count))
+        right = np.append(-out[0] * scale / root, np.zeros(actuators.count))
         try:
             step = np.linalg.solve(np.concatenate([top, sides]), right)
         except np.linalg.LinAlgError:
@@ -247,13 +247,13 @@ def moved(stand: Stand, z: Array, trust: float) -> Stand | None:
         if not np.max(np.abs(problem.to_nodes @ (q - begin))) < trust:
             return None
         if np.max(np.abs(problem.to_nodes @ change)) < _SETTLED:
-            return Stand(hands, q, u)
+            return BeamState(actuators, q, u)
     return None
 
 
-def refined(stand: Stand, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> Stand | None:
+def state_on_grid(state: BeamState, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> BeamState | None:
     """The same equilibrium on another grid; None where it is not close by."""
-    finer = rest(beam, stand.hands.pushes, stand.hands.grip, gravity, resolution)
-    grid = stand.hands.problem.grid
-    start = Stand(finer.hands, grid.value_at(finer.hands.problem.grid.nodes) @ stand.q, stand.u)
-    return moved(start, np.zeros(start.hands.count), 0.05)
+    finer = resting_state(beam, state.actuators.pushes, state.actuators.grip, gravity, resolution)
+    grid = state.actuators.problem.grid
+    start = BeamState(finer.actuators, grid.value_at(finer.actuators.problem.grid.nodes) @ state.q, state.u)
+    return next_state(start, np.zeros(start.actuators.count), 0.05)

@@ -19,9 +19,9 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
-from onebend.control.loop.margins import Gains, Loop, Margins, Timing, margins
+from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
-from onebend.control.loop.tuning import Wanted, tuned
+from onebend.control.loop.tuning import RequiredMargins, tuned
 from onebend.control.reach.loaded_beam import prepared
 from onebend.control.reach.reach import ReachSettings, reach
 from onebend.errors import ControlError
@@ -41,7 +41,7 @@ class ControllerSettings:
     timing: Timing = field(default_factory=Timing)  # as known or guessed
     longest_delay: float = 0.1  # s: the margins are kept up to here
     damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
-    wanted: Wanted = field(default_factory=Wanted)
+    wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest that keep the margins
     weak: float = 0.01  # a direction that yields less than this share of what the softest does is corrected slowly
     most_force: float = inf  # N, the robot's bound on the force's size
@@ -137,7 +137,7 @@ class Controller:
 
     def margins(self) -> Margins:
         """How far the loop at the goal is from ringing, k(s) being the model's."""
-        return margins(Loop(self.plant, self.inverse, self.gains, self.settings.timing))
+        return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
 
     def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
         """After one frame. A gap counts as one frame, so that what was not seen is not corrected for."""
@@ -163,17 +163,17 @@ class Controller:
         this force: under c times the force the model has its shape, and c times the model's compliance is its own.
         Where the model has no stable shape, the map is that of the goal.
         """
-        at = np.array([self.point_s])
+        point = np.array([self.point_s])
         x, y = self.gravity.tolist()
         under = prepared(self.beam, self.push_s, self.point_s, (x, y), _COARSE).loaded(np.append(force, 0.0))
         solved = follow(under.take(np.zeros(len(_SCALES), dtype=int)).loaded(_SCALES))
-        off = solved.xy(at)[:, 0] - self.reference.position(since)
+        off = solved.xy(point)[:, 0] - self.reference.position(since)
         cost = np.sum(off**2, axis=1) + (_TRUST * self.beam.length * np.log(_SCALES)) ** 2
         cost[~(solved.converged & solved.stable)] = inf
         best = int(np.argmin(cost))
         if not isfinite(cost[best]):
             return self.inverse
-        compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(at)[best, 0]
+        compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(point)[best, 0]
         return damped_inverse(_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
@@ -201,10 +201,10 @@ def controller(
 ) -> Controller:
     """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
     wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
-    found = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
-    if not found.converged:
-        raise ControlError(found.reason)
-    ends = found.force
+    result = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
+    if not result.converged:
+        raise ControlError(result.reason)
+    ends = result.force
     forces = begins + np.linspace(0.0, 1.0, _PLACES)[:, None] * (ends - begins)
     solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
     xy = solved.xy(np.array([point_s]))[:, 0]

@@ -10,7 +10,7 @@ from math import inf
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.virtual import Bench, Virtual
+from onebend.lab.virtual import VirtualBench, VirtualRecording
 from onebend.recording.beam_frame import to_beam_frame
 from onebend.recording.force.cleaning import clean_force, force_at
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observations, Source, Stated
@@ -18,8 +18,8 @@ from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observati
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
 
-def observe_quickly(
-    virtual: Virtual,
+def observe_from_truth(
+    virtual: VirtualRecording,
     *,
     error: Array | None = None,
     clock_error: float = 0.0,
@@ -37,7 +37,7 @@ def observe_quickly(
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
     still = _untouched(bench, markers.time)
-    seen, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
+    in_frame, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
     known = np.all(np.isfinite(force), axis=1)
     return Observations(
@@ -58,9 +58,9 @@ def observe_quickly(
         frame=np.flatnonzero(known).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
-        xy=seen.xy[known],
-        angle=seen.angle[known],
-        covariance=seen.covariance[known],
+        xy=in_frame.xy[known],
+        angle=in_frame.angle[known],
+        covariance=in_frame.covariance[known],
         force=force[known],
         force_sd=noise,
         push_s=np.full(int(np.sum(known)), rec.push.at if rec.push else np.nan),
@@ -72,19 +72,19 @@ def observe_quickly(
     )
 
 
-def _untouched(bench: Bench, time: Array) -> BoolArray:
+def _untouched(bench: VirtualBench, time: Array) -> BoolArray:
     """(T,) film times [s] at which nothing pushes."""
     begin, end = bench.push.contact
     return np.asarray((time < begin) | (time > end))
 
 
-def _clock(bench: Bench, error: float, sd: float) -> ClockOffset | None:
+def _clock(bench: VirtualBench, error: float, sd: float) -> ClockOffset | None:
     """What is found of the clocks where they are not known."""
-    return ClockOffset(bench.clock.offset + error, sd, bench.clock.said, True) if sd > 0.0 else None
+    return ClockOffset(bench.clock.offset + error, sd, bench.clock.declared, True) if sd > 0.0 else None
 
 
 def _force_seen(
-    virtual: Virtual, error: Array | None, at: Array, cutoff: float
+    virtual: VirtualRecording, error: Array | None, at: Array, cutoff: float
 ) -> tuple[CleanForce | None, Array, Array]:
     """The cleaned log if it is used, the force (T, 2) N that frames at `at` (T,) [s] of its clock are given, its sd."""
     if error is not None:

@@ -7,10 +7,10 @@ import pytest
 
 from onebend.control.goals.moving_goals import Between, Goals, point_goals
 from onebend.control.goals.targets import angles, curve, points
-from onebend.control.path.path import Path, PathSettings, follow_goals
-from onebend.control.path.timing import Rates
+from onebend.control.path.follow import FollowedPath, PathSettings, follow_goals
+from onebend.control.path.timing import RateLimits
 from onebend.control.reach.reach import reach
-from onebend.control.shape.grip import Grip, Push
+from onebend.control.shape.actuators import Grip, Pusher
 from onebend.control.shape.shape import shape
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -33,11 +33,11 @@ def shapes_in_time() -> Goals:
 
 
 @pytest.fixture(scope="module")
-def way() -> Path:
-    return follow_goals(SOFT, circle(), pushes=(Push(),), settings=PathSettings(rate=200.0))
+def way() -> FollowedPath:
+    return follow_goals(SOFT, circle(), pushes=(Pusher(),), settings=PathSettings(rate=200.0))
 
 
-def test_every_sample_is_on_its_goal(way: Path) -> None:
+def test_every_sample_is_on_its_goal(way: FollowedPath) -> None:
     wanted, _ = way.goals.along(way.goal_time)
     assert len(way.time) == 401
     np.testing.assert_allclose(np.diff(way.time), 0.005)
@@ -48,22 +48,24 @@ def test_every_sample_is_on_its_goal(way: Path) -> None:
     assert not way.warnings
 
 
-def test_forces_are_those_of_reach(way: Path) -> None:
+def test_forces_are_those_of_reach(way: FollowedPath) -> None:
     for i in (0, 130, 400):
         found = reach(SOFT, way.xy(1.0)[i, 0])
         assert found.converged
         np.testing.assert_allclose(way.forces[i, 0], found.force, rtol=1e-4, atol=1e-6)
 
 
-def test_path_is_smooth(way: Path) -> None:
+def test_path_is_smooth(way: FollowedPath) -> None:
     """No sample stands out: third differences fall with the cube of the step."""
     coarse, fine = (np.max(np.abs(np.diff(way.forces[::n, 0], n=3, axis=0))) for n in (4, 2))
     assert fine < coarse / 5.0
 
 
-def test_time_is_stretched_where_a_limit_wants_it_and_only_there(way: Path) -> None:
+def test_time_is_stretched_where_a_limit_wants_it_and_only_there(way: FollowedPath) -> None:
     limit = 0.2
-    slow = follow_goals(SOFT, circle(), pushes=(Push(),), settings=PathSettings(rate=200.0, limits=Rates(force=limit)))
+    slow = follow_goals(
+        SOFT, circle(), pushes=(Pusher(),), settings=PathSettings(rate=200.0, limits=RateLimits(force=limit))
+    )
     rate = np.linalg.norm(np.diff(slow.forces[:, 0], axis=0), axis=1) * 200.0
     assert np.max(rate) <= limit * (1.0 + 1e-6)
     assert slow.stretch > 1.1
@@ -75,20 +77,20 @@ def test_time_is_stretched_where_a_limit_wants_it_and_only_there(way: Path) -> N
 
 
 def test_or_refused_with_the_moment() -> None:
-    settings = PathSettings(rate=200.0, limits=Rates(force=0.2), too_fast="refuse")
+    settings = PathSettings(rate=200.0, limits=RateLimits(force=0.2), too_fast="refuse")
     with pytest.raises(ControlError, match=r"at [\d.]+ s the rate of the force at s = 1 is 0\.\d+ N/s, its limit 0.2"):
-        follow_goals(SOFT, circle(), pushes=(Push(),), settings=settings)
+        follow_goals(SOFT, circle(), pushes=(Pusher(),), settings=settings)
 
 
 def test_a_bound_on_the_force_holds_all_along() -> None:
-    held = follow_goals(SOFT, circle(), pushes=(Push(1.0, max_force=0.35),), settings=PathSettings(rate=20.0))
+    held = follow_goals(SOFT, circle(), pushes=(Pusher(1.0, max_force=0.35),), settings=PathSettings(rate=20.0))
     size = np.linalg.norm(held.forces[:, 0], axis=1)
     assert np.max(size) == pytest.approx(0.35, rel=1e-9)
     assert any("limit from" in one for one in held.warnings)
     assert np.all(held.miss[size < 0.349] < 1e-9)
     # Where it is held back, each sample is what the shape by itself would be.
     i = int(np.argmax(held.miss))
-    alone = shape(SOFT, held.goals.at(float(held.goal_time[i])), pushes=[Push(1.0, max_force=0.35)])
+    alone = shape(SOFT, held.goals.at(float(held.goal_time[i])), pushes=[Pusher(1.0, max_force=0.35)])
     assert held.miss[i] == pytest.approx(alone.rms, rel=1e-5)
 
 
@@ -97,7 +99,7 @@ def test_gripper_goes_through_the_shapes_within_its_speed() -> None:
     wanted = free.goals.xy
     for i, j in ((0, 0), (50, 1), (100, 2)):
         np.testing.assert_allclose(free.xy(S)[i], wanted[j], atol=1e-8)
-    limits = Rates(speed=0.01, turning=0.2)
+    limits = RateLimits(speed=0.01, turning=0.2)
     slow = follow_goals(SOFT, shapes_in_time(), grip=Grip(), settings=PathSettings(rate=50.0, limits=limits))
     steps = np.diff(slow.poses, axis=0) * 50.0
     assert np.max(np.linalg.norm(steps[:, :2], axis=1)) <= 0.01 * (1.0 + 1e-6)
@@ -119,7 +121,7 @@ def test_a_way_into_buckling_is_stopped_with_its_moment() -> None:
     start = SOFT.equilibrium([0.0, 0.05]).xy(1.0)
     goals = point_goals([0.0, 1.0], np.stack([start, start - [0.03, 0.0]]), between="linear")
     with pytest.raises(ControlError, match=r"at 0\.\d+ s"):
-        follow_goals(SOFT, goals, pushes=(Push(),))
+        follow_goals(SOFT, goals, pushes=(Pusher(),))
 
 
 def test_open_freedoms_are_refused() -> None:
@@ -146,6 +148,6 @@ def test_what_is_no_path() -> None:
     with pytest.raises(ControlError, match="other things"):
         Goals(np.array([0.0, 1.0]), both, np.array([both.xy, both.xy]), np.array([[np.nan, 0.1], [0.2, 0.1]]))
     with pytest.raises(ControlError, match="in millimetres"):
-        follow_goals(SOFT, of(np.array([0.0, 1.0]), 1e3 * two), pushes=(Push(),))
+        follow_goals(SOFT, of(np.array([0.0, 1.0]), 1e3 * two), pushes=(Pusher(),))
     with pytest.raises(ControlError, match="rate of samples"):
-        follow_goals(SOFT, circle(), pushes=(Push(),), settings=PathSettings(rate=0.0))
+        follow_goals(SOFT, circle(), pushes=(Pusher(),), settings=PathSettings(rate=0.0))

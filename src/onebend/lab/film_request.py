@@ -11,18 +11,18 @@ from onebend.errors import RecordingError
 from onebend.lab.designs import Design
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.viewpoint import Camera
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import FRANKA, WRIST, ForceSensor
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, Clock, Tag
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualTag
 
 PushName = Literal["slow", "fast", "s08", "s06", "free"]
 CameraName = Literal["hd", "full-hd", "phone", "webcam", "wide", "tilted"]
 SensorName = Literal["franka", "wrist", "ideal"]
 
-SLOW = Push(nan, before=1.5, rise=6.0, hold=1.0, fall=6.0, after=1.5)
-FAST = Push(nan, before=1.0, rise=2.2, hold=0.5, fall=1.6, after=1.7)
-PUSHES: dict[str, Push] = {
+SLOW = PushProfile(nan, before=1.5, rise=6.0, hold=1.0, fall=6.0, after=1.5)
+FAST = PushProfile(nan, before=1.0, rise=2.2, hold=0.5, fall=1.6, after=1.7)
+PUSHES: dict[str, PushProfile] = {
     "slow": SLOW,
     "fast": FAST,
     "s08": replace(SLOW, at_s=0.8, rise=3.5, fall=3.0),
@@ -46,7 +46,7 @@ SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls
 
 
 @dataclass(frozen=True)
-class Wish:
+class FilmRequest:
     """What is asked of a film; NaN: as the named push has it."""
 
     push: PushName = "slow"
@@ -65,58 +65,58 @@ class Wish:
     calibrated: bool = True
 
 
-def push_of(wish: Wish, beam: Beam) -> Push:
+def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
     """The push that is asked for, with a peak that bends this beam as far.
 
     Raises:
         RecordingError: a time, place or force that cannot be.
     """
-    push = PUSHES[check_name(wish.push, PushName, "push")]
-    if not isnan(wish.at_s):
-        push = replace(push, at_s=wish.at_s)
-    if not isnan(wish.direction):
-        push = replace(push, direction=wish.direction)
-    if not isnan(wish.seconds):
+    push = PUSHES[check_name(request.push, PushName, "push")]
+    if not isnan(request.at_s):
+        push = replace(push, at_s=request.at_s)
+    if not isnan(request.direction):
+        push = replace(push, direction=request.direction)
+    if not isnan(request.seconds):
         begin, end = push.contact
-        share = wish.seconds / (end - begin)
-        sudden = wish.push == "free"
+        share = request.seconds / (end - begin)
+        sudden = request.push == "free"
         push = replace(
             push,
             rise=share * push.rise,
             hold=share * push.hold,
             fall=push.fall if sudden else share * push.fall,
         )
-    if not isnan(wish.force):
-        if not wish.force > 0.0:
-            raise RecordingError(f"a push needs a force above zero, got {wish.force} N")
-        return replace(push, peak=wish.force)
-    return replace(push, peak=force_that_bends(beam, wish.bend, push.direction, push.at_s))
+    if not isnan(request.force):
+        if not request.force > 0.0:
+            raise RecordingError(f"a push needs a force above zero, got {request.force} N")
+        return replace(push, peak=request.force)
+    return replace(push, peak=force_that_bends(beam, request.bend, push.direction, push.at_s))
 
 
-def camera_of(wish: Wish) -> tuple[Camera, float]:
+def camera_of(request: FilmRequest) -> tuple[Camera, float]:
     """The camera that is asked for, and its frames/s."""
-    camera, fps = CAMERAS[check_name(wish.camera, CameraName, "camera")]
-    if not isnan(wish.tilt):
-        camera = replace(camera, tilt=(wish.tilt, 0.0))
-    return replace(camera, distance=wish.distance), fps if isnan(wish.fps) else wish.fps
+    camera, fps = CAMERAS[check_name(request.camera, CameraName, "camera")]
+    if not isnan(request.tilt):
+        camera = replace(camera, tilt=(request.tilt, 0.0))
+    return replace(camera, distance=request.distance), fps if isnan(request.fps) else request.fps
 
 
-def filming_of(design: Design, wish: Wish, name: str) -> Filming:
+def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
 
     Raises:
         RecordingError: a name that is not known, or a number that cannot be.
     """
     beam = design.beam()
-    camera, fps = camera_of(wish)
-    sensor, called = SENSORS[check_name(wish.sensor, SensorName, "sensor")]
-    bench = Bench(
+    camera, fps = camera_of(request)
+    sensor, called = SENSORS[check_name(request.sensor, SensorName, "sensor")]
+    bench = VirtualBench(
         beam=beam,
-        push=push_of(wish, beam),
-        tags=(Tag(1, 0.333333), Tag(2, 0.666667), Tag(3, 1.0)),
+        push=push_of(request, beam),
+        tags=(VirtualTag(1, 0.333333), VirtualTag(2, 0.666667), VirtualTag(3, 1.0)),
         sensor=sensor,
         fps=fps,
-        clock=Clock(offset=250.0, said=250.4, uncertainty=2.0),
+        clock=VirtualClock(offset=250.0, declared=250.4, uncertainty=2.0),
         name=name,
     )
     return Filming(
@@ -124,11 +124,11 @@ def filming_of(design: Design, wish: Wish, name: str) -> Filming:
         width=design.width,
         rotary_inertia=design.along.rotary_inertia,
         camera=camera,
-        swings=wish.push in SWINGING,
-        gravity=wish.gravity,
-        base_angle=wish.base_angle,
+        swings=request.push in SWINGING,
+        gravity=request.gravity,
+        base_angle=request.base_angle,
         sensor_name=called,
-        calibrated=wish.calibrated,
+        calibrated=request.calibrated,
     )
 
 

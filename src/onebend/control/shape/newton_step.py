@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.statics.equilibrium import pulls
-from onebend.control.goals.targets import Misses
-from onebend.control.shape.grip import Bound, Hands, Stand
+from onebend.control.goals.targets import TargetResiduals
+from onebend.control.shape.actuators import Actuators, BeamState, LoadBound
 from onebend.records import Array
 
 _DUAL = 60  # iterations for the multipliers
@@ -17,43 +17,43 @@ _FLATTEST = 1e-11  # share of the largest curvature of the cost below which it c
 
 
 @dataclass(frozen=True)
-class Model:
+class QuadraticModel:
     """The cost near an equilibrium, in coordinates z of its tangent plane: `slope . z + z H z / 2`."""
 
     slope: Array  # (m,)
     hessian: Array  # (m, m), exact: with the curvature of the surface itself
 
 
-def model_of(stand: Stand, missed: Misses) -> Model:
+def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
     """The cost half the sum of squares, to second order along the surface.
 
     With the multipliers l of equilibrium, `T l = -r_q^T r` (and with a grip `A l = 0`, both as nearly as can be), the
     Hessian of `|r|^2 / 2 + l . g` is taken on the tangent plane.
     """
-    dq, du = stand.plane
-    b, solved = stand.hands.problem.to_nodes, stand.solved
-    turned = b @ multipliers(stand, missed)
+    dq, du = state.plane
+    b, solved = state.actuators.problem.to_nodes, state.solved
+    turned = b @ multipliers(state, residuals)
     _, across = pulls(solved.problem, solved.q)
-    flow, seen = b @ dq, missed.rows[0] @ dq  # (Q, m) turn of the nodes
-    bent = flow.T @ ((missed.bent[0] + across[0] * turned)[:, None] * flow)
-    coupled = du.T @ mixed(stand.hands, solved.alpha, turned[None])[0] @ flow
-    return Model(seen.T @ missed.value[0], seen.T @ seen + bent + coupled + coupled.T)
+    flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turn of the nodes
+    bent = flow.T @ ((residuals.curvature_term[0] + across[0] * turned)[:, None] * flow)
+    coupled = du.T @ control_coupling(state.actuators, solved.alpha, turned[None])[0] @ flow
+    return QuadraticModel(seen.T @ residuals.value[0], seen.T @ seen + bent + coupled + coupled.T)
 
 
-def multipliers(stand: Stand, missed: Misses) -> Array:
+def multipliers(state: BeamState, residuals: TargetResiduals) -> Array:
     """(Q,) l of `model_of`, 1/(N m)."""
-    rows, right = stand.tangent, -(missed.value[0] @ missed.rows[0]) * stand.unbend
-    if stand.hands.grip is not None:
-        unit = stand.hands.scale / np.sqrt(stand.hands.mean_stiffness)
-        rows = np.concatenate([rows, -stand.actions * unit[:, None]])
-        right = np.append(right, np.zeros(stand.hands.count))
-    return np.asarray(stand.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])
+    rows, right = state.tangent, -(residuals.value[0] @ residuals.jacobian[0]) * state.unbend
+    if state.actuators.grip is not None:
+        unit = state.actuators.scale / np.sqrt(state.actuators.mean_stiffness)
+        rows = np.concatenate([rows, -state.actions * unit[:, None]])
+        right = np.append(right, np.zeros(state.actuators.count))
+    return np.asarray(state.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])
 
 
-def mixed(hands: Hands, alpha: Array, turned: Array) -> Array:
+def control_coupling(actuators: Actuators, alpha: Array, turned: Array) -> Array:
     """(T, m, Q) derivative of `-u . A l` with the controls and the nodes' angles; `turned` (T, Q) is B l."""
-    problem, forces = hands.problem, hands.count - (0 if hands.grip is None else 1)
-    out = problem.length * problem.weights * hands.beyond * turned[:, None]
+    problem, forces = actuators.problem, actuators.count - (0 if actuators.grip is None else 1)
+    out = problem.length * problem.weights * actuators.beyond * turned[:, None]
     out[:, 0:forces:2] *= np.cos(alpha)[:, None]
     out[:, 1:forces:2] *= np.sin(alpha)[:, None]
     out[:, forces:] = 0.0
@@ -67,14 +67,16 @@ def convex(hessian: Array, damping: float) -> Array:
     return np.asarray((vectors * size) @ vectors.T)
 
 
-def bounded_step(slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[Bound, ...]) -> tuple[Array, Array]:
+def bounded_step(
+    slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[LoadBound, ...]
+) -> tuple[Array, Array]:
     """(m,) minimum of `slope . z + z H z / 2` with every bounded part of `u + du z` within its bound; (n,) multipliers.
 
     Newton's method on the multipliers of the bounds that bind, in the form in which it hardly overshoots: the
     reciprocal size of a bounded part is nearly linear in its multiplier.
     """
     prices = np.zeros(len(bounds))
-    parts = [(u[one.columns], du[one.columns], one.most) for one in bounds]
+    parts = [(u[bound.columns], du[bound.columns], bound.most) for bound in bounds]
     for _ in range(_DUAL):
         h, g = hessian.copy(), slope.copy()
         for value, (at, along, _) in zip(prices, parts, strict=True):
@@ -83,7 +85,7 @@ def bounded_step(slope: Array, hessian: Array, u: Array, du: Array, bounds: tupl
         z = np.asarray(-np.linalg.solve(h, g), dtype=float)
         ends = [at + along @ z for at, along, _ in parts]
         sizes = np.maximum([float(np.linalg.norm(y)) for y in ends], 1e-300)
-        room = np.array([one.most for one in bounds]) / sizes - 1.0
+        room = np.array([bound.most for bound in bounds]) / sizes - 1.0
         binding = (room < 0.0) | (prices > 0.0)
         if np.all(np.abs(room[binding]) < _WITHIN):
             break

@@ -16,7 +16,7 @@ from onebend.beam.motion.integration import State
 from onebend.beam.motion.stepping import Stepper
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Scaled
-from onebend.control.loop.feedback import Controller
+from onebend.control.loop.controller import Controller
 from onebend.records import Array
 
 TICK = 1.0 / 120.0  # s, between two forces
@@ -24,7 +24,7 @@ _METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as 
 
 
 @dataclass(frozen=True)
-class Eye:
+class LoopCamera:
     """The camera and all that lies between it and the controller."""
 
     fps: float = 30.0
@@ -36,7 +36,7 @@ class Eye:
 
 
 @dataclass(frozen=True)
-class Hand:
+class Actuator:
     """The robot that applies the force."""
 
     lag: float = 0.02  # s, time constant
@@ -45,7 +45,7 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueSystem:
     """The beam that is really there, and what is done to it."""
 
     beam: Beam
@@ -53,13 +53,13 @@ class Truth:
     push_s: float = 1.0
     point_s: float = 1.0
     gravity: tuple[float, float] = (0.0, 0.0)
-    eye: Eye = field(default_factory=Eye)
-    hand: Hand = field(default_factory=Hand)
+    eye: LoopCamera = field(default_factory=LoopCamera)
+    hand: Actuator = field(default_factory=Actuator)
     modes: int = 8
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class LoopSimulation:
     """What happened: T times."""
 
     goal: Array  # (2,) m
@@ -86,14 +86,16 @@ class Rehearsal:
         return float(self.time[outside[-1] + 1]) if outside.size else 0.0
 
 
-def rehearse(control: Controller, truth: Truth, duration: float, *, seed: int = 0, tick: float = TICK) -> Rehearsal:
+def simulate_loop(
+    control: Controller, truth: TrueSystem, duration: float, *, seed: int = 0, tick: float = TICK
+) -> LoopSimulation:
     """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s.
 
     Raises:
         MechanicsError: the beam's mass is not known, or its motion could not be followed.
     """
     arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
-    moving = _Moving(truth, tick)
+    moving = _MovingBeam(truth, tick)
     state = control.begin(0.0)
     rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
     for i, row in enumerate(rows):
@@ -102,16 +104,16 @@ def rehearse(control: Controller, truth: Truth, duration: float, *, seed: int = 
         while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
             before = rows[max(0, int(exposed / tick)) : i + 1]
-            seen = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
-            state, row[3:5] = control.step(state, seen, row[0])
+            position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
+            state, row[3:5] = control.step(state, position, row[0])
         moving.advance(row[3:5], row[0])
-    return Rehearsal(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
+    return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
 
 
-class _Moving:
-    """The true beam in motion behind its actuator. Lives only inside `rehearse`."""
+class _MovingBeam:
+    """The true beam in motion behind its actuator. Lives only inside `simulate_loop`."""
 
-    def __init__(self, truth: Truth, tick: float) -> None:
+    def __init__(self, truth: TrueSystem, tick: float) -> None:
         self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
         self._numbers = tableau(_METHOD)
         self._stepper = Stepper(self.body, self._numbers, tick, tolerance=1e-8)
@@ -132,16 +134,16 @@ class _Moving:
     def advance(self, asked: Array, now: float) -> None:
         """One tick with the force going to what is asked for, by the actuator's lag."""
         goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
-        left = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
-        force = goes_to + left[:, None] * (self.force - goes_to)
+        decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
+        force = goes_to + decay[:, None] * (self.force - goes_to)
         pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
         acts = replace(self._weight, pull=pull, force=force[:-1])
-        found = self._stepper.advance(self._theta, self._momentum, self._guess, acts, now)
-        self._theta, self._momentum, self.force = found.theta, found.momentum, force[-1]
-        self._guess = found.velocity @ self._numbers.ahead.T
+        step = self._stepper.advance(self._theta, self._momentum, self._guess, acts, now)
+        self._theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
+        self._guess = step.velocity @ self._numbers.ahead.T
 
 
-def damped_body(truth: Truth) -> Body:
+def damped_body(truth: TrueSystem) -> Body:
     """The true beam in curvature modes, its internal damping in proportion to k(s)."""
     plain = body(truth.beam, Modes(truth.modes))
     slowest = float(vibration_of(plain, State(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
@@ -149,7 +151,7 @@ def damped_body(truth: Truth) -> Body:
     return body(truth.beam, Modes(truth.modes), damping=damping)
 
 
-def _frames(eye: Eye, duration: float, rng: np.random.Generator) -> deque[tuple[float, float, Array]]:
+def _frames(eye: LoopCamera, duration: float, rng: np.random.Generator) -> deque[tuple[float, float, Array]]:
     """Arrival, exposure and noise (2,) of every frame, in the order of arrival; NaN where the point is hidden."""
     exposed = np.arange(0.0, duration, 1.0 / eye.fps)
     arrives = exposed + np.maximum(eye.delay + eye.jitter * rng.standard_normal(len(exposed)), 0.0)

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
 from onebend.cli import app
-from onebend.control.loop.feedback import ControllerSettings, controller
-from onebend.control.loop.loop import Eye
-from onebend.control.loop.prospect import prospect
+from onebend.control.loop.controller import ControllerSettings, controller
+from onebend.control.loop.robustness import simulate_range
+from onebend.control.loop.simulation import LoopCamera
 from onebend.errors import ControlError
 from onebend.results.looping import LOOP_COLUMNS
 from onebend.results.model import save_model
@@ -28,8 +28,8 @@ GOAL = BEAM.equilibrium((-0.05, 0.3)).xy(1.0)
 def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
     closed = controller(BEAM, GOAL)
     open_loop = controller(BEAM, GOAL, settings=ControllerSettings(feedback=False))
-    eye = Eye(noise=0.0)
-    good, bad = (prospect(one, eye=eye, duration=3.0) for one in (closed, open_loop))
+    eye = LoopCamera(noise=0.0)
+    good, bad = (simulate_range(one, eye=eye, duration=3.0) for one in (closed, open_loop))
     assert [one.factor for one in good] == [1.0, 0.7, 1.3]
     assert max(one.steady for one in good) < 3e-4
     assert bad[0].steady < 1e-4
@@ -42,7 +42,7 @@ def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
 
 def test_a_beam_of_unknown_mass_is_given_one() -> None:
     light = Beam(BEAM.length, BEAM.stiffness)
-    (only,) = prospect(controller(light, GOAL), k_error=0.0, eye=Eye(noise=0.0), duration=2.5)
+    (only,) = simulate_range(controller(light, GOAL), k_error=0.0, eye=LoopCamera(noise=0.0), duration=2.5)
     assert only.factor == 1.0
     assert only.steady < 1e-3
 
@@ -50,7 +50,7 @@ def test_a_beam_of_unknown_mass_is_given_one() -> None:
 @pytest.mark.parametrize("asked", [{"k_error": 1.0}, {"k_error": -0.1}, {"duration": 1.0}])
 def test_what_cannot_be_rehearsed_is_refused(asked: dict[str, float]) -> None:
     with pytest.raises(ControlError):
-        prospect(controller(BEAM, GOAL), **asked)  # type: ignore[arg-type]
+        simulate_range(controller(BEAM, GOAL), **asked)  # type: ignore[arg-type]
 
 
 def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:

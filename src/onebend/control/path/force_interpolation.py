@@ -58,7 +58,7 @@ def by_force(
 
 
 def _force(beam: Beam, goals: Goals, k: int, push_s: float, point_s: float, settings: ReachSettings) -> Array:
-    found = reach(beam, goals.xy[k, 0], push_s=push_s, point_s=point_s, settings=settings)
-    if not found.converged:
-        raise ControlError(f"the goal at {goals.time[k]:.4g} s: {found.reason}")
-    return np.asarray(found.force)
+    result = reach(beam, goals.xy[k, 0], push_s=push_s, point_s=point_s, settings=settings)
+    if not result.converged:
+        raise ControlError(f"the goal at {goals.time[k]:.4g} s: {result.reason}")
+    return np.asarray(result.force)

@@ -1,4 +1,4 @@
-"""How the paper's experiments are made again: beams, pushes, and the robot's force estimate."""
+"""How the paper's experiments are reproduced: beams, pushes, and the robot's force estimate."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.lab.designs import DESIGNS, Design
+from onebend.lab.film_request import FilmRequest, PushName, filming_of
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.named import PushName, Wish, filming_of
 from onebend.lab.sensors import FRANKA, ForceSensor
 
 SensorKind = Literal["paper", "franka"]
@@ -46,8 +46,8 @@ STRATEGIES = (
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What one run makes; all that its results depend on but the version."""
+class StudySettings:
+    """Settings of one study. With the version they determine its results."""
 
     seed: int = 0
     quick: bool = False  # shorter pushes and fewer frames/s
@@ -70,13 +70,13 @@ class Setting:
         return asdict(self)
 
 
-def gain_of(setting: Setting) -> float:
-    """The scale of the robot's force estimate: one robot, one scale in all twelve logs."""
+def gain_of(setting: StudySettings) -> float:
+    """The gain of the robot's force estimate: one robot, one gain in all twelve logs."""
     rng = np.random.default_rng([setting.seed, 30])
     return float(np.exp(FRANKA.gain_sd * rng.standard_normal()))
 
 
-def sensor_of(setting: Setting) -> ForceSensor:
+def sensor_of(setting: StudySettings) -> ForceSensor:
     """The robot's estimate of the force: noisy and biased (Section VI-B).
 
     `paper`: a Franka's white noise, bias, lag and lost rows, with slow errors as large as the paper's own training
@@ -87,15 +87,15 @@ def sensor_of(setting: Setting) -> ForceSensor:
 
 
 def seen_through(design: Design, gain: float) -> Design:
-    """The design whose k(s) is `gain` times as large: all that a force log of this scale can tell."""
+    """The design with `gain` times its k(s): what a force log with this gain shows."""
     return replace(design, modulus=gain * design.modulus)
 
 
-def filming(setting: Setting, beam: str, strategy: Strategy) -> Filming:
+def filmed_push(setting: StudySettings, beam: str, strategy: Strategy) -> Filming:
     """One of the twelve recordings."""
     seconds = strategy.quick if setting.quick else strategy.seconds
-    wish = Wish(push=strategy.name, bend=strategy.bend, seconds=seconds, fps=setting.fps)
-    asked = filming_of(DESIGNS[beam], wish, name_of(beam, strategy))
+    request = FilmRequest(push=strategy.name, bend=strategy.bend, seconds=seconds, fps=setting.fps)
+    asked = filming_of(DESIGNS[beam], request, name_of(beam, strategy))
     push = replace(asked.bench.push, before=REST, after=REST)
     return replace(asked, bench=replace(asked.bench, push=push, sensor=sensor_of(setting)))
 
@@ -105,7 +105,7 @@ def name_of(beam: str, strategy: Strategy) -> str:
     return f"{beam}-{strategy.name}"
 
 
-def seed_of(setting: Setting, beam: str, strategy: Strategy) -> int:
+def seed_of(setting: StudySettings, beam: str, strategy: Strategy) -> int:
     """A seed of its own for every recording."""
-    place = BEAMS.index(beam) * len(STRATEGIES) + [one.name for one in STRATEGIES].index(strategy.name)
+    place = BEAMS.index(beam) * len(STRATEGIES) + [strategy.name for strategy in STRATEGIES].index(strategy.name)
     return int(np.random.SeedSequence([setting.seed, 31, place]).generate_state(1)[0])

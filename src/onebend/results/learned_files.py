@@ -13,7 +13,7 @@ from onebend.report.findings import Findings
 from onebend.report.page.page import page
 from onebend.results.folder import files_in
 from onebend.results.model import FILE_NAME, origin_of, save_model
-from onebend.results.observed import save_observations
+from onebend.results.observations_file import save_observations
 from onebend.results.summary import write_summary
 from onebend.results.tables import (
     write_markers,
@@ -44,8 +44,8 @@ def learned_writer(
         write_markers(folder / "markers.csv", (*findings.trainings, *findings.validations))
         if findings.validations:
             write_validation(folder / "validation.csv", findings.validations)
-        for i, seen in enumerate(findings.recordings, start=1):
-            save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", seen)
+        for i, recording in enumerate(findings.recordings, start=1):
+            save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
         (folder / "report.html").write_text(page(findings, figures, version=version), encoding="utf-8")
         _write_figures(folder, figures)
         write_summary(folder / "summary.json", summary, files_in(folder))
@@ -58,7 +58,7 @@ def validation_writer(
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a validation."""
 
-    comparisons = [one for one, _ in pairs]
+    comparisons = [comparison for comparison, _ in pairs]
 
     def write(folder: Path) -> None:
         write_validation(folder / "validation.csv", comparisons)

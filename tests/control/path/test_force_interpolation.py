@@ -12,9 +12,9 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table
 from onebend.cli import app
 from onebend.control.goals.moving_goals import Goals, point_goals
-from onebend.control.path.force_way import by_force
-from onebend.control.path.path import PathSettings, follow_goals
-from onebend.control.shape.grip import Push
+from onebend.control.path.follow import PathSettings, follow_goals
+from onebend.control.path.force_interpolation import by_force
+from onebend.control.shape.actuators import Pusher
 from onebend.errors import ControlError
 from onebend.results.model import save_model
 
@@ -28,7 +28,7 @@ def goals() -> Goals:
 
 def test_every_goal_between_is_within_reach_and_the_forces_come_back() -> None:
     led = by_force(BEAM, goals())
-    way = follow_goals(BEAM, led, pushes=(Push(1.0),), settings=PathSettings(rate=100.0))
+    way = follow_goals(BEAM, led, pushes=(Pusher(1.0),), settings=PathSettings(rate=100.0))
     assert np.max(way.miss) < 1e-5 * BEAM.length
     np.testing.assert_allclose(way.forces[[0, 40, 100], 0], FORCES, atol=1e-5)
     np.testing.assert_allclose(way.xy([1.0])[[0, 40, 100], 0], goals().xy[:, 0], atol=1e-8)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
-from onebend.control.loop.feedback import Controller, ControllerSettings, bounded, controller
-from onebend.control.loop.margins import Gains, Loop, Timing, frequencies, margins, phase_margin
+from onebend.control.loop.controller import Controller, ControllerSettings, bounded, controller
+from onebend.control.loop.margins import Gains, SampledLoop, Timing, frequencies, margins, phase_margin
 from onebend.control.loop.plant import Plant, behind_actuator, plant_at
-from onebend.control.loop.tuning import Wanted
+from onebend.control.loop.tuning import RequiredMargins
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -60,20 +60,20 @@ def test_a_stiffer_beam_in_the_same_shape_is_known_exactly(factor: float) -> Non
     said = plant().stiffer(factor)
     np.testing.assert_allclose(said.omega, other.omega, rtol=1e-7)
     np.testing.assert_allclose(said.compliance, other.compliance, rtol=1e-7)
-    loops = [Loop(one, inverse_of(plant()), Gains(2.0, 10.0), Timing()) for one in (said, other)]
+    loops = [SampledLoop(one, inverse_of(plant()), Gains(2.0, 10.0), Timing()) for one in (said, other)]
     assert loops[0].radius == pytest.approx(loops[1].radius, abs=1e-9)
 
 
 @pytest.mark.parametrize(("delay", "limit"), [(0.0, 2.0), (1.0, 1.0), (2.0, 0.618034)])
 def test_onset_of_a_beam_without_mass_is_the_textbook_one(delay: float, limit: float) -> None:
     """`z^(m+1) - z^m + rate / fps = 0` leaves the unit circle at 2 sin(pi / (4 m + 2))."""
-    loop = Loop(AT_ONCE, INVERSE, Gains(3.0, SHARP), Timing(30.0, delay / 30.0, 0.0))
+    loop = SampledLoop(AT_ONCE, INVERSE, Gains(3.0, SHARP), Timing(30.0, delay / 30.0, 0.0))
     assert margins(loop).gain == pytest.approx(limit / 0.1, rel=2e-3)
 
 
 def test_phase_margin_of_a_slow_integral_is_the_delays() -> None:
     rate, timing = 0.6, Timing(30.0, 0.11, 0.04)
-    loop = Loop(AT_ONCE, INVERSE, Gains(rate, 20.0), timing)
+    loop = SampledLoop(AT_ONCE, INVERSE, Gains(rate, 20.0), timing)
     keep = np.exp(-20.0 / timing.fps)
     late = timing.delay + timing.lag + 2.0 * keep / (1.0 - keep) / timing.fps  # holding and summing cancel
     assert phase_margin(loop) == pytest.approx(0.5 * np.pi - rate * late, abs=2e-3)
@@ -81,7 +81,7 @@ def test_phase_margin_of_a_slow_integral_is_the_delays() -> None:
 
 def test_gain_margin_is_where_a_locus_crosses_the_negative_axis() -> None:
     """Two routes: eigenvalues of the closed loop, and the frequency response of the open one."""
-    loop = Loop(plant(), inverse_of(plant()), Gains(2.0, 10.0), Timing(30.0, 0.07, 0.02))
+    loop = SampledLoop(plant(), inverse_of(plant()), Gains(2.0, 10.0), Timing(30.0, 0.07, 0.02))
     grid = np.linspace(0.01, 1.0, 20_000) * np.pi * 30.0
     curves = loop.loci(grid)
     crosses = (curves[:-1].imag * curves[1:].imag < 0.0) & (curves[:-1].real < 0.0)
@@ -91,7 +91,7 @@ def test_gain_margin_is_where_a_locus_crosses_the_negative_axis() -> None:
 @settings(max_examples=3)
 @given(st.floats(0.0, 0.12), st.floats(0.3, 2.0))
 def test_delay_margin_is_the_onset(delay: float, rate: float) -> None:
-    loop = Loop(AT_ONCE, INVERSE, Gains(rate, 8.0), Timing(30.0, delay, 0.02))
+    loop = SampledLoop(AT_ONCE, INVERSE, Gains(rate, 8.0), Timing(30.0, delay, 0.02))
     left = margins(loop).delay
     for share, stable in ((0.98, True), (1.02, False)):
         late = replace(loop, timing=replace(loop.timing, delay=delay + share * left))
@@ -99,11 +99,11 @@ def test_delay_margin_is_the_onset(delay: float, rate: float) -> None:
 
 
 def test_tuned_gains_keep_the_wanted_margins_at_every_stiffness_and_the_longest_delay() -> None:
-    control, wanted = reaching(), Wanted()
+    control, wanted = reaching(), RequiredMargins()
     late = replace(control.settings.timing, delay=control.settings.longest_delay)
     least_gain, least_phase = np.inf, np.inf
     for factor in (0.7, 1.0, 1.3):
-        found = margins(Loop(control.plant.stiffer(factor), control.inverse, control.gains, late))
+        found = margins(SampledLoop(control.plant.stiffer(factor), control.inverse, control.gains, late))
         least_gain, least_phase = min(least_gain, found.gain), min(least_phase, found.phase)
     assert least_gain > 0.99 * wanted.gain
     assert least_phase > wanted.phase - 0.01
@@ -115,7 +115,7 @@ def test_controller_and_margins_are_of_the_same_recursion() -> None:
     """The frozen controller on a linear plant walks exactly as the matrix says whose eigenvalues are the margins."""
     control = replace(reaching(), settings=ControllerSettings(timing=Timing(30.0, 0.05, 0.02)))
     inverse = control.inverse_at(control.reference.ends, 99.0)
-    loop = Loop(control.plant, inverse, control.gains, control.settings.timing)
+    loop = SampledLoop(control.plant, inverse, control.gains, control.settings.timing)
     linear, frame, small = behind_actuator(loop.plant, 0.02), 1.0 / 30.0, 1e-9
     (a, b), (half_a, half_b) = linear.over(frame), linear.over(0.5 * frame)  # 0.05 s are one frame and a half
     n, rest = len(a), control.reference.position(1e9)
@@ -195,7 +195,7 @@ def test_a_beam_without_mass_is_controlled_and_has_no_frequencies() -> None:
         lambda: Timing(fps=0.0),
         lambda: Timing(delay=np.nan),
         lambda: Gains(-1.0, 3.0),
-        lambda: Wanted(gain=1.0),
+        lambda: RequiredMargins(gain=1.0),
         lambda: reaching().step(reaching().begin(0.0), (1.0, 2.0, 3.0), 1.0),
         lambda: controller(BEAM, reaching().goal, settings=ControllerSettings(most_force=0.2)),
     ],

@@ -7,7 +7,7 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Steps, Uniform
-from onebend.lab.truths import LARGEST_RATIO, Kind, force_that_bends, random_stiffness
+from onebend.lab.random_beams import LARGEST_RATIO, Kind, force_that_bends, random_stiffness
 
 S = np.linspace(0.0, 1.0, 801)
 

@@ -16,14 +16,14 @@ from scipy.interpolate import CubicSpline
 from onebend.beam.clamped_ends.end_pose import end_pose
 from onebend.beam.statics.problem import Rod
 from onebend.control.goals.moving_goals import Goals
-from onebend.control.goals.targets import check_metres, misses, misses_along
-from onebend.control.path.first_pass import knots_of, march
-from onebend.control.path.timing import Moving, Rates, refuse, stretched
-from onebend.control.path.track import Frames, settle
-from onebend.control.shape.descent import Descent, Found, descend
-from onebend.control.shape.grip import Grip, Hands, Push, Stand
+from onebend.control.goals.targets import check_metres, target_residuals, target_residuals_along
+from onebend.control.path.batch_newton import PathSamples, settle
+from onebend.control.path.first_pass import first_pass, knots_of
+from onebend.control.path.timing import LimitedQuantities, RateLimits, refuse, stretched
+from onebend.control.shape.actuators import Actuators, BeamState, Grip, Pusher
+from onebend.control.shape.descent import DescentResult, DescentSettings, descend
+from onebend.control.shape.newton_step import multipliers
 from onebend.control.shape.shape import ShapeSettings
-from onebend.control.shape.steps import multipliers
 from onebend.errors import ControlError
 from onebend.records import Array, IntArray
 
@@ -38,19 +38,19 @@ class PathSettings:
     """How a path is made."""
 
     rate: float = 1000.0  # Hz, samples of what comes out
-    limits: Rates = field(default_factory=Rates)
+    limits: RateLimits = field(default_factory=RateLimits)
     too_fast: Literal["stretch", "refuse"] = "stretch"
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 
 
 @dataclass(frozen=True)
-class Path:
+class FollowedPath:
     """T samples of what the hands do, and how close the beam comes to its goals."""
 
     time: Array  # (T,) s, from 0 on, evenly spaced
     goal_time: Array  # (T,) s, the time of the goals that each sample serves; other than `time` where stretched
     goals: Goals
-    hands: Hands
+    actuators: Actuators
     q: Array  # (T, Q) rad
     u: Array  # (T, m) N, N m: the pushes' forces in turn, then the gripper's wrench
     miss: Array  # (T,) m: root of the weighted mean square distance from the goals
@@ -61,17 +61,17 @@ class Path:
     @property
     def forces(self) -> Array:
         """(T, a, 2) N."""
-        return np.asarray(self.u[:, : 2 * len(self.hands.pushes)].reshape(len(self.time), -1, 2))
+        return np.asarray(self.u[:, : 2 * len(self.actuators.pushes)].reshape(len(self.time), -1, 2))
 
     @property
     def poses(self) -> Array:
         """(T, 3) m, m, rad: of the end s = 1; with a grip, of the gripper. The angle counts full turns."""
-        return end_pose(self.hands.problem, self.q)
+        return end_pose(self.actuators.problem, self.q)
 
     @property
     def wrench(self) -> Array | None:
         """(T, 3) N, N, N m that the gripper puts on the beam; None without one."""
-        return None if self.hands.grip is None else self.u[:, -3:]
+        return None if self.actuators.grip is None else self.u[:, -3:]
 
     @property
     def stretch(self) -> float:
@@ -80,18 +80,18 @@ class Path:
 
     def xy(self, s: ArrayLike) -> Array:
         """(T, S, 2) m, the beam's positions at `s`."""
-        return self.hands.solved(self.q, self.u).xy(np.atleast_1d(np.asarray(s, dtype=float)))
+        return self.actuators.solved(self.q, self.u).xy(np.atleast_1d(np.asarray(s, dtype=float)))
 
 
 def follow_goals(
     beam: Rod,
     goals: Goals,
     *,
-    pushes: tuple[Push, ...] = (),
+    pushes: tuple[Pusher, ...] = (),
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
     settings: PathSettings = PathSettings(),
-) -> Path:
+) -> FollowedPath:
     """What the hands have to do for the beam to follow the goals, as closely as it can at every moment.
 
     The first sample serves the first goal: how the hands come there is not part of the path.
@@ -109,44 +109,50 @@ def follow_goals(
     resolution = settings.shape.resolution
     while True:
         trying = replace(settings.shape, resolution=resolution)
-        found = march(beam, goals, knots, arm, pushes, grip, gravity, trying)
-        tail = max(float(one.stand.solved.problem.grid.legendre_tail(one.stand.q)) for one in found)
+        results = first_pass(beam, goals, knots, arm, pushes, grip, gravity, trying)
+        tail = max(
+            float(knot_result.state.solved.problem.grid.legendre_tail(knot_result.state.q)) for knot_result in results
+        )
         if tail < _RESOLVED or resolution.widest <= _FINEST:
             break
         resolution = resolution.finer()
-    return _sampled(found, goals, knots, arm, settings)
+    return _sampled(results, goals, knots, arm, settings)
 
 
-def _sampled(found: list[Found], goals: Goals, knots: Array, arm: float, settings: PathSettings) -> Path:
+def _sampled(
+    results: list[DescentResult], goals: Goals, knots: Array, arm: float, settings: PathSettings
+) -> FollowedPath:
     """Samples at the asked rate, the time stretched where a limit wants it."""
-    hands, near = found[0].stand.hands, _between(found, goals, knots, arm)
+    actuators, near = results[0].state.actuators, _between(results, goals, knots, arm)
     duration = goals.time[-1] - goals.time[0]
     goal_time = goals.time[0] + np.minimum(_even(duration, settings.rate), duration)
-    frames = _corrected(hands, _split(near(goal_time), hands), found, goals, knots, goal_time, arm, settings)
+    frames = _corrected(actuators, _split(near(goal_time), actuators), results, goals, knots, goal_time, arm, settings)
     for trial in range(_ROUNDS):
         time = np.arange(len(goal_time)) / settings.rate
-        moving = _moving(hands, frames, settings.limits)
+        moving = _moving(actuators, frames, settings.limits)
         if not moving.names or np.max(moving.excess(time)) <= 1.0 + 1e-9:
             break
         if settings.too_fast == "refuse":
             refuse(moving, time)
-        goal_time, near = _slower(moving, hands, frames, time, goal_time, settings, everywhere=trial > 1)
-        frames = _corrected(hands, _split(near(goal_time), hands), found, goals, knots, goal_time, arm, settings)
+        goal_time, near = _slower(moving, actuators, frames, time, goal_time, settings, everywhere=trial > 1)
+        frames = _corrected(
+            actuators, _split(near(goal_time), actuators), results, goals, knots, goal_time, arm, settings
+        )
     else:
         raise ControlError("the limits on rates could not be kept by stretching the path; are they far too low?")
     xy, angle = goals.along(goal_time)
-    missed = misses_along(hands.solved(frames.q, frames.u), goals.targets, xy, angle, arm)
-    length = float(hands.problem.length)
-    miss = length * np.sqrt(missed.cost / np.sum(goals.targets.weight))
-    margin = np.array([one.stand.margin for one in found])
-    warnings = _warnings(miss, goal_time, margin, knots, hands, frames, settings, length)
-    return Path(time, goal_time, goals, hands, frames.q, frames.u, miss, margin, knots, warnings)
+    residuals = target_residuals_along(actuators.solved(frames.q, frames.u), goals.targets, xy, angle, arm)
+    length = float(actuators.problem.length)
+    miss = length * np.sqrt(residuals.cost / np.sum(goals.targets.weight))
+    margin = np.array([knot_result.state.margin for knot_result in results])
+    warnings = _warnings(miss, goal_time, margin, knots, actuators, frames, settings, length)
+    return FollowedPath(time, goal_time, goals, actuators, frames.q, frames.u, miss, margin, knots, warnings)
 
 
 def _slower(
-    moving: Moving,
-    hands: Hands,
-    frames: Frames,
+    moving: LimitedQuantities,
+    actuators: Actuators,
+    frames: PathSamples,
     time: Array,
     goal_time: Array,
     settings: PathSettings,
@@ -165,7 +171,7 @@ def _slower(
     else:
         fine = np.linspace(goal_time[0], goal_time[-1], _FINER * len(goal_time))
         law = np.interp(fine, goal_time[inside], time[inside])
-        law = stretched(_moving(hands, _split(near(fine), hands), settings.limits), law)
+        law = stretched(_moving(actuators, _split(near(fine), actuators), settings.limits), law)
     return np.interp(_even(law[-1], settings.rate), law, fine), near
 
 
@@ -174,79 +180,83 @@ def _even(duration: float, rate: float) -> Array:
     return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
 
 
-def _between(found: list[Found], goals: Goals, knots: Array, arm: float) -> CubicSpline:
+def _between(results: list[DescentResult], goals: Goals, knots: Array, arm: float) -> CubicSpline:
     """Shapes, controls and multipliers between the knots."""
     rows = []
-    for time, one in zip(knots, found, strict=True):
-        missed = misses(one.stand.solved, goals.at(float(time)), arm)
-        rows.append(np.concatenate([one.stand.q, one.stand.u, multipliers(one.stand, missed)]))
+    for time, knot_result in zip(knots, results, strict=True):
+        residuals = target_residuals(knot_result.state.solved, goals.at(float(time)), arm)
+        rows.append(
+            np.concatenate([knot_result.state.q, knot_result.state.u, multipliers(knot_result.state, residuals)])
+        )
     return CubicSpline(knots, np.array(rows))
 
 
-def _split(values: Array, hands: Hands) -> Frames:
+def _split(values: Array, actuators: Actuators) -> PathSamples:
     """Interpolated values as what they stand for."""
-    count = len(hands.problem.weights)
-    return Frames(values[:, :count], values[:, count : count + hands.count], values[:, count + hands.count :])
+    count = len(actuators.problem.weights)
+    return PathSamples(
+        values[:, :count], values[:, count : count + actuators.count], values[:, count + actuators.count :]
+    )
 
 
 def _corrected(
-    hands: Hands,
-    start: Frames,
-    found: list[Found],
+    actuators: Actuators,
+    start: PathSamples,
+    results: list[DescentResult],
     goals: Goals,
     knots: Array,
     goal_time: Array,
     arm: float,
     settings: PathSettings,
-) -> Frames:
+) -> PathSamples:
     """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
     xy, angle = goals.along(goal_time)
-    frames, ok = settle(hands, start, goals.targets, xy, angle, arm)
-    bound = np.array([bool(np.any(one.multipliers > 0.0)) for one in found])
+    frames, ok = settle(actuators, start, goals.targets, xy, angle, arm)
+    at_bound = np.array([bool(np.any(knot_result.multipliers > 0.0)) for knot_result in results])
     after = np.clip(np.searchsorted(knots, goal_time), 1, len(knots) - 1)
-    held = bound[after] | bound[after - 1]
-    for one in hands.bounds:
-        held |= np.linalg.norm(frames.u[:, one.columns], axis=1) > one.most
+    held = at_bound[after] | at_bound[after - 1]
+    for bound in actuators.bounds:
+        held |= np.linalg.norm(frames.u[:, bound.columns], axis=1) > bound.most
     warm = replace(settings.shape.descent, damping=0.0)
     for i in np.flatnonzero(~ok | held):
-        frames.q[i], frames.u[i] = _alone(found, after, frames, int(i), goals, float(goal_time[i]), arm, warm)
+        frames.q[i], frames.u[i] = _alone(results, after, frames, int(i), goals, float(goal_time[i]), arm, warm)
     return frames
 
 
 def _alone(
-    found: list[Found],
+    results: list[DescentResult],
     after: IntArray,
-    frames: Frames,
+    frames: PathSamples,
     i: int,
     goals: Goals,
     time: float,
     arm: float,
-    warm: Descent,
+    warm: DescentSettings,
 ) -> tuple[Array, Array]:
     """One sample, from the one before it."""
-    first = found[after[i] - 1].stand
-    begin = first if i == 0 else Stand(first.hands, frames.q[i - 1], frames.u[i - 1])
-    one = descend(begin, goals.at(time), arm, warm)
-    if not one.converged:
+    first = results[after[i] - 1].state
+    begin = first if i == 0 else BeamState(first.actuators, frames.q[i - 1], frames.u[i - 1])
+    result = descend(begin, goals.at(time), arm, warm)
+    if not result.converged:
         raise ControlError(
             f"at {time:.4g} s no stable shape closest to the goal was found on the way from the last one"
         )
-    return one.stand.q, one.stand.u
+    return result.state.q, result.state.u
 
 
-def _moving(hands: Hands, frames: Frames, limits: Rates) -> Moving:
+def _moving(actuators: Actuators, frames: PathSamples, limits: RateLimits) -> LimitedQuantities:
     """What has a finite limit."""
     rows: list[tuple[str, str, Array, float]] = [
-        (f"the force at s = {one.at_s:g}", "N/s", frames.u[:, 2 * i : 2 * i + 2], limits.force)
-        for i, one in enumerate(hands.pushes)
+        (f"the force at s = {pusher.at_s:g}", "N/s", frames.u[:, 2 * i : 2 * i + 2], limits.force)
+        for i, pusher in enumerate(actuators.pushes)
     ]
-    if hands.grip is not None:
-        poses = end_pose(hands.problem, frames.q)
+    if actuators.grip is not None:
+        poses = end_pose(actuators.problem, frames.q)
         rows.append(("the gripper's place", "m/s", poses[:, :2], limits.speed))
         rows.append(("the gripper's angle", "rad/s", poses[:, 2:], limits.turning))
     rows = [row for row in rows if np.isfinite(row[3])]
     names, units, values, most = (tuple(row[i] for row in rows) for i in range(4))
-    return Moving(names, units, values, most)  # type: ignore[arg-type]
+    return LimitedQuantities(names, units, values, most)  # type: ignore[arg-type]
 
 
 def _warnings(
@@ -254,8 +264,8 @@ def _warnings(
     goal_time: Array,
     margin: Array,
     knots: Array,
-    hands: Hands,
-    frames: Frames,
+    actuators: Actuators,
+    frames: PathSamples,
     settings: PathSettings,
     length: float,
 ) -> tuple[str, ...]:
@@ -268,8 +278,10 @@ def _warnings(
             f"close to buckling at {knots[np.argmin(margin)]:.4g} s: the tangent's smallest eigenvalue is "
             f"{np.min(margin):.3f} of that without loads"
         )
-    for one in hands.bounds:
-        size = np.linalg.norm(frames.u[:, one.columns], axis=1)
-        if np.max(size) > (1.0 - 1e-6) * one.most:
-            out.append(f"{one.name} is at its limit from {goal_time[np.argmax(size > (1.0 - 1e-6) * one.most)]:.4g} s")
+    for bound in actuators.bounds:
+        size = np.linalg.norm(frames.u[:, bound.columns], axis=1)
+        if np.max(size) > (1.0 - 1e-6) * bound.most:
+            out.append(
+                f"{bound.name} is at its limit from {goal_time[np.argmax(size > (1.0 - 1e-6) * bound.most)]:.4g} s"
+            )
     return tuple(out)

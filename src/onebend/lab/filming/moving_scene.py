@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.lab.filming.printed_tag import Outlines, placed
-from onebend.lab.filming.render import Layer, Moment, Shadow
+from onebend.lab.filming.printed_tag import TagOutlines, placed
+from onebend.lab.filming.render import ColourLayer, Drawing, Shadow
 from onebend.lab.filming.scene import Colour, Scene
-from onebend.lab.pushes import Push, smooth
+from onebend.lab.pushes import PushProfile, smooth
 from onebend.records import Array
 
 SHADOW = np.array([0.0025, -0.003])  # m, from the thing that casts it
@@ -23,18 +23,18 @@ CLAMP = (0.046, 0.05)  # m, length and width
 
 
 @dataclass(frozen=True)
-class Cast:
+class MovingScene:
     """All that does not change about what moves."""
 
     scene: Scene
-    push: Push
+    push: PushProfile
     half_width: Array  # (S,) m, of the drawn beam
-    tags: tuple[Outlines, ...]  # m, as printed; base tags first
+    tags: tuple[TagOutlines, ...]  # m, as printed; base tags first
     base_angle: float  # rad: the clamp's frame in the room
 
 
 @dataclass(frozen=True)
-class Pose:
+class BeamPose:
     """Beam and tags at one moment, in the room."""
 
     time: float  # s
@@ -43,39 +43,39 @@ class Pose:
     tags: Array  # (m, 3)
 
 
-def clamp_block(scene: Scene, base_angle: float) -> Moment:
+def clamp_block(scene: Scene, base_angle: float) -> Drawing:
     """The block that holds the beam: it ends at the base."""
     length, width = CLAMP
     block = np.array([[-length, -width / 2], [0.004, -width / 2], [0.004, width / 2], [-length, width / 2]])
     inner = 0.92 * (block - block.mean(axis=0)) + block.mean(axis=0)
     pose = np.array([0.0, 0.0, base_angle])
     outer = placed(block, pose)
-    layers = [Layer(outer, dimmed(scene.clamp, 0.8)), Layer(placed(inner, pose), scene.clamp)]
-    return Moment([Shadow(outer + SHADOW, soft=6.0)], layers)
+    layers = [ColourLayer(outer, dimmed(scene.clamp, 0.8)), ColourLayer(placed(inner, pose), scene.clamp)]
+    return Drawing([Shadow(outer + SHADOW, soft=6.0)], layers)
 
 
-def moment_of(cast: Cast, pose: Pose) -> Moment:
+def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
     """Everything that moves."""
     scene, tool = cast.scene, tool_outline(cast, pose)
     above = scene.overlap > 0.0  # else it pushes the beam's flank, below the tags
-    layers = [] if above else [Layer(tool, scene.tool)]
+    layers = [] if above else [ColourLayer(tool, scene.tool)]
     layers += [
-        Layer(strip(part, share * width), dimmed(scene.beam, bright))
+        ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
         for share, bright in STRIPS
         for part, width in pieces(pose, cast.half_width)
     ]
     for tag, at in zip(cast.tags, pose.tags, strict=True):
-        layers.append(Layer(placed(tag.paper, at), grey(scene.paper)))
-        layers.append(Layer(placed(tag.ink, at), grey(scene.ink)))
+        layers.append(ColourLayer(placed(tag.paper, at), grey(scene.paper)))
+        layers.append(ColourLayer(placed(tag.ink, at), grey(scene.ink)))
     if above:
-        layers.append(Layer(tool, scene.tool))
+        layers.append(ColourLayer(tool, scene.tool))
     if abs(pose.time - scene.hand_at) < HAND_TIME:
-        layers.append(Layer(hand_outline(pose, scene.hand_at), scene.hand))
+        layers.append(ColourLayer(hand_outline(pose, scene.hand_at), scene.hand))
     shadows = [Shadow(strip(pose, cast.half_width) + SHADOW), Shadow(tool + SHADOW, density=0.3)]
-    return Moment(shadows, layers)
+    return Drawing(shadows, layers)
 
 
-def pieces(pose: Pose, half_width: Array) -> list[tuple[Pose, Array]]:
+def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
     """The beam cut along its length. Pieces overlap, so that no seam shows."""
     out = []
     for first in range(0, len(half_width) - 1, PIECE):
@@ -92,13 +92,13 @@ def dimmed(colour: Colour, share: float) -> Colour:
     return (colour[0] * share, colour[1] * share, colour[2] * share)
 
 
-def strip(pose: Pose, half_width: Array) -> Array:
+def strip(pose: BeamPose, half_width: Array) -> Array:
     """Outline (2 S, 2) m of the beam."""
     left = half_width[:, None] * np.stack([-np.sin(pose.angle), np.cos(pose.angle)], axis=-1)
     return np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
 
 
-def tool_outline(cast: Cast, pose: Pose) -> Array:
+def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
     """A bar with a chamfered end that touches the beam's edge where it pushes, and waits aside before and after."""
     push, places = cast.push, np.linspace(0.0, 1.0, len(pose.xy))
     angle = float(push.angle(np.array([pose.time]))[0]) + cast.base_angle
@@ -116,7 +116,7 @@ def tool_outline(cast: Cast, pose: Pose) -> Array:
     return placed(bar, np.array([tip[0], tip[1], angle + cast.scene.slant]))
 
 
-def hand_outline(pose: Pose, at: float) -> Array:
+def hand_outline(pose: BeamPose, at: float) -> Array:
     """A blunt shape that crosses the beam's middle."""
     turn = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
     bump = 1.0 + 0.12 * np.cos(5.0 * turn)

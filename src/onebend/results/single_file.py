@@ -1,4 +1,4 @@
-"""One file as a result: written whole or not at all, and never over another without being told to."""
+"""One file as a result: written completely or not at all; another file is replaced only if asked for."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         ResultsError: as `write_file`.
     """
-    free_place(path, overwrite=overwrite)
-    with _said(path):
+    check_free(path, overwrite=overwrite)
+    with _as_results_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
         os.close(handle)
     beside = Path(name)
     try:
         yield beside
-        with _said(path):
+        with _as_results_error(path):
             beside.chmod(0o666 & ~_umask())
             beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
 
 
-def free_place(path: Path, *, overwrite: bool) -> None:
+def check_free(path: Path, *, overwrite: bool) -> None:
     """Raises `ResultsError` where `path` is a folder, or a file that is not to be replaced. Before long work."""
     if path.is_dir():
         raise ResultsError(f"{path}: this is a folder. Name a file in it")
@@ -52,7 +52,7 @@ def free_place(path: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def _said(path: Path) -> Iterator[None]:
+def _as_results_error(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
