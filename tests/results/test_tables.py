@@ -12,7 +12,8 @@ import pytest
 
 from onebend.records import Detections, Remark
 from onebend.results.detection_cache import DetectionCache, key_of
-from onebend.results.summary import summary_of, validation_summary, write_summary
+from onebend.results.folder import write_summary
+from onebend.results.summary import summary_of, validation_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
 from tests import made_up

@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Table
+from onebend.blas import one_blas_thread
 from onebend.lab.film_request import SENSORS, SensorName
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.scene import Backdrop, Scene
@@ -38,6 +39,7 @@ class BenchRanges:
     calibrated: float = 0.7  # share of films
 
 
+@one_blas_thread
 def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), *, name: str = "drawn") -> Filming:
     """A slow push of an unknown beam. The declared tolerances are those that errors were drawn from.
 

@@ -15,6 +15,7 @@ import numpy as np
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.extensible import stretched
 from onebend.lab.pushes import PushProfile
@@ -94,6 +95,7 @@ class VirtualRecording:
     pose: Array  # (T, m, 3) m, m, rad: the true tags in the clamp's frame
 
 
+@one_blas_thread
 def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other.
 
@@ -123,6 +125,7 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose)
 
 
+@one_blas_thread
 def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = ObserveSettings()) -> Observations:
     """The real way from markers and log to observations: clocks, contact, zero, filter, frame.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.results.model import StoredModel
-from onebend.strict_json import to_json
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -101,11 +99,6 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
         "all_stable": bool(np.all(comparison.stable)),
         "remarks": [remark.as_dict() for remark in comparison.remarks],
     }
-
-
-def write_summary(path: Path, summary: Mapping[str, Any], files: Sequence[str]) -> None:
-    """Write `summary` with the list of all files of the results; it must be the last file written."""
-    path.write_text(to_json({**summary, "files": sorted({*files, path.name})}) + "\n", encoding="utf-8")
 
 
 def _fit(posterior: Posterior) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
+from onebend.blas import one_blas_thread
 from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
 from onebend.control.loop.tuning import RequiredMargins, tuned
@@ -116,10 +117,12 @@ class Controller:
     gains: Gains
     settings: ControllerSettings
 
+    @one_blas_thread
     def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
         """The state in which the way to the goal starts at `time` s."""
         return ControllerState(time, np.asarray(correction, dtype=float), np.zeros((2, 2)), time)
 
+    @one_blas_thread
     def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
         """The force (2,) N to apply from `time` s on, and the state after it.
 
@@ -136,6 +139,7 @@ class Controller:
                 wished = self._wished(state, time)
         return state, wished
 
+    @one_blas_thread
     def margins(self) -> Margins:
         """How far the loop at the goal is from ringing, k(s) being the model's."""
         return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
@@ -190,6 +194,7 @@ def bounded(force: Array, most: float) -> Array:
     return force if size <= most else np.asarray(force * (most / size))
 
 
+@one_blas_thread
 def controller(
     beam: Beam,
     goal: ArrayLike,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Uniform
 from onebend.beam.statics.problem import has_mass
+from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller
 from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.errors import ControlError, MechanicsError
@@ -32,6 +33,7 @@ class LoopTrial:
         return float("inf") if self.run is None else self.run.settled(within)
 
 
+@one_blas_thread
 def simulate_range(
     control: Controller, *, k_error: float = 0.3, eye: LoopCamera = LoopCamera(), duration: float = 8.0, seed: int = 0
 ) -> tuple[LoopTrial, ...]:

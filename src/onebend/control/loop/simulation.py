@@ -16,6 +16,7 @@ from onebend.beam.motion.integration import State
 from onebend.beam.motion.stepping import Stepper
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Scaled
+from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller
 from onebend.records import Array
 
@@ -86,6 +87,7 @@ class LoopSimulation:
         return float(self.time[outside[-1] + 1]) if outside.size else 0.0
 
 
+@one_blas_thread
 def simulate_loop(
     control: Controller, truth: TrueSystem, duration: float, *, seed: int = 0, tick: float = TICK
 ) -> LoopSimulation:

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from onebend.beam.clamped_ends.end_pose import end_pose
 from onebend.beam.statics.problem import Rod
+from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.goals.targets import check_metres, target_residuals, target_residuals_along
 from onebend.control.path.batch_newton import PathSamples, settle
@@ -83,6 +84,7 @@ class FollowedPath:
         return self.actuators.solved(self.q, self.u).xy(np.atleast_1d(np.asarray(s, dtype=float)))
 
 
+@one_blas_thread
 def follow_goals(
     beam: Rod,
     goals: Goals,

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from onebend.beam.model import Beam
+from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.reach.reach import reach
 from onebend.control.reach.settings import ReachSettings
@@ -22,6 +23,7 @@ _GOALS_PER_STEP = 24  # goals from goal to goal
 _SAME_PLACE = 1e-5  # of L
 
 
+@one_blas_thread
 def by_force(
     beam: Beam,
     goals: Goals,

@@ -20,6 +20,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import BEYOND, METRES
 from onebend.control.reach.continuation import EquilibriumPath, densified, trace
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
@@ -75,12 +76,14 @@ class Reach:
         return float(self.states[-1].load[2])
 
     @cached_property
+    @one_blas_thread
     def solved(self) -> Equilibrium:
         """The last shape, solved again under its load by the beam's own statics."""
         last = self.states[-1]
         return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
 
     @cached_property
+    @one_blas_thread
     def way(self) -> tuple[LoadedState, ...]:
         """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
         return densified(self.pushed, self.states, self.settings.steps)
@@ -117,6 +120,7 @@ class Reach:
         return replace(self.solved, q=q).xy(s)
 
 
+@one_blas_thread
 def reach(
     beam: Beam,
     goal: ArrayLike,

@@ -17,6 +17,7 @@ from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, pose
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import numbers
 from onebend.control.reach.continuation import trace
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
@@ -60,6 +61,7 @@ class ReachableSet:
         """(D, R) whether the force holds the point anywhere."""
         return np.isfinite(self.points[..., 0])
 
+    @one_blas_thread
     def nearest(self, goal: ArrayLike) -> NearestPoint:
         """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
 
@@ -114,6 +116,7 @@ class ReachableSet:
         return self.max_curvature is None or self.pushed.bend(state.q) <= self.max_curvature
 
 
+@one_blas_thread
 def reachable(
     beam: Beam,
     *,

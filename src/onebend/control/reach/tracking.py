@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import Resolution
+from onebend.blas import one_blas_thread
 from onebend.control.reach.continuation import lead
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach.newton import NewtonResult, solve_goal
@@ -40,6 +41,7 @@ class WarmReach:
     reach that state only by a jump (`HoldingLoad.route` is then "rest"). Not for two threads at once.
     """
 
+    @one_blas_thread
     def __init__(
         self,
         beam: Beam,
@@ -78,6 +80,7 @@ class WarmReach:
         """Back to rest."""
         self._state = self._last = None
 
+    @one_blas_thread
     def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 

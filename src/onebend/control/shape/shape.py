@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, Rod
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import Targets, check_metres, target_residuals
 from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state, state_on_grid
 from onebend.control.shape.descent import DescentResult, DescentSettings, descend
@@ -88,6 +89,7 @@ class ShapeResult:
         return np.asarray(self.state.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
 
+@one_blas_thread
 def shape(
     beam: Rod,
     targets: Targets,

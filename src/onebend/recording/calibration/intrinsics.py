@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import RecordingError
 from onebend.progress import Progress, Silent
 from onebend.recording.calibration.boards import Board, BoardFilm, BoardView, find_boards, opencv
@@ -79,6 +80,7 @@ class Calibration:
         return "\n".join(lines) + "\n"
 
 
+@one_blas_thread
 def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progress = Silent()) -> Calibration:
     """Pinhole and lens (OpenCV's k1 k2 p1 p2, and k3 where the views need it) from a film of a board.
 
