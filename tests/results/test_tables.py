@@ -123,7 +123,7 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
     assert read["stiffness"]["identified"] == band.identified.tolist()
     assert fit["converged"] is True
     assert {"name", "unit", "value", "sd", "prior_sd"} == set(fit["nuisances"][0])
-    assert len(fit["scales"]["films"]) == 1
+    assert len(fit["hyperparameters"]["noise"]) == 1
     assert read["validation"][1]["recording"] == "other-2"
     assert read["remarks"][0]["level"] == "warning"
     texts = [(remark["recording"], remark["text"]) for remark in read["remarks"]]

@@ -106,7 +106,7 @@ def shape(
     """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
     with clean_errors():
         stored = read_trusted(model)
-        pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
         wanted = read_targets(targets, stored.beam.length)
         found = solve_shape(
             stored.beam,
@@ -161,7 +161,7 @@ def path(
     with clean_errors():
         stored = read_trusted(model)
         _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
-        pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
         if not pushes and max_force_rate is not None:
             raise ControlError(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
@@ -209,7 +209,7 @@ def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
             raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
 
 
-def _hands(
+def _actuators(
     grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
 ) -> tuple[tuple[Pusher, ...], Grip | None]:
     """Without a word a push at the tip; with a grip only the pushes that are named."""

@@ -28,7 +28,7 @@ Kind = Literal["mujoco", "pyelastica", "urdf", "sdf", "numpy", "parquet", "pytho
 
 @dataclass(frozen=True)
 class ExportKind:
-    """What a kind of file is, in words for people."""
+    """One kind of export, described for people."""
 
     suffix: str
     says: str

@@ -112,7 +112,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "nuisances": [asdict(nuisance) for nuisance in posterior.nuisances()],
         "tradeoffs": [asdict(pair) for pair in tradeoffs(posterior)],
         "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
-        "scales": asdict(optimum.hyperparameters),
+        "hyperparameters": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,

@@ -1,4 +1,4 @@
-"""A rehearsal of the closed loop: a beam that is not the model, in full motion (7), under an actuator and a camera."""
+"""Simulation of the closed loop: a beam that is not the model, in full motion (7), with an actuator and a camera."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class TrueSystem:
-    """The beam that is really there, and what is done to it."""
+    """The simulated real beam, its camera and its actuator."""
 
     beam: Beam
     damping_ratio: float = 0.05  # of the slowest vibration about rest
@@ -61,7 +61,7 @@ class TrueSystem:
 
 @dataclass(frozen=True)
 class LoopSimulation:
-    """What happened: T times."""
+    """A simulated run at T times."""
 
     goal: Array  # (2,) m
     time: Array  # (T,) s
@@ -79,8 +79,8 @@ class LoopSimulation:
         return float(np.max(self.error[self.time > self.time[-1] - last]))
 
     def settled(self, within: float) -> float:
-        """s: time after which the point stays `within` m of the goal; infinite where it does not, or not for the last
-        second, as what only passes through the goal in the end."""
+        """s: time from which the point stays `within` m of the goal. Infinite where it does not do so for at least
+        the last second."""
         if self.steady() > within:
             return np.inf
         outside = np.flatnonzero(self.error > within)

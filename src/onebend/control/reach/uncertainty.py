@@ -1,4 +1,4 @@
-"""How far a reached point may be off, from the band on k(s), through the exact equilibrium."""
+"""The error of a reached point that follows from the band on k(s), through the exact equilibrium."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PredictedError:
     point: Array  # (2,) m, under the most probable k(s)
     mean: Array  # (2,) m: bending is not linear in log k, so it lies a little beside
     covariance: Array  # (2, 2) m^2
-    lost: float  # share of the beams within the band that do not stand in a shape near by: they would snap away
+    lost: float  # share of the drawn beams that have no stable shape nearby: they would snap away
 
     def ellipse(self, level: float = SURE) -> ErrorEllipse:
         """The ellipse around `mean` that holds the real point with probability `level`."""
@@ -75,7 +75,7 @@ def predicted_error(
     draws: int = 400,
     seed: int = 0,
 ) -> PredictedError:
-    """How sure the place of the point is under the load that was found.
+    """The uncertainty of the point's position under the load that was found.
 
     Args:
         beam: the beam that was led to the goal.
