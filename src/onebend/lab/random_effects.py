@@ -25,7 +25,7 @@ class Chance:
 
 @dataclass(frozen=True)
 class EffectRanges:
-    """Of every effect. Sizes are uniform between their ends, those of `EVEN_IN_LOG` in their logarithm; so are signs."""
+    """Of every effect. Sizes are uniform between their ends, those of `EVEN_IN_LOG` in their logarithm."""
 
     stretch: Chance = Chance(0.7, 0.04, 0.12)  # thickness over length: stretch and shear
     relaxation: Chance = Chance(0.6, 0.02, 0.15)  # share; its time is 0.3 to 30 s

@@ -8,7 +8,8 @@ The beam is cut into some 800 straight cells of angle a_j that turn against each
 (the rod of Simo and Reissner in a standard linear solid, the axial and shear flexibility elastic). The clamp is a
 joint of its own. v is integrated exactly for u that runs straight between two times. Newton's method on the tridiagonal
 equations, from one time to the next. Inertia is mass times the acceleration of the motion without it (first order in
-(frequency of the push over that of the beam)^2: it follows the push, and does not swing). Errors fall with the square of the cells' size.
+the square of the push's frequency over the beam's: it follows the push, and does not swing). Errors fall with the
+square of the cells' size.
 """
 
 from __future__ import annotations
