@@ -14,10 +14,12 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_nan, print_json, progress_of
 from onebend.cli.options import Json, Quiet
 from onebend.lab.design_file import find_design
+from onebend.lab.effects.real_bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
 from onebend.lab.filming.film import film as make_film
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.random_bench import random_bench
+from onebend.lab.random_effects import with_random_effects
 
 Design = Annotated[
     str,
@@ -66,6 +68,17 @@ BaseAngle = Annotated[
     float, typer.Option("--base-angle-deg", metavar="DEG", help="The beam's x axis in the room; -90: it hangs.")
 ]
 Uncalibrated = Annotated[bool, typer.Option("--uncalibrated", help="Do not tell the camera's calibration.")]
+Effects = Annotated[
+    bool, typer.Option("--effects", help="What real benches do beside bending, all drawn at random: stretch, creep ...")
+]
+Effect = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect",
+        metavar="NAME=SIZE",
+        help="One effect of a real bench by its size in SI units, as relaxation=0.1. More than one can be given.",
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
 
 FILM_FORMAT = "onebend-film-1"
@@ -90,6 +103,8 @@ def film(
     gravity: Gravity = 0.0,
     base_angle: BaseAngle = 0.0,
     uncalibrated: Uncalibrated = False,
+    effects: Effects = False,
+    effect: Effect = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -111,6 +126,7 @@ def film(
     )
     with clean_errors(), progress_of(quiet) as progress:
         filming, folder = _filming(design, request, seed, output)
+        filming = _with_effects(filming, seed, effects, effect or [])
         make_film(filming, folder, seed=seed, progress=progress)
     bench = filming.bench
     if as_json:
@@ -121,6 +137,17 @@ def film(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
         f"s = {bench.push.at_s:g}. Learn from it with: onebend learn {folder}"
     )
+
+
+def _with_effects(filming: Filming, seed: int, at_random: bool, named: list[str]) -> Filming:
+    """What is filmed, with effects drawn at random and those that are named."""
+    bench = filming.bench
+    if at_random:
+        bench = with_random_effects(bench, np.random.default_rng([seed, 21]), tag_size=filming.tag_size)
+    if named:
+        before = bench.effects if at_random else replace(bench.effects, patch_length=PATCH_OVER_TAG * filming.tag_size)
+        bench = replace(bench, effects=effects_named(named, before))
+    return replace(filming, bench=bench)
 
 
 def _filming(design: str, request: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:

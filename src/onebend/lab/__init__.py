@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from onebend.lab.designs import design_named as design_named
     from onebend.lab.designs import width_table as width_table
     from onebend.lab.direct_observation import observe_from_truth as observe_from_truth
+    from onebend.lab.effects.real_bench import RealBench as RealBench
     from onebend.lab.expected import Expected as Expected
     from onebend.lab.expected import TipBend as TipBend
     from onebend.lab.expected import expect as expect
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from onebend.lab.virtual import VirtualRecording as VirtualRecording
     from onebend.lab.virtual import VirtualTag as VirtualTag
     from onebend.lab.virtual import observe_virtual as observe_virtual
+    from onebend.lab.virtual import true_stiffness as true_stiffness
     from onebend.lab.virtual import virtual_recording as virtual_recording
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -61,6 +63,7 @@ else:
             "onebend.lab.design_file": "read_design",
             "onebend.lab.designs": "DESIGNS Design design_named width_table",
             "onebend.lab.direct_observation": "observe_from_truth",
+            "onebend.lab.effects.real_bench": "RealBench",
             "onebend.lab.expected": "Expected TipBend expect",
             "onebend.lab.fabrication.clamp": "TagSeat carriers clamp",
             "onebend.lab.fabrication.mould": "Mould MouldSettings PrintedPart mould",
@@ -78,7 +81,8 @@ else:
             "onebend.lab.sensors": "FRANKA WRIST ForceSensor",
             "onebend.lab.tag_errors": "TagNoise",
             "onebend.lab.virtual": (
-                "DeclaredValues VirtualBench VirtualClock VirtualRecording VirtualTag observe_virtual virtual_recording"
+                "DeclaredValues VirtualBench VirtualClock VirtualRecording VirtualTag observe_virtual true_stiffness "
+                "virtual_recording"
             ),
         },
     )

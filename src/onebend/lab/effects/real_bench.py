@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -83,6 +84,25 @@ class RealBench:
         """Whether the picture shows anything that an ideal one does not."""
         sizes = (self.base_height, self.droop, self.shake, self.drift, self.readout)
         return any(sizes) or any(self.tag_heights) or any(any(tilt) for tilt in self.tag_tilts)
+
+
+def effects_named(named: Sequence[str], before: RealBench = RealBench()) -> RealBench:
+    """`before` with effects given as NAME=SIZE: those that are one number, in the units of `RealBench`.
+
+    Raises:
+        RecordingError: a name that is not known, or a size that is no number or cannot be.
+    """
+    known = [one.name for one in fields(RealBench) if one.type == "float"]
+    sizes: dict[str, float] = {}
+    for text in named:
+        name, _, size = text.partition("=")
+        if name not in known:
+            raise RecordingError(f"there is no effect {name!r}. Take of {', '.join(known)}.")
+        try:
+            sizes[name] = float(size)
+        except ValueError:
+            raise RecordingError(f"an effect is given as NAME=SIZE, got {text!r}") from None
+    return replace(before, **sizes)  # type: ignore[arg-type]
 
 
 def patch_ends(effects: RealBench, length: float, tags: Array) -> Array:

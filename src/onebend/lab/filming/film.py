@@ -172,7 +172,7 @@ def drawn(shot: Shot, time: float, u: float) -> Drawing:
     if shot.last is shot.first and shot.camera.still:
         return first
     last = at(shot.last, now + shot.readout)
-    shift = shot.camera.shift(np.array([now, now + shot.readout]))
+    shift = shot.camera.shift(now + shot.readout * np.array([0.0, 0.5, 1.0]))
     return over_rows(first, last, shift, shot.staged.table.y.shape[0])
 
 

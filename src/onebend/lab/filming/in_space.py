@@ -40,11 +40,14 @@ def pixels(view: View, points: Array) -> Array:
     return np.asarray(distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2])
 
 
-def rolled(first: Array, last: Array, rows: int) -> Array:
+def rolled(first: Array, last: Array, shift: Array, rows: int) -> Array:
     """Pixels (..., 2) of what is seen at `first` as the first of the rows is exposed, and at `last` as the last one is.
 
-    Things move evenly from one to the other: v = v0 + (v1 - v0) v / rows.
+    Things move evenly from one to the other, v = v0 + (v1 - v0) v / rows. The picture is moved by `shift` (3, 2) at the
+    first, the middle and the last row, and by a parabola between them.
     """
     moved = last - first
     share = np.clip(first[..., 1] / (rows - moved[..., 1]), 0.0, 1.0)
-    return np.asarray(first + share[..., None] * moved)
+    u = share[..., None]
+    parabola = (1.0 - u) * (1.0 - 2.0 * u) * shift[0] + 4.0 * u * (1.0 - u) * shift[1] + u * (2.0 * u - 1.0) * shift[2]
+    return np.asarray(first + u * moved + parabola)

@@ -81,7 +81,7 @@ def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
 def over_rows(first: Drawing, last: Drawing, shift: Array, rows: int) -> Drawing:
     """One picture of two drawings of the same things: as the first row is exposed, and as the last one is.
 
-    `shift` (2, 2) px: of the camera's picture at these rows.
+    `shift` (3, 2) px: of the camera's picture at its first, middle and last row.
     """
     if len(first.layers) != len(last.layers):  # a hand that comes or goes
         return replace(first, shift=shift, rows=rows)

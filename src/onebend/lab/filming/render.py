@@ -47,7 +47,7 @@ class Drawing:
 
     shadows: list[Shadow]
     layers: list[ColourLayer]
-    shift: Array = field(default_factory=lambda: np.zeros((2, 2)))  # px, of the picture at its first and last row
+    shift: Array = field(default_factory=lambda: np.zeros((3, 2)))  # px, of the picture at its first, middle, last row
     rows: int = 1  # of the picture
 
 
@@ -96,7 +96,7 @@ def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
     if thing.late is None and not np.any(drawing.shift):
         return first
     last = first if thing.late is None else pixels(view, thing.late)
-    return rolled(first + drawing.shift[0], last + drawing.shift[1], drawing.rows)
+    return rolled(first, last, drawing.shift, drawing.rows)
 
 
 def draw(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
@@ -137,7 +137,7 @@ def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.r
     scope = staged.scope
     full, half = scope.slices, scope.halved.slices
     middle = moments[len(moments) // 2]
-    seen = shifted(staged.table, middle.shift.mean(axis=0))
+    seen = shifted(staged.table, middle.shift[1])
     under = Picture(seen.y[full], seen.u[half], seen.v[half])
     darken(under, middle, staged.view, scope)
     mean = Picture(np.zeros_like(under.y), np.zeros_like(under.u), np.zeros_like(under.v))
