@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[1]
 ELSEWHERE = {
     "README.md": 1,  # examples/learn_linear_beam.py
     "bench.md": 2,  # tests/lab/fabrication/test_bench_page.py; tests/lab/filming/test_film.py for the film
-    "lab.md": 1,  # tests/lab/fabrication/test_page.py
+    "lab.md": 2,  # tests/lab/fabrication/test_page.py
     "streaming.md": 1,  # tests/learning/live/test_online_learner.py
 }
 

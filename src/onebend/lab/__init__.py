@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from onebend.lab.designs import width_table as width_table
     from onebend.lab.direct_observation import observe_from_truth as observe_from_truth
     from onebend.lab.effects.real_bench import RealBench as RealBench
+    from onebend.lab.effects.rod_march import RodMotion as RodMotion
     from onebend.lab.expected import Expected as Expected
     from onebend.lab.expected import TipBend as TipBend
     from onebend.lab.expected import expect as expect
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from onebend.lab.sensors import ForceSensor as ForceSensor
     from onebend.lab.tag_errors import TagNoise as TagNoise
     from onebend.lab.virtual import DeclaredValues as DeclaredValues
+    from onebend.lab.virtual import TrueStiffness as TrueStiffness
     from onebend.lab.virtual import VirtualBench as VirtualBench
     from onebend.lab.virtual import VirtualClock as VirtualClock
     from onebend.lab.virtual import VirtualRecording as VirtualRecording
@@ -64,6 +66,7 @@ else:
             "onebend.lab.designs": "DESIGNS Design design_named width_table",
             "onebend.lab.direct_observation": "observe_from_truth",
             "onebend.lab.effects.real_bench": "RealBench",
+            "onebend.lab.effects.rod_march": "RodMotion",
             "onebend.lab.expected": "Expected TipBend expect",
             "onebend.lab.fabrication.clamp": "TagSeat carriers clamp",
             "onebend.lab.fabrication.mould": "Mould MouldSettings PrintedPart mould",
@@ -81,8 +84,8 @@ else:
             "onebend.lab.sensors": "FRANKA WRIST ForceSensor",
             "onebend.lab.tag_errors": "TagNoise",
             "onebend.lab.virtual": (
-                "DeclaredValues VirtualBench VirtualClock VirtualRecording VirtualTag observe_virtual true_stiffness "
-                "virtual_recording"
+                "DeclaredValues TrueStiffness VirtualBench VirtualClock VirtualRecording VirtualTag "
+                "observe_virtual true_stiffness virtual_recording"
             ),
         },
     )

@@ -15,7 +15,7 @@ from onebend.lab.effects.camera_motion import CameraMotion, camera_motion
 from onebend.lab.effects.rod_march import RodMotion
 from onebend.lab.filming.film_setup import DOWN, Filming, check, frame_times
 from onebend.lab.filming.force_log_file import in_log_axes, write_log
-from onebend.lab.filming.moments import Moments, followed, moments_at
+from onebend.lab.filming.moments import Filmed, followed, moments_at
 from onebend.lab.filming.movement import PLACES, BeamShapes
 from onebend.lab.filming.moving_scene import BeamPose, MovingScene, clamp_block, moment_of, over_rows
 from onebend.lab.filming.printed_tag import as_printed, outlines, placed
@@ -45,10 +45,9 @@ class Shot:
 
     staged: StaticScene
     cast: MovingScene
-    first: Moments  # (3 T,) as the first row of the picture is exposed
-    last: Moments  # as the last one is
+    at_rows: tuple[Filmed, ...]  # (3 T,) each: as the first, the middle, the last row is exposed; one: all at once
     camera: CameraMotion
-    readout: float  # s, from one to the other
+    readout: float  # s, from the first to the last row
 
 
 @one_blas_thread
@@ -67,13 +66,13 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     motion = followed(filming, float(exposed[-1]) + readout)
     moments = moments_at(filming, motion, exposed)
     refuse_sharp_bends(filming, moments.shapes)
-    late = moments_at(filming, motion, exposed + readout) if readout else moments
+    later = [moments_at(filming, motion, exposed + part * readout) for part in (0.5, 1.0)] if readout else []
     camera_moves = camera_motion(bench.effects, bench.push.duration, np.random.default_rng([seed, 13]))
     cast = cast_of(filming, np.random.default_rng([seed, 12]))
     view = view_from(filming.camera, to_be_seen(cast, moments))
     staged = stage_of(filming, cast, view, moments.beam, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    shot = Shot(staged, cast, moments, late, camera_moves, readout)
+    shot = Shot(staged, cast, (moments, *later), camera_moves, readout)
     frames = pictures(shot, time, np.random.default_rng([seed, 0]))
     camera = filming.camera
     write_video(
@@ -120,7 +119,7 @@ def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
     )
 
 
-def to_be_seen(cast: MovingScene, moments: Moments) -> Array:
+def to_be_seen(cast: MovingScene, moments: Filmed) -> Array:
     """(N, 2) m: the paper of every tag at every time, and the beam."""
     tags = moments.tags[..., :3]
     corners = [
@@ -143,15 +142,13 @@ def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tupl
     """Frames in order with their times."""
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
-        first = shot.first.part(part)
-        last = first if shot.last is shot.first else shot.last.part(part)
-        exposure = replace(shot, first=first, last=last)
+        exposure = replace(shot, at_rows=tuple(one.part(part) for one in shot.at_rows))
         yield now, frame_of(shot.staged, [drawn(exposure, now, u) for u in moments_of(exposure)], now, rng)
 
 
 def moments_of(shot: Shot) -> list[float]:
-    """Moments of one exposure that are drawn, -1 at its beginning and 1 at its end."""
-    tags, beam = shot.first.tags, shot.first.beam
+    """Filmed of one exposure that are drawn, -1 at its beginning and 1 at its end."""
+    tags, beam = shot.at_rows[0].tags, shot.at_rows[0].beam
     ends = project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
     count = int(np.clip(np.ceil(moved / STEPS), 1, MOST_MOMENTS))
@@ -163,17 +160,16 @@ def drawn(shot: Shot, time: float, u: float) -> Drawing:
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
     now = time + 0.5 * u * shot.cast.scene.exposure
 
-    def at(moments: Moments, when: float) -> Drawing:
+    def at(moments: Filmed, when: float) -> Drawing:
         beam, tags = np.tensordot(weights, moments.beam, 1), np.tensordot(weights, moments.tags, 1)
         contact = float(weights @ moments.contact)
         return moment_of(shot.cast, BeamPose(when, beam[:, :2], beam[:, 2], tags, beam[:, 3], contact))
 
-    first = at(shot.first, now)
-    if shot.last is shot.first and shot.camera.still:
-        return first
-    last = at(shot.last, now + shot.readout)
-    shift = shot.camera.shift(now + shot.readout * np.array([0.0, 0.5, 1.0]))
-    return over_rows(first, last, shift, shot.staged.table.y.shape[0])
+    when = now + shot.readout * np.array([0.0, 0.5, 1.0])
+    drawings = [at(moments, moment) for moments, moment in zip(shot.at_rows, when.tolist(), strict=False)]
+    if len(drawings) == 1 and shot.camera.still:
+        return drawings[0]
+    return over_rows(drawings, shot.camera.shift(when), shot.staged.table.y.shape[0])
 
 
 def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:

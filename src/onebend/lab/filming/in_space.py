@@ -7,6 +7,8 @@ import numpy as np
 from onebend.recording.camera.lens import distort, project
 from onebend.records import Array, View
 
+ROW_ITERATIONS = 4  # things move by far less than a picture while it is read
+
 
 def placed_in_space(loops: Array, pose: Array) -> Array:
     """Polygons (..., corners, 2) [m] of a flat thing at `pose` (6,): x, y, angle, z, and its face's tilts.
@@ -40,14 +42,13 @@ def pixels(view: View, points: Array) -> Array:
     return np.asarray(distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2])
 
 
-def rolled(first: Array, last: Array, shift: Array, rows: int) -> Array:
-    """Pixels (..., 2) of what is seen at `first` as the first of the rows is exposed, and at `last` as the last one is.
+def rolled(at: Array, rows: int) -> Array:
+    """Pixels (..., 2) of what is seen at `at` (3, ..., 2) as the first, the middle and the last of the rows is exposed.
 
-    Things move evenly from one to the other, v = v0 + (v1 - v0) v / rows. The picture is moved by `shift` (3, 2) at the
-    first, the middle and the last row, and by a parabola between them.
+    Things move along a parabola meanwhile; each is seen when its own row is: v = v(share), share = v / rows.
     """
-    moved = last - first
-    share = np.clip(first[..., 1] / (rows - moved[..., 1]), 0.0, 1.0)
-    u = share[..., None]
-    parabola = (1.0 - u) * (1.0 - 2.0 * u) * shift[0] + 4.0 * u * (1.0 - u) * shift[1] + u * (2.0 * u - 1.0) * shift[2]
-    return np.asarray(first + u * moved + parabola)
+    seen = at[0]
+    for _ in range(ROW_ITERATIONS):
+        u = np.clip(seen[..., 1:] / rows, 0.0, 1.0)
+        seen = (1.0 - u) * (1.0 - 2.0 * u) * at[0] + 4.0 * u * (1.0 - u) * at[1] + u * (2.0 * u - 1.0) * at[2]
+    return np.asarray(seen)

@@ -15,19 +15,19 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class Moments:
-    """T moments."""
+class Filmed:
+    """Beam, tags and contact at T moments."""
 
     shapes: BeamShapes  # clamp's frame
     beam: Array  # (T, 121, 4) x, y, angle, z at `PLACES`, in the room
     tags: Array  # (T, m + 1, 6) x, y, angle, z and the face's tilts, in the room; the base tag first
     contact: Array  # (T,) s, where the tool pushes
 
-    def part(self, which: slice) -> Moments:
+    def part(self, which: slice) -> Filmed:
         """Some of them."""
         shapes = self.shapes
         few = BeamShapes(shapes.time[which], shapes.force[which], shapes.xy[which], shapes.angle[which])
-        return Moments(few, self.beam[which], self.tags[which], self.contact[which])
+        return Filmed(few, self.beam[which], self.tags[which], self.contact[which])
 
 
 def followed(filming: Filming, until: float) -> RodMotion | None:
@@ -35,7 +35,7 @@ def followed(filming: Filming, until: float) -> RodMotion | None:
     return motion_of(filming.bench, until, at=PLACES, gravity=motive_of(filming).gravity)
 
 
-def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Moments:
+def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filmed:
     """Everything at times (T,) [s] that rise; before 0 the beam is at rest.
 
     Raises:
@@ -52,7 +52,7 @@ def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Momen
     z, slope = droop(bench.beam, bench.effects.droop, PLACES, shapes.xy, shapes.angle)
     beam = np.concatenate([shapes.xy, shapes.angle[..., None], z[..., None]], axis=-1)
     tags = tag_faces(filming, shapes, z, slope)
-    return Moments(shapes, in_room(beam, filming.base_angle), in_room(tags, filming.base_angle), contact)
+    return Filmed(shapes, in_room(beam, filming.base_angle), in_room(tags, filming.base_angle), contact)
 
 
 def tag_faces(filming: Filming, shapes: BeamShapes, z: Array, slope: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,15 +79,16 @@ def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
     return Drawing(shadows, layers)
 
 
-def over_rows(first: Drawing, last: Drawing, shift: Array, rows: int) -> Drawing:
-    """One picture of two drawings of the same things: as the first row is exposed, and as the last one is.
+def over_rows(drawings: Sequence[Drawing], shift: Array, rows: int) -> Drawing:
+    """One picture of drawings of the same things, as its first, its middle and its last row is exposed.
 
-    `shift` (3, 2) px: of the camera's picture at its first, middle and last row.
+    `shift` (3, 2) px: of the camera's picture at these rows. A hand that comes or goes meanwhile is as at the first.
     """
-    if len(first.layers) != len(last.layers):  # a hand that comes or goes
-        return replace(first, shift=shift, rows=rows)
-    layers = [replace(one, late=two.loops) for one, two in zip(first.layers, last.layers, strict=True)]
-    shadows = [replace(one, late=two.loops) for one, two in zip(first.shadows, last.shadows, strict=True)]
+    first, *later = drawings
+    if any(len(one.layers) != len(first.layers) for one in later):
+        later = []
+    layers = [replace(one, late=tuple(d.layers[i].loops for d in later)) for i, one in enumerate(first.layers)]
+    shadows = [replace(one, late=tuple(d.shadows[i].loops for d in later)) for i, one in enumerate(first.shadows)]
     return Drawing(shadows, layers, shift, rows)
 
 

@@ -28,7 +28,7 @@ class ColourLayer:
 
     loops: Array  # (..., corners, 2) m, or (..., corners, 3)
     colour: Colour
-    late: Array | None = None  # the same as the last row is exposed; None: all rows are at once
+    late: tuple[Array, ...] = ()  # the same as the middle and the last row are exposed; none: all rows are at once
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Shadow:
     loops: Array
     density: float = 0.35
     soft: float = 5.0  # px, sd of its edge
-    late: Array | None = None
+    late: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,11 @@ def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, movin
 def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
     """Pixels (..., corners, 2) of a thing in a drawing."""
     first = pixels(view, thing.loops)
-    if thing.late is None and not np.any(drawing.shift):
+    if not thing.late and not np.any(drawing.shift):
         return first
-    last = first if thing.late is None else pixels(view, thing.late)
-    return rolled(first, last, drawing.shift, drawing.rows)
+    later = [pixels(view, loops) for loops in thing.late] or [first, first]
+    shift = drawing.shift.reshape(3, *[1] * (first.ndim - 1), 2)
+    return rolled(np.stack([first, *later]) + shift, drawing.rows)
 
 
 def draw(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:

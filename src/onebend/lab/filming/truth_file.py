@@ -12,7 +12,7 @@ import numpy as np
 from onebend.lab.effects.real_bench import rest_curvature
 from onebend.lab.effects.rod_march import RodMotion
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.filming.moments import Moments
+from onebend.lab.filming.moments import Filmed
 from onebend.lab.filming.movement import PLACES
 from onebend.lab.virtual import true_stiffness
 from onebend.records import Array, ForceLog, View
@@ -33,7 +33,7 @@ class FilmTruth:
     """What was filmed, as it truly was."""
 
     filming: Filming
-    shown: Moments  # at the frames, as their first rows are exposed
+    shown: Filmed  # at the frames, as their first rows are exposed
     motion: RodMotion | None
     moved: Array  # (T, 2) px, of the camera's picture
     view: View
