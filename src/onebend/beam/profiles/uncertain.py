@@ -21,6 +21,11 @@ SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
 IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
 
 
+def half_width(sd: Array | float, level: float = 0.95) -> Array:
+    """Half the width of the band between the quantiles of a normal of this sd that leave out `1 - level`."""
+    return np.asarray(ndtri(0.5 + 0.5 * level) * sd)
+
+
 @dataclass(frozen=True)
 class Band:
     """k(s) and how sure it is, at places s (S,)."""
@@ -74,8 +79,12 @@ class UncertainStiffness:
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
         mean, sd = self.log_at(s)
-        wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(self._widening(s, level) * sd, self.gain_sd)
+        wide = self.half_width(s, level)
         return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
+
+    def half_width(self, s: Array, level: float = 0.95) -> Array:
+        """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
+        return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
 
     def _widening(self, s: Array, level: float) -> Array | float:
         """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
