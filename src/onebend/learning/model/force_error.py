@@ -14,7 +14,7 @@ noise of each frame. In the rests the true force is zero, so there the log shows
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
