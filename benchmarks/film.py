@@ -32,7 +32,7 @@ from onebend.lab.filming.film import film
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.learning.posterior import FitSettings, Posterior
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.progress import Progress, Silent
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
@@ -118,7 +118,7 @@ def learned(filming: Filming, folder: Path, seed: int) -> Run:
     detect, truth = Keeping(), read_truth(folder)
     begun = replace(begun, steepest=float(np.max(np.abs(np.gradient(np.log(truth.k), truth.s)))))
     try:
-        found = learn_recording(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
+        found = learn(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
     except OnebendError as wrong:
         return replace(begun, failure=f"learn: {wrong}", film_seconds=filmed)
     assert found.posterior is not None

@@ -18,7 +18,7 @@ from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import PLACES, Proposal
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.observe import observe
@@ -50,7 +50,7 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
     out = []
     for beam in BEAMS:
         seen: dict[str, Observations] = {k: observe(recordings / f"{beam}_{k}") for k in ("train", *OTHERS)}
-        start = learn(seen["train"]).beam.stiffness
+        start = regress(seen["train"]).beam.stiffness
         alone = fit([seen["train"]], start)
         bench = instruments_of(alone)
         for other in OTHERS:

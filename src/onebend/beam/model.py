@@ -13,6 +13,7 @@ from onebend.beam.profiles.stiffness import Profile, Uniform, profile_from_dict
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.snap_through import Side
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
@@ -57,6 +58,7 @@ class Beam:
         if not self.length > 0.0:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
 
+    @one_blas_thread
     def equilibrium(
         self,
         force: ArrayLike,

@@ -35,8 +35,8 @@ from onebend.records import Array, BoolArray
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
-_EXACT = 1e-3  # share of its sd that is left of a nuisance that is known
-_TINY = 1e-9  # sd of what is known
+_KNOWN_SHARE = 1e-3  # share of its sd that is left of a nuisance that is known
+_LEAST_SD = 1e-9  # sd of what is known
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
@@ -102,7 +102,7 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
 
 def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
     """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
-    bench, push, e = used.bench, used.push, _EXACT
+    bench, push, e = used.bench, used.push, _KNOWN_SHARE
     force = bench.force
     steady = replace(force.times(e), frame=force.frame)
     out = {
@@ -149,7 +149,7 @@ def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple
     """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
-    sd = np.maximum([own.place, own.direction, own.load, own.load], _TINY)
+    sd = np.maximum([own.place, own.direction, own.load, own.load], _LEAST_SD)
     first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
     last = np.arange(first, first + len(sd))
     order = np.concatenate([np.setdiff1d(np.arange(size), last), last])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.profiles.uncertain import half_width
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.forecast.advice import SetupChange, advise
 from onebend.forecast.prediction import BudgetEntry, PredictedBand, predict, ranges, uncertainty_budget
@@ -79,6 +80,7 @@ class Rehearsal:
         }
 
 
+@one_blas_thread
 def rehearse(
     setup: Setup,
     *,

@@ -21,6 +21,7 @@ from onebend.beam.loads import Loads
 from onebend.beam.statics.equilibrium import Equilibrium, node_angles, potential
 from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
 from onebend.beam.statics.sensitivity import clamp_wrench
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
@@ -51,6 +52,7 @@ class Held:
         return np.asarray(clamp_wrench(self.solved) - np.stack([fx, fy, x * fy - y * fx + moment], axis=-1))
 
 
+@one_blas_thread
 def hold(beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution | None = None) -> Held:
     """Equilibria with the end s = 1 held at `end`: (3,) or (T, 3) of x [m], y [m], angle [rad].
 
@@ -72,6 +74,7 @@ def hold(beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resol
     return held
 
 
+@one_blas_thread
 def hold_along(
     beam: Rod, path: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution = Resolution(order=16, widest=0.25)
 ) -> Held:

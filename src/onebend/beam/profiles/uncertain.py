@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline
 from scipy.special import ndtri
 
 from onebend.beam.profiles.stiffness import LogSpline
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray
 
@@ -76,6 +77,7 @@ class UncertainStiffness:
         basis = self.basis(s)
         return basis @ self.mean, np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance, basis))
 
+    @one_blas_thread
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
         mean, sd = self.log_at(s)

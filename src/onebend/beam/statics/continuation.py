@@ -20,6 +20,7 @@ from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, p
 from onebend.beam.statics.newton import correct, solve_batch
 from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
 from onebend.beam.statics.snap_through import Side, let_fall
+from onebend.blas import one_blas_thread
 from onebend.records import Array, IntArray
 
 
@@ -63,6 +64,7 @@ class _State:
         self.iterations = 0
 
 
+@one_blas_thread
 def equilibrium(
     beam: Rod,
     loads: Loads,
