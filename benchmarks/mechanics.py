@@ -13,7 +13,7 @@ from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
 from onebend.records import Array
 from tests.beam.exact import elastica_tip
@@ -119,9 +119,9 @@ def speed() -> list[Row]:
     order = next(
         n
         for n in range(4, 24)
-        if np.max(np.abs(follow(pose(BEAM, push(force), Resolution(n))).xy(TIP)[:, 0] - exact)) <= limit
+        if np.max(np.abs(follow(make_problem(BEAM, push(force), Resolution(n))).xy(TIP)[:, 0] - exact)) <= limit
     )
-    ours = best_of(lambda: follow(pose(BEAM, push(force), Resolution(order)))) / FRAMES
+    ours = best_of(lambda: follow(make_problem(BEAM, push(force), Resolution(order)))) / FRAMES
     some = range(25, FRAMES, 50)
     tolerance = next(
         t
@@ -147,7 +147,7 @@ def derivatives(force: Array) -> list[Row]:
     """Cost of 21 derivatives of three tags together, over the cost of the solve."""
     loads = push(force) + weight((0.0, -1.0))
     beam = Beam(BEAM.length, BEAM.stiffness, mass_per_length=Uniform(0.5))
-    solved = follow(pose(beam, loads, Resolution(12)))
+    solved = follow(make_problem(beam, loads, Resolution(12)))
     nodes, s = solved.problem.grid.nodes, np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
     functions = gaussian_basis(nodes, equidistant(12), 0.1)
 
@@ -161,7 +161,7 @@ def derivatives(force: Array) -> list[Row]:
         )
         return respond(solved, change).xy(s)
 
-    solve = best_of(lambda: follow(pose(beam, loads, Resolution(12))))
+    solve = best_of(lambda: follow(make_problem(beam, loads, Resolution(12))))
     return [Row("all 21 derivatives of three tags, over the cold solve", best_of(everything) / solve, "", "<= 2")]
 
 

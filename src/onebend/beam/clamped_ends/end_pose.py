@@ -46,12 +46,12 @@ def second_variation(problem: Problem, q: Array, wrench: Array) -> Array:
 
 
 def newton(
-    problem: Problem, start: Array, wrench: Array, goal: Array, *, trust: float, most: int = 12
+    problem: Problem, start: Array, wrench: Array, goal: Array, *, trust: float, max_iterations: int = 12
 ) -> tuple[Array, Array, BoolArray]:
     """Shape and wrench by Newton's method; True where it settled without turning by more than `trust` on the way."""
     q, w, nodes = start.copy(), wrench.copy(), start.shape[1]
     settled, strayed = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
-    for _ in range(most):
+    for _ in range(max_iterations):
         todo = np.flatnonzero(~(settled | strayed))
         if todo.size == 0:
             break
@@ -73,8 +73,8 @@ def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Ar
     system[:, :nodes, :nodes] = second_variation(problem, q, wrench)
     system[:, :nodes, nodes:] = -transposed(c)
     system[:, nodes:, :nodes] = c
-    unbalanced = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
-    return solve_each(system, np.concatenate([-unbalanced, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
+    residual = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
+    return solve_each(system, np.concatenate([-residual, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
@@ -116,8 +116,8 @@ def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array]
         step, wrench, rising = _way_down(problem, q)
         turn = float(np.max(np.abs(node_angles(problem, step) - problem.alpha0)))
         if turn < 1e-5 and rising:
-            found, push, near = newton(problem, q, wrench, goal, trust=0.1)
-            return (found, push) if near[0] and stands(problem, found, push)[0] else None
+            shape, end_wrench, near = newton(problem, q, wrench, goal, trust=0.1)
+            return (shape, end_wrench) if near[0] and stands(problem, shape, end_wrench)[0] else None
         step, energy = step * min(1.0, 0.3 / max(turn, 1e-300)), potential(problem, q)[0]
         for _ in range(30):
             lower, there = restore(problem, q + step, goal)

@@ -18,7 +18,7 @@ from onebend.beam.statics.problem import Problem
 from onebend.records import Array, BoolArray
 
 _TRUST = 0.7  # rad, the largest turn from the known shape that is still the same equilibrium
-_STEPS = 25
+_MAX_ITERATIONS = 25
 
 
 def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tuple[Equilibrium, Array]:
@@ -27,8 +27,8 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
     The equilibria are those of the problem under that wrench as a dead load (`under`), so that their derivatives are
     those of any others. With `fall` a start may be far off balance; without it such a frame has not converged.
     """
-    wrench = balancing(problem, start)
-    q, w, near = newton(problem, start, wrench, end, trust=_TRUST, most=_STEPS)
+    wrench = balancing_wrench(problem, start)
+    q, w, near = newton(problem, start, wrench, end, trust=_TRUST, max_iterations=_MAX_ITERATIONS)
     near[near] &= stands(problem.take(near), q[near], w[near])
     lost = np.flatnonzero(~near)
     q[lost], w[lost] = start[lost], wrench[lost]
@@ -36,7 +36,9 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
         q[lost], w[lost], near[lost] = _let_go(problem.take(lost), start[lost], end[lost])
     none = np.full(len(q), np.nan)
     factor = np.where(near, 1.0, np.nan)
-    return Equilibrium(under(problem, w), q, near, near.copy(), factor, none, np.zeros(len(q), dtype=bool), 0), w
+    return Equilibrium(
+        with_end_wrench(problem, w), q, near, near.copy(), factor, none, np.zeros(len(q), dtype=bool), 0
+    ), w
 
 
 def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, BoolArray]:
@@ -51,7 +53,7 @@ def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, B
     return q, w, np.asarray(well)
 
 
-def under(problem: Problem, wrench: Array) -> Problem:
+def with_end_wrench(problem: Problem, wrench: Array) -> Problem:
     """With a force and a moment (T, 3) N, N, N m more at the end."""
     return replace(
         problem,
@@ -60,7 +62,7 @@ def under(problem: Problem, wrench: Array) -> Problem:
     )
 
 
-def balancing(problem: Problem, q: Array) -> Array:
+def balancing_wrench(problem: Problem, q: Array) -> Array:
     """(T, 3) the wrench at the end that brings shapes (T, Q) nearest to balance, in the norm of the bending energy."""
     scale = 1.0 / np.sqrt(np.broadcast_to(problem.weights * problem.k, q.shape))
     c = end_jacobian(problem, q) * scale[:, None, :]

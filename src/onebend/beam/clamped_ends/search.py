@@ -3,7 +3,7 @@
 A held beam has several equilibria, and which of them a real beam takes depends on how it came there. `hold` answers
 for a beam brought to its pose in no particular way: several shapes through the pose (bowed to either side, its chord
 reached by turning either way) are each followed, with the end at its pose all the way, from being stress-free to the
-true rest curvature and loads; of the stable equilibria found the one of least potential energy is returned.
+true rest curvature and loads; of the stable equilibria solutions the one of least potential energy is returned.
 `hold_along` answers for a known history: it follows the beam from pose to pose, and says where it snaps over.
 """
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from onebend.beam.clamped_ends.end_pose import end_pose, let_down, newton, restore, stands
 from onebend.beam.loads import Loads
 from onebend.beam.statics.equilibrium import Equilibrium, node_angles, potential
-from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.sensitivity import clamp_wrench
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
@@ -32,11 +32,11 @@ _COARSEST = Resolution(order=16, widest=0.5)
 _FINEST = 1.0 / 8.0  # widest panel at the end of refinement
 _BATCH = 4_000_000  # entries of the tangents solved together: what stays within some ten MB
 
-Setting = Callable[[IntArray, Array], tuple[Problem, Array]]  # frames, share of the way -> problem and pose there
+Homotopy = Callable[[IntArray, Array], tuple[Problem, Array]]  # frames, share of the way -> problem and pose there
 
 
 @dataclass(frozen=True)
-class Held:
+class ClampedEquilibrium:
     """Equilibria of a beam held at both ends."""
 
     solved: Equilibrium  # `converged`: the end is at its pose in equilibrium; `stable`: with both ends held
@@ -51,7 +51,9 @@ class Held:
         return np.asarray(clamp_wrench(self.solved) - np.stack([fx, fy, x * fy - y * fx + moment], axis=-1))
 
 
-def hold(beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution | None = None) -> Held:
+def hold(
+    beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution | None = None
+) -> ClampedEquilibrium:
     """Equilibria with the end s = 1 held at `end`: (3,) or (T, 3) of x [m], y [m], angle [rad].
 
     The angle counts full turns. Where two equilibria have the same energy (a pose on the clamp's axis) the beam bows to
@@ -68,13 +70,13 @@ def hold(beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resol
     widest = _COARSEST.widest
     while resolution is None and widest > _FINEST and not np.all(held.solved.resolved):
         widest *= 0.5
-        held = _resolve(held, pose(beam, loads, replace(_COARSEST, widest=widest)), goal)
+        held = _resolve(held, make_problem(beam, loads, replace(_COARSEST, widest=widest)), goal)
     return held
 
 
 def hold_along(
     beam: Rod, path: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution = Resolution(order=16, widest=0.25)
-) -> Held:
+) -> ClampedEquilibrium:
     """The beam while its end is led along `path` (P, 3) of x [m], y [m], angle [rad]; one equilibrium a pose.
 
     Between two poses the end moves in a straight line and turns evenly, in as many steps as it takes. `jumped` marks
@@ -86,17 +88,17 @@ def hold_along(
     poses = _goals(beam, path, Loads())
     if loads.size != 1:
         raise MechanicsError(f"loads for {loads.size} frames: along a path one set of loads acts all the way")
-    found = [_hold(beam, _goals(beam, poses[:1], loads), loads, resolution)]
-    problem = found[0].solved.problem
+    solutions = [_hold(beam, _goals(beam, poses[:1], loads), loads, resolution)]
+    problem = solutions[0].solved.problem
     for before, after in pairwise(poses):
-        here = found[-1]
+        here = solutions[-1]
 
         def on_the_way(_: IntArray, share: Array, a: Array = before, b: Array = after) -> tuple[Problem, Array]:
             return problem, a + share[:, None] * (b - a)
 
-        q, wrench, share = _walk(on_the_way, here.solved.q, here.wrench)
-        found.append(_land(problem, q, wrench, after[None], share))
-    return _join(pose(beam, loads.spread(len(poses)), resolution), found)
+        q, wrench, share = _follow_homotopy(on_the_way, here.solved.q, here.wrench)
+        solutions.append(_land(problem, q, wrench, after[None], share))
+    return _join(make_problem(beam, loads.spread(len(poses)), resolution), solutions)
 
 
 def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
@@ -117,15 +119,15 @@ def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
     return goal
 
 
-def _hold(beam: Rod, goal: Array, loads: Loads, resolution: Resolution) -> Held:
+def _hold(beam: Rod, goal: Array, loads: Loads, resolution: Resolution) -> ClampedEquilibrium:
     """From every first shape to equilibrium, and the lowest of those, in batches that fit the memory."""
-    problem = pose(beam, loads.spread(len(goal)), resolution)
+    problem = make_problem(beam, loads.spread(len(goal)), resolution)
     several = max(1, _BATCH // problem.to_nodes.shape[-1] ** 2)
     parts = [np.arange(i, min(i + several, len(goal))) for i in range(0, len(goal), several)]
     return _join(problem, [_lowest(problem.take(frames), goal[frames]) for frames in parts])
 
 
-def _resolve(held: Held, finer: Problem, goal: Array) -> Held:
+def _resolve(held: ClampedEquilibrium, finer: Problem, goal: Array) -> ClampedEquilibrium:
     """The same equilibria on a finer grid; sought anew where the finer one is not close by."""
     start = held.solved.q @ held.solved.problem.grid.value_at(finer.grid.nodes).T
     q, wrench, near = newton(finer, start, held.wrench, goal, trust=_NEIGHBOUR)
@@ -140,7 +142,7 @@ def _resolve(held: Held, finer: Problem, goal: Array) -> Held:
     return _held(finer, q, wrench, near, jumped)
 
 
-def _lowest(problem: Problem, goal: Array) -> Held:
+def _lowest(problem: Problem, goal: Array) -> ClampedEquilibrium:
     """Of the equilibria that grow from the first shapes, the stable one of least energy; the first where equal.
 
     Where none of the walks came to its end, the beam is let down from where the longest of them stopped.
@@ -205,10 +207,10 @@ def release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, 
         )
         return blended, goal[frames]
 
-    return _walk(partly, begin, np.zeros((len(begin), 3)))
+    return _follow_homotopy(partly, begin, np.zeros((len(begin), 3)))
 
 
-def _walk(at: Setting, start: Array, wrench: Array) -> tuple[Array, Array, Array]:
+def _follow_homotopy(homotopy: Homotopy, start: Array, wrench: Array) -> tuple[Array, Array, Array]:
     """Follow stable equilibria while a setting goes over from its beginning to its end; the share of the way reached.
 
     A step counts if Newton's method settled within `_TRUST` and the second variation stayed positive on the way.
@@ -220,14 +222,14 @@ def _walk(at: Setting, start: Array, wrench: Array) -> tuple[Array, Array, Array
         if todo.size == 0:
             return q, w, done
         target = np.minimum(done[todo] + step[todo], 1.0)
-        problem, goal = at(todo, target)
-        found, push, near = newton(problem, q[todo], w[todo], goal, trust=_TRUST)
-        near[near] &= stands(problem.take(near), found[near], push[near])
-        q[todo[near]], w[todo[near]], done[todo[near]] = found[near], push[near], target[near]
+        problem, goal = homotopy(todo, target)
+        shape, end_wrench, near = newton(problem, q[todo], w[todo], goal, trust=_TRUST)
+        near[near] &= stands(problem.take(near), shape[near], end_wrench[near])
+        q[todo[near]], w[todo[near]], done[todo[near]] = shape[near], end_wrench[near], target[near]
         step[todo] = np.where(near, 2.0, 0.25) * step[todo]
 
 
-def _land(problem: Problem, q: Array, wrench: Array, goal: Array, share: Array) -> Held:
+def _land(problem: Problem, q: Array, wrench: Array, goal: Array, share: Array) -> ClampedEquilibrium:
     """Frames whose walk ended early have lost stability: they fall from there to a stable equilibrium, if any."""
     jumped = share < 1.0
     stable = ~jumped
@@ -239,8 +241,8 @@ def _land(problem: Problem, q: Array, wrench: Array, goal: Array, share: Array) 
     return _held(problem, q, wrench, stable, jumped)
 
 
-def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: BoolArray) -> Held:
-    """A record of what was found; only stable equilibria are."""
+def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: BoolArray) -> ClampedEquilibrium:
+    """A record of what was solutions; only stable equilibria are."""
     solved = Equilibrium(
         problem=problem,
         q=q,
@@ -251,10 +253,10 @@ def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: 
         fell=jumped,
         iterations=0,
     )
-    return Held(solved, wrench, jumped)
+    return ClampedEquilibrium(solved, wrench, jumped)
 
 
-def _join(problem: Problem, parts: list[Held]) -> Held:
+def _join(problem: Problem, parts: list[ClampedEquilibrium]) -> ClampedEquilibrium:
     """Several results as one, in their order."""
     return _held(
         problem,

@@ -217,7 +217,7 @@ def positive_definite(matrices: Array) -> BoolArray:
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        return np.array([dpotrf(one, lower=1)[1] == 0 for one in matrices], dtype=bool)
+        return np.array([dpotrf(matrix, lower=1)[1] == 0 for matrix in matrices], dtype=bool)
     return np.ones(len(matrices), dtype=bool)
 
 

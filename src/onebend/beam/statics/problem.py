@@ -112,12 +112,12 @@ class Problem:
         )
 
 
-def pose(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of a beam under loads. Raises `MechanicsError` where k(s) is not positive at every node."""
-    return pose_many([beam], loads, resolution)
+    return make_problems([beam], loads, resolution)
 
 
-def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of several beams, one a frame (or one for all frames), on one grid.
 
     Raises:
@@ -130,11 +130,11 @@ def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resol
     jumps = tuple(j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps)
     grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
-    one = len(beams) == 1
+    shared = len(beams) == 1
     k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
     _check_positive(k, nodes)
-    length = np.asarray(beams[0].length) if one else np.array([[b.length] for b in beams])
-    alpha0 = np.asarray(beams[0].clamp_angle) if one else np.array([[b.clamp_angle] for b in beams])
+    length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
+    alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
     dead = np.einsum("tac,taq->tqc", loads.force, _beyond(nodes, loads.force_s))
     if np.any(loads.gravity != 0.0):
         line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])

@@ -1,9 +1,9 @@
 """Derivatives of an equilibrium by the implicit function theorem: `dq/dp = -T^-1 dg/dp`, T the tangent.
 
-A `Change` says how parameters enter the out-of-balance: by the internal force and moment they add, by the elastic term,
-by the clamp's angle. Changes are joined with `+` and answered together: the tangent is factorised once for all of them,
-and solved for the parameters or, where those are fewer, for the quantities looked at (the adjoint way).
-Never by differentiating through the iterations.
+A `Perturbation` gives the derivatives of the balance's residual g with parameters: through the internal force and
+moment, the elastic term, the clamp's angle. Perturbations are joined with `+` and solved together: the tangent is
+factorised once, for the parameters or, where those are fewer, for the quantities asked for (the adjoint method).
+Nothing is differentiated through the iterations.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class Change:
+class Perturbation:
     """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T.
 
     None where nothing of the kind changes.
@@ -32,29 +32,29 @@ class Change:
     clamp: Array  # (P,) rad per unit
 
     @property
-    def parts(self) -> tuple[Change, ...]:
-        """Itself, as `Changes` has it."""
+    def parts(self) -> tuple[Perturbation, ...]:
+        """Itself, as `Perturbations` has it."""
         return (self,)
 
-    def __add__(self, other: Change | Changes) -> Changes:
+    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
         """Both sets of parameters, one after the other."""
-        return Changes(self.parts + other.parts)
+        return Perturbations(self.parts + other.parts)
 
 
 @dataclass(frozen=True)
-class Changes:
+class Perturbations:
     """Several sets of parameters, one after the other: P in all."""
 
-    parts: tuple[Change, ...]
+    parts: tuple[Perturbation, ...]
 
     @property
     def clamp(self) -> Array:
         """(P,) rad per unit."""
         return np.concatenate([part.clamp for part in self.parts])
 
-    def __add__(self, other: Change | Changes) -> Changes:
+    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
         """Those of `other` after these."""
-        return Changes(self.parts + other.parts)
+        return Perturbations(self.parts + other.parts)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Response:
     """How equilibria move with P parameters."""
 
     solved: Equilibrium
-    change: Change | Changes
+    perturbation: Perturbation | Perturbations
 
     @cached_property
     def q(self) -> Array:
@@ -72,35 +72,35 @@ class Response:
     @property
     def alpha(self) -> Array:
         """(T, Q, P) of the angle at the nodes."""
-        return self.solved.problem.to_nodes @ self.q + self.change.clamp
+        return self.solved.problem.to_nodes @ self.q + self.perturbation.clamp
 
     def poses(self, s: Array) -> Array:
         """(T, S, 3, P) m, m, rad per unit: of position and angle at places `s` (S,) or (T, S)."""
-        turning, at = self._turning(s), self.solved.problem.grid.integral_to(s)
-        angle = np.broadcast_to(at, (len(self.solved.q), *at.shape[-2:]))[:, :, None]
+        turning, rows = self._turning(s), self.solved.problem.grid.integral_to(s)
+        angle = np.broadcast_to(rows, (len(self.solved.q), *rows.shape[-2:]))[:, :, None]
         ones = np.ones((*turning.shape[:2], 1))
         turned = np.concatenate([np.sum(turning, axis=-1), ones], axis=-1)
-        return self._seen(np.concatenate([turning @ self._to_nodes, angle], axis=2), turned)
+        return self._derivative_of(np.concatenate([turning @ self._to_nodes, angle], axis=2), turned)
 
     def angle(self, s: Array) -> Array:
         """(T, S, P) rad per unit, of the angle at places `s` (S,) or (T, S)."""
-        at = self.solved.problem.grid.integral_to(s)
-        rows = np.broadcast_to(at, (len(self.solved.q), *at.shape[-2:]))
-        return self._seen(rows, np.ones(rows.shape[:-1]))
+        integral = self.solved.problem.grid.integral_to(s)
+        rows = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))
+        return self._derivative_of(rows, np.ones(rows.shape[:-1]))
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2, P) m per unit, of the position at places `s` (S,) or (T, S)."""
         turning = self._turning(s)
-        return self._seen(turning @ self._to_nodes, np.sum(turning, axis=-1))
+        return self._derivative_of(turning @ self._to_nodes, np.sum(turning, axis=-1))
 
     def clamp_wrench(self) -> Array:
         """(T, 3, P) N, N, N m per unit: of force and moment that the clamp puts on the beam (dead loads)."""
         problem, base = self.solved.problem, _at_base(self.solved.problem)
         along, _ = pulls(problem, self.solved.q)
-        out = np.zeros((len(along), 3, len(self.change.clamp)))
+        out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
         lw = (problem.length * problem.weights)[..., None]
         out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
-        for columns, part in _columns(self.change):
+        for columns, part in _columns(self.perturbation):
             if part.force is not None:
                 out[:, :2, columns] -= np.einsum("q,tqcp->tcp", base, part.force)
                 out[:, 2, columns] -= np.sum(lw * _across(self.solved.alpha, part.force), axis=1)
@@ -110,7 +110,7 @@ class Response:
 
     @cached_property
     def _right(self) -> Array:
-        return right_side(self.solved, self.change)
+        return right_side(self.solved, self.perturbation)
 
     @property
     def _to_nodes(self) -> Array:
@@ -124,39 +124,39 @@ class Response:
         rows = problem.length[..., None] * problem.grid.integral_to(s)
         return np.stack([-np.sin(alpha)[:, None] * rows, np.cos(alpha)[:, None] * rows], axis=-2)
 
-    def _seen(self, rows: Array, turned: Array) -> Array:
+    def _derivative_of(self, rows: Array, turned: Array) -> Array:
         """(T, ..., P) of quantities that go with curvature by `rows` (T, ..., Q), with the clamp by `turned` (T, ...).
 
         Where they are fewer than the parameters, T is solved for them: `rows T^-1 right = (T^-T rows^T)^T right`.
         """
         flat = rows.reshape(len(rows), -1, rows.shape[-1])
-        clamp = self.change.clamp
+        clamp = self.perturbation.clamp
         if "q" in self.__dict__ or flat.shape[1] >= len(clamp):
             out = flat @ self.q
         else:
             matrices = tangent(self.solved.problem, self.solved.q)
             adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
-            out = np.concatenate([_seen_through(adjoint, self.solved, part) for part in self.change.parts], axis=-1)
+            out = np.concatenate([_by_adjoint(adjoint, self.solved, part) for part in self.perturbation.parts], axis=-1)
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
 
-def respond(solved: Equilibrium, change: Change | Changes) -> Response:
-    """Derivatives of the equilibria with respect to all parameters of `change`.
+def respond(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Response:
+    """Derivatives of the equilibria with respect to all parameters of `perturbation`.
 
     They are worked out when asked for. NaN in frames whose tangent is singular: at a limit point the response is
     infinite.
     """
-    return Response(solved, change)
+    return Response(solved, perturbation)
 
 
-def right_side(solved: Equilibrium, change: Change | Changes) -> Array:
+def right_side(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:
     """(T, Q, P): minus the derivative of the out-of-balance at fixed q."""
     problem, alpha = solved.problem, solved.alpha
     lw = (problem.length * problem.weights)[..., None]
     weights = problem.weights[..., None]
-    out = np.zeros((*alpha.shape, len(change.clamp)))
-    for columns, part in _columns(change):
+    out = np.zeros((*alpha.shape, len(perturbation.clamp)))
+    for columns, part in _columns(perturbation):
         if part.force is not None:
             out[..., columns] += transposed(problem.to_nodes) @ (lw * _across(alpha, part.force))
         if part.moment is not None:
@@ -169,7 +169,7 @@ def right_side(solved: Equilibrium, change: Change | Changes) -> Array:
     return out
 
 
-def _seen_through(rows: Array, solved: Equilibrium, part: Change) -> Array:
+def _by_adjoint(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
     """(T, S, P): rows (T, S, Q) times the right side; functions that all frames share are not written out for each."""
     if part.elastic is None or part.elastic[1].ndim > 2:
         return np.asarray(rows @ right_side(solved, part))
@@ -190,10 +190,10 @@ def _of_turn(solved: Equilibrium) -> Array:
     return apply(transposed(problem.to_nodes), along)[..., None]
 
 
-def _columns(change: Change | Changes) -> list[tuple[slice, Change]]:
+def _columns(perturbation: Perturbation | Perturbations) -> list[tuple[slice, Perturbation]]:
     """The parts with their places among all parameters."""
-    ends = np.cumsum([0, *(len(part.clamp) for part in change.parts)]).tolist()
-    return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], change.parts, strict=True)]
+    ends = np.cumsum([0, *(len(part.clamp) for part in perturbation.parts)]).tolist()
+    return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], perturbation.parts, strict=True)]
 
 
 def _across(alpha: Array, force: Array) -> Array:
@@ -201,41 +201,41 @@ def _across(alpha: Array, force: Array) -> Array:
     return force[..., 1, :] * np.cos(alpha)[..., None] - force[..., 0, :] * np.sin(alpha)[..., None]
 
 
-def of_force(problem: Problem, at_s: Array) -> Change:
+def of_force(problem: Problem, at_s: Array) -> Perturbation:
     """Two parameters: the components [N] of a dead force at `at_s`, a number or (T,)."""
     beyond = _beyond(problem, at_s)
     force = beyond[..., None, None] * np.eye(2)
-    return Change(force, None, None, np.zeros(2))
+    return Perturbation(force, None, None, np.zeros(2))
 
 
-def of_moment(problem: Problem, at_s: Array) -> Change:
+def of_moment(problem: Problem, at_s: Array) -> Perturbation:
     """One parameter: a moment [N m] at `at_s`, a number or (T,)."""
-    return Change(None, _beyond(problem, at_s)[..., None], None, np.zeros(1))
+    return Perturbation(None, _beyond(problem, at_s)[..., None], None, np.zeros(1))
 
 
-def of_stiffness(solved: Equilibrium, functions: Array) -> Change:
+def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
     """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m]."""
     problem = solved.problem
-    return Change(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]))
+    return Perturbation(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]))
 
 
-def of_rest_curvature(problem: Problem, functions: Array) -> Change:
+def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:
     """P parameters: coefficients of functions (Q, P) added to q0(s) [rad]."""
-    return Change(None, None, (-np.atleast_2d(problem.k), functions), np.zeros(functions.shape[-1]))
+    return Perturbation(None, None, (-np.atleast_2d(problem.k), functions), np.zeros(functions.shape[-1]))
 
 
-def of_clamp_angle(problem: Problem) -> Change:  # noqa: ARG001 - it takes what its sisters take
+def of_clamp_angle(problem: Problem) -> Perturbation:  # noqa: ARG001 - it takes what its sisters take
     """One parameter: the clamp's angle [rad], the loads keeping their directions."""
-    return Change(None, None, None, np.ones(1))
+    return Perturbation(None, None, None, np.ones(1))
 
 
-def of_mass(problem: Problem, functions: Array, gravity: Array) -> Change:
+def of_mass(problem: Problem, functions: Array, gravity: Array) -> Perturbation:
     """P parameters: coefficients of functions (Q, P) added to mu(s) [kg/m] under gravity (T, 2) or (1, 2)."""
     line = problem.length[..., None] * functions  # (Q, P) or (T, Q, P)
     total = np.sum(problem.weights[..., None] * line, axis=-2, keepdims=True)
     beyond = total - problem.to_nodes @ line
     beyond = beyond if beyond.ndim == 3 else beyond[None]
-    return Change(beyond[..., None, :] * gravity[:, None, :, None], None, None, np.zeros(functions.shape[-1]))
+    return Perturbation(beyond[..., None, :] * gravity[:, None, :, None], None, None, np.zeros(functions.shape[-1]))
 
 
 def clamp_wrench(solved: Equilibrium) -> Array:

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dgesv, dposv, dpotrf
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Problem, Resolution, pose
+from onebend.beam.statics.problem import Problem, Resolution, make_problem
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -47,7 +47,7 @@ class PushedBeam:
                 raise ControlError(f"{name} lies in (0, 1], 1 the tip; got {place:g}")
         self._heavy = heavy = bool(np.any(np.asarray(gravity, dtype=float) != 0.0))
         loads = weight(gravity) + push((0.0, 0.0), push_s) + twist(0.0, push_s)
-        self.problem: Problem = pose(beam, loads, resolution)
+        self.problem: Problem = make_problem(beam, loads, resolution)
         self.beam, self.push_s, self.point_s, self.resolution = beam, push_s, point_s, resolution
         problem, nodes = self.problem, self.problem.grid.nodes
         self.count = n = len(nodes) if heavy else int(np.sum(nodes < push_s))

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import refine
-from onebend.beam.statics.problem import pose_many
+from onebend.beam.statics.problem import make_problems
 from onebend.beam.statics.sensitivity import of_stiffness, respond
 from onebend.control.reach.reach import Reach
 from onebend.errors import ControlError
@@ -91,7 +91,7 @@ def predicted_error(
     if draws == 0:
         return PredictedError(found.reached[:2], found.reached[:2], _first_order(known, found), 0.0)
     beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=seed)]
-    problem = pose_many(beams, found.loads, found.resolution)
+    problem = make_problems(beams, found.loads, found.resolution)
     solved = refine(problem, np.repeat(found.solved.q, draws, axis=0))
     stands = solved.converged & solved.stable
     if np.sum(stands) < max(3, draws // 2):

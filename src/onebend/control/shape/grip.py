@@ -23,7 +23,7 @@ from onebend.beam.clamped_ends.end_pose import end_jacobian, end_pose
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium, balance, scaled, tangent
-from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -211,7 +211,7 @@ def rest(
     loads = sum((push((0.0, 0.0), one.at_s) for one in pushes), Loads())
     if gravity is not None:
         loads = loads + weight(gravity)
-    hands = Hands(pose(beam, loads, resolution), pushes, grip)
+    hands = Hands(make_problem(beam, loads, resolution), pushes, grip)
     solved = equilibrium(beam, loads, resolution=resolution)
     if not solved.stable[0]:
         raise ControlError("the beam buckles under its own weight; there is no stable shape at rest to start from")

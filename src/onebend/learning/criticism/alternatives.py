@@ -14,7 +14,14 @@ import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import Change, Changes, of_clamp_angle, of_moment, of_rest_curvature, respond
+from onebend.beam.statics.sensitivity import (
+    Perturbation,
+    Perturbations,
+    of_clamp_angle,
+    of_moment,
+    of_rest_curvature,
+    respond,
+)
 from onebend.learning.model.fit_data import REST_MODES, Film
 from onebend.learning.model.forward import Prediction, tag_places
 from onebend.learning.model.parameters import Layout
@@ -99,7 +106,7 @@ def mechanics(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Ar
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
     changes = _entering(seen, now)
     carried = _carried(seen, at, x, now)
-    everything = Changes(tuple(changes.values()))
+    everything = Perturbations(tuple(changes.values()))
     response = respond(now.solved, everything).poses(tag_places(seen, at, x)[0])
     found, start = {}, 0
     for name, change in changes.items():
@@ -111,7 +118,7 @@ def mechanics(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Ar
     return found
 
 
-def _entering(seen: Film, now: Prediction) -> dict[str, Change]:
+def _entering(seen: Film, now: Prediction) -> dict[str, Perturbation]:
     """How the departures enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
 
     A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
@@ -133,11 +140,11 @@ def _entering(seen: Film, now: Prediction) -> dict[str, Change]:
         "stretch": _force(product),
         "shear": _force(-product),
         "length": _force(force),
-        "push place": Change(None, float(problem.length) * across[:, None, None] * lever, None, np.zeros(1)),
-        "push beside": Change(None, -along[:, None, None] * lever, None, np.zeros(1)),
+        "push place": Perturbation(None, float(problem.length) * across[:, None, None] * lever, None, np.zeros(1)),
+        "push beside": Perturbation(None, -along[:, None, None] * lever, None, np.zeros(1)),
         "force direction": _force(turned),
-        "weight": Change(sag, None, None, np.zeros(2)),
-        "viscous": Change(None, None, (_rate(seen, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
+        "weight": Perturbation(sag, None, None, np.zeros(2)),
+        "viscous": Perturbation(None, None, (_rate(seen, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
     }
@@ -209,9 +216,9 @@ def _tangents(solved: Equilibrium) -> tuple[Array, Array]:
     return np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)
 
 
-def _force(force: Array) -> Change:
+def _force(force: Array) -> Perturbation:
     """One parameter that adds the internal force (F, Q, 2)."""
-    return Change(force[..., None], None, None, np.zeros(1))
+    return Perturbation(force[..., None], None, None, np.zeros(1))
 
 
 def _rate(seen: Film, solved: Equilibrium) -> Array:

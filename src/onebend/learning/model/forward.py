@@ -11,8 +11,8 @@ from onebend.beam.grid import apply
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.sensitivity import (
-    Change,
-    Changes,
+    Perturbation,
+    Perturbations,
     of_clamp_angle,
     of_force,
     of_moment,
@@ -143,7 +143,7 @@ def _slopes(now: Prediction) -> Slopes:
     return Slopes(out, by_force, axes, seen.error_weights)
 
 
-def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
+def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Perturbations:
     """How the coefficients of log k, rest curvature, clamp angle, force, its place, and the mass where something weighs
     enter the balance."""
     solved, k = now.solved, now.solved.problem.k
@@ -154,8 +154,8 @@ def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Changes:
         by_k
         + of_rest_curvature(solved.problem, seen.rest_on_nodes)
         + of_clamp_angle(solved.problem)
-        + Change(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
-        + Change((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
+        + Perturbation(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
+        + Perturbation((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
     )
     return change if seen.mass is None else change + seen.mass.by_mass(seen.problem, k)
 
