@@ -11,7 +11,8 @@ from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Profile, Steps, Table, Uniform
 from onebend.beam.statics.continuation import ContinuationSettings, equilibrium, follow, refine
-from onebend.beam.statics.equilibrium import gradient, node_angles, tangent
+from onebend.beam.statics.equilibrium import gradient, tangent
+from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.errors import MechanicsError

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.grid import solve_each, transposed
-from onebend.beam.statics.equilibrium import gradient, node_angles, positive_definite, potential, tangent
+from onebend.beam.statics.equilibrium import gradient, positive_definite, potential, tangent
+from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.snap_through import to_the_left
 from onebend.records import Array, BoolArray

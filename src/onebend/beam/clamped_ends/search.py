@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.clamped_ends.end_pose import end_pose, let_down, newton, restore, stands
 from onebend.beam.loads import Loads
-from onebend.beam.statics.equilibrium import Equilibrium, node_angles, potential
+from onebend.beam.statics.equilibrium import Equilibrium, potential
+from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.sensitivity import clamp_wrench
 from onebend.errors import MechanicsError

@@ -10,14 +10,15 @@ a place to a stable equilibrium (`snap_through.py`) and is followed on from ther
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.beam.grid import apply, transposed
 from onebend.beam.loads import Loads
-from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, pulls, tangent
+from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, tangent
 from onebend.beam.statics.newton import correct, solve_batch
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.snap_through import Side, let_fall
 from onebend.records import Array, IntArray
@@ -203,7 +204,7 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     chosen = frames[stale]
     part = problem if stale.size == frames.size else problem.take(stale)
     q, factor = state.q[chosen], state.factor[chosen]
-    right = gradient(part, q, 0.0) - gradient(part, q, 1.0)
+    right = _by_load(part, q, factor)
     if np.all(factor == 0.0):  # then the tangent is diagonal
         slope = right / (part.weights * part.k)
         second, third = _terms_at_rest(part, q, slope)
@@ -216,15 +217,28 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     state.fresh[chosen] = True
 
 
+def _by_load(problem: Problem, q: Array, factor: Array) -> Array:
+    """(T, Q) minus the derivative of the gradient with the load factor, in which it is linear, or quadratic where
+    the beam stretches or shears: a difference over 1 is exact."""
+    if problem.compliance is None:
+        return gradient(problem, q, 0.0) - gradient(problem, q, 1.0)
+    return gradient(problem, q, factor - 0.5) - gradient(problem, q, factor + 0.5)
+
+
 def _terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
     """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
     if problem.follower.shape[1]:
         return np.zeros_like(q), np.zeros_like(q)
-    along, across = pulls(problem, q)
+    forces = nodal_forces(replace(problem, section=None, stretch=None, shear=None), q)
+    along, across, delta = forces.along, forces.across, problem.strain_lever
     back, stiff = transposed(problem.to_nodes), problem.weights * problem.k
     turn = apply(problem.to_nodes, slope)
     second = -2.0 * apply(back, along * turn) / stiff
+    if delta is not None:
+        second = second + 2.0 * apply(back, delta * along * across) / stiff
     third = -3.0 * apply(back, along * apply(problem.to_nodes, second) + across * turn**2) / stiff
+    if delta is not None:
+        third = third + 6.0 * apply(back, delta * (across**2 - along**2) * turn) / stiff
     return second / 2.0, third / 6.0
 
 

@@ -8,53 +8,26 @@ Nothing is differentiated through the iterations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from onebend.beam.grid import apply, solve_each, transposed
-from onebend.beam.statics.equilibrium import Equilibrium, internal_force, pulls, tangent
+from onebend.beam.grid import solve_each, transposed
+from onebend.beam.statics.equilibrium import Equilibrium, tangent
+from onebend.beam.statics.nodal_forces import internal_force, lever, nodal_forces, strain_by_force
+from onebend.beam.statics.perturbation import (
+    Perturbation,
+    Perturbations,
+    adjoint_times,
+    followers_turned,
+    minus_gradient,
+    moved_by_strain,
+    work_by_angle,
+)
 from onebend.beam.statics.problem import Problem
+from onebend.errors import MechanicsError
 from onebend.records import Array
-
-
-@dataclass(frozen=True)
-class Perturbation:
-    """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T.
-
-    None where nothing of the kind changes.
-    """
-
-    force: Array | None  # (T, Q, 2, P) N per unit: of the dead force beyond each node
-    moment: Array | None  # (T, Q, P) N m per unit: of the moment beyond each node
-    elastic: tuple[Array, Array] | None  # of k (q - q0) at fixed q: (T, Q) times functions (Q, P) or (T, Q, P), N m
-    clamp: Array  # (P,) rad per unit
-
-    @property
-    def parts(self) -> tuple[Perturbation, ...]:
-        """Itself, as `Perturbations` has it."""
-        return (self,)
-
-    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
-        """Both sets of parameters, one after the other."""
-        return Perturbations(self.parts + other.parts)
-
-
-@dataclass(frozen=True)
-class Perturbations:
-    """Several sets of parameters, one after the other: P in all."""
-
-    parts: tuple[Perturbation, ...]
-
-    @property
-    def clamp(self) -> Array:
-        """(P,) rad per unit."""
-        return np.concatenate([part.clamp for part in self.parts])
-
-    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
-        """Those of `other` after these."""
-        return Perturbations(self.parts + other.parts)
 
 
 @dataclass(frozen=True)
@@ -76,11 +49,13 @@ class Response:
 
     def poses(self, s: Array) -> Array:
         """(T, S, 3, P) m, m, rad per unit: of position and angle at places `s` (S,) or (T, S)."""
-        turning, rows = self._turning(s), self.solved.problem.grid.integral_to(s)
-        angle = np.broadcast_to(rows, (len(self.solved.q), *rows.shape[-2:]))[:, :, None]
-        ones = np.ones((*turning.shape[:2], 1))
-        turned = np.concatenate([np.sum(turning, axis=-1), ones], axis=-1)
-        return self._derivative_of(np.concatenate([turning @ self._to_nodes, angle], axis=2), turned)
+        integral = self.solved.problem.grid.integral_to(s)
+        moved, turned = self._ways(s)
+        angle = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))[:, :, None]
+        ones = np.ones((*moved.shape[:2], 1))
+        out = self._derivative_of(np.concatenate([moved, angle], axis=2), np.concatenate([turned, ones], axis=-1))
+        self._add_strain(out[:, :, :2], s)
+        return out
 
     def angle(self, s: Array) -> Array:
         """(T, S, P) rad per unit, of the angle at places `s` (S,) or (T, S)."""
@@ -90,39 +65,50 @@ class Response:
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2, P) m per unit, of the position at places `s` (S,) or (T, S)."""
-        turning = self._turning(s)
-        return self._derivative_of(turning @ self._to_nodes, np.sum(turning, axis=-1))
+        out = self._derivative_of(*self._ways(s))
+        self._add_strain(out, s)
+        return out
 
     def clamp_wrench(self) -> Array:
         """(T, 3, P) N, N, N m per unit: of force and moment that the clamp puts on the beam (dead loads)."""
         problem, base = self.solved.problem, _at_base(self.solved.problem)
-        along, _ = pulls(problem, self.solved.q)
+        along = nodal_forces(problem, self.solved.q).along
         out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
-        lw = (problem.length * problem.weights)[..., None]
         out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
-        for columns, part in _columns(self.perturbation):
+        for columns, part in self._parts:
+            turning = work_by_angle(self.solved, part)
+            if turning is not None:
+                out[:, 2, columns] -= np.sum(turning, axis=1)
             if part.force is not None:
                 out[:, :2, columns] -= np.einsum("q,tqcp->tcp", base, part.force)
-                out[:, 2, columns] -= np.sum(lw * _across(self.solved.alpha, part.force), axis=1)
             if part.moment is not None:
                 out[:, 2, columns] -= np.einsum("q,tqp->tp", base, part.moment)
         return out
 
     @cached_property
     def _right(self) -> Array:
-        return right_side(self.solved, self.perturbation)
+        return minus_gradient(self.solved, self.perturbation)
 
     @property
-    def _to_nodes(self) -> Array:
-        """B, to be multiplied with a stack (T, S, 2, Q) from the right."""
-        b = self.solved.problem.to_nodes
-        return b if b.ndim == 2 else b[:, None]
+    def _parts(self) -> list[tuple[slice, Perturbation]]:
+        return Perturbations(self.perturbation.parts).columns
 
-    def _turning(self, s: Array) -> Array:
-        """(T, S, 2, Q) m: how positions at `s` go with the angles at the nodes."""
-        problem, alpha = self.solved.problem, self.solved.alpha
+    def _ways(self, s: Array) -> tuple[Array, Array]:
+        """(T, S, 2, Q) m: how positions at `s` go with the curvature at the nodes; (T, S, 2) m: with a common turn."""
+        problem = self.solved.problem
         rows = problem.length[..., None] * problem.grid.integral_to(s)
-        return np.stack([-np.sin(alpha)[:, None] * rows, np.cos(alpha)[:, None] * rows], axis=-2)
+        ways = lever(problem, self.solved.q)
+        turning = np.stack([ways[:, None, :, 0] * rows, ways[:, None, :, 1] * rows], axis=-2)
+        b = problem.to_nodes
+        by_q, by_turn = turning @ (b if b.ndim == 2 else b[:, None]), np.sum(turning, axis=-1)
+        if problem.follower.shape[1] and problem.compliance is not None:  # they strain the beam as they turn
+            strained = np.einsum(
+                "tqab,tcqb->tqac", strain_by_force(problem, self.solved.alpha), followers_turned(self.solved)
+            )
+            moved = np.einsum("...sq,tqac->tsac" if rows.ndim == 2 else "tsq,tqac->tsac", rows, strained)
+            by_q = by_q + np.einsum("tsac,tcq->tsaq", moved, problem.follower_rows)
+            by_turn = by_turn + np.sum(moved, axis=-1)
+        return by_q, by_turn
 
     def _derivative_of(self, rows: Array, turned: Array) -> Array:
         """(T, ..., P) of quantities that go with curvature by `rows` (T, ..., Q), with the clamp by `turned` (T, ...).
@@ -136,9 +122,18 @@ class Response:
         else:
             matrices = tangent(self.solved.problem, self.solved.q)
             adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
-            out = np.concatenate([_by_adjoint(adjoint, self.solved, part) for part in self.perturbation.parts], axis=-1)
+            out = np.concatenate([adjoint_times(adjoint, self.solved, part) for _, part in self._parts], axis=-1)
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
+
+    def _add_strain(self, out: Array, s: Array) -> None:
+        """Adds how places (T, S, 2, P) at `s` move by strain alone."""
+        problem = self.solved.problem
+        rows = problem.length[..., None] * problem.grid.integral_to(s)
+        for columns, part in self._parts:
+            moved = moved_by_strain(self.solved, rows, part)
+            if moved is not None:
+                out[..., columns] += moved
 
 
 def respond(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Response:
@@ -148,57 +143,6 @@ def respond(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> 
     infinite.
     """
     return Response(solved, perturbation)
-
-
-def right_side(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:
-    """(T, Q, P): minus the derivative of the out-of-balance at fixed q."""
-    problem, alpha = solved.problem, solved.alpha
-    lw = (problem.length * problem.weights)[..., None]
-    weights = problem.weights[..., None]
-    out = np.zeros((*alpha.shape, len(perturbation.clamp)))
-    for columns, part in _columns(perturbation):
-        if part.force is not None:
-            out[..., columns] += transposed(problem.to_nodes) @ (lw * _across(alpha, part.force))
-        if part.moment is not None:
-            out[..., columns] += weights * part.moment
-        if part.elastic is not None:
-            size, functions = part.elastic
-            out[..., columns] -= (problem.weights * size)[..., None] * functions
-        if np.any(part.clamp != 0.0):
-            out[..., columns] -= _of_turn(solved) * part.clamp
-    return out
-
-
-def _by_adjoint(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
-    """(T, S, P): rows (T, S, Q) times the right side; functions that all frames share are not written out for each."""
-    if part.elastic is None or part.elastic[1].ndim > 2:
-        return np.asarray(rows @ right_side(solved, part))
-    size, functions = part.elastic
-    out = np.tensordot(rows * -(solved.problem.weights * size)[..., None, :], functions, 1)
-    if part.force is not None or part.moment is not None or np.any(part.clamp != 0.0):
-        out += rows @ right_side(solved, replace(part, elastic=None))
-    return np.asarray(out)
-
-
-def _of_turn(solved: Equilibrium) -> Array:
-    """(T, Q, 1): of the out-of-balance with a common turn: T summed over a uniform turn, less elasticity."""
-    problem = solved.problem
-    along, _ = pulls(problem, solved.q)
-    if problem.follower.shape[1]:  # they turn alike
-        cos, sin = np.cos(solved.alpha)[..., None], np.sin(solved.alpha)[..., None]
-        along = along - (problem.length * problem.weights) * _turned_followers(problem, solved.q, cos, sin)[..., 0]
-    return apply(transposed(problem.to_nodes), along)[..., None]
-
-
-def _columns(perturbation: Perturbation | Perturbations) -> list[tuple[slice, Perturbation]]:
-    """The parts with their places among all parameters."""
-    ends = np.cumsum([0, *(len(part.clamp) for part in perturbation.parts)]).tolist()
-    return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], perturbation.parts, strict=True)]
-
-
-def _across(alpha: Array, force: Array) -> Array:
-    """(T, Q, P) across the tangent, to its left, of (T, Q, 2, P)."""
-    return force[..., 1, :] * np.cos(alpha)[..., None] - force[..., 0, :] * np.sin(alpha)[..., None]
 
 
 def of_force(problem: Problem, at_s: Array) -> Perturbation:
@@ -214,9 +158,38 @@ def of_moment(problem: Problem, at_s: Array) -> Perturbation:
 
 
 def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
-    """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m]."""
-    problem = solved.problem
-    return Perturbation(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]))
+    """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m].
+
+    Where the problem has a `section`, 1/EA and 1/kGA go with k by it; given arrays of them stay as they are.
+    """
+    problem, section, compliance = solved.problem, solved.problem.section, None
+    if section is not None and problem.compliance is not None:
+        compliance = problem.compliance, section.log_by_stiffness(problem.k, problem.weights, functions)
+    return Perturbation(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]), compliance)
+
+
+def of_section_thickness(problem: Problem) -> Perturbation:
+    """One parameter: the log of the section's thickness h0; 1/EA and 1/kGA go with its square.
+
+    Raises:
+        MechanicsError: the problem has no section.
+    """
+    return _of_compliance(problem, problem.compliance, 2.0)
+
+
+def of_poisson(problem: Problem) -> Perturbation:
+    """One parameter: the section's Poisson's ratio; 1/kGA goes with `1 + nu`. Raises as `of_section_thickness`."""
+    if problem.section is None or problem.compliance is None:
+        return _of_compliance(problem, None, 0.0)
+    shear = problem.compliance[1]
+    return _of_compliance(problem, (np.zeros_like(shear), shear), 1.0 / (1.0 + problem.section.poisson))
+
+
+def _of_compliance(problem: Problem, size: tuple[Array, Array] | None, factor: float) -> Perturbation:
+    if problem.section is None or size is None:
+        raise MechanicsError("there is no section whose thickness sets 1/EA and 1/kGA: give the problem a `section`")
+    functions = np.full((problem.to_nodes.shape[-1], 1), factor)
+    return Perturbation(None, None, None, np.zeros(1), (size, functions))
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:
@@ -240,12 +213,9 @@ def of_mass(problem: Problem, functions: Array, gravity: Array) -> Perturbation:
 
 def clamp_wrench(solved: Equilibrium) -> Array:
     """(T, 3) N, N, N m: force and moment that the clamp puts on the beam."""
-    problem, alpha = solved.problem, solved.alpha
+    problem, base = solved.problem, _at_base(solved.problem)
     n = internal_force(problem, solved.q)
-    across = n[..., 1] * np.cos(alpha) - n[..., 0] * np.sin(alpha)
-    lever = np.sum(problem.length * problem.weights * across, axis=-1)
-    base = _at_base(problem)
-    moment = lever + problem.moment @ base
+    moment = np.sum(nodal_forces(problem, solved.q).across, axis=-1) + problem.moment @ base
     return -np.concatenate([np.einsum("q,tqc->tc", base, n), moment[:, None]], axis=1)
 
 
@@ -264,13 +234,3 @@ def _at_base(problem: Problem) -> Array:
     row = np.zeros(problem.to_nodes.shape[-1])
     row[:order] = (values @ np.polynomial.legendre.legvander(x, order - 1).T) * w
     return row
-
-
-def _turned_followers(problem: Problem, q: Array, cos: Array, sin: Array) -> Array:
-    """(T, Q, 1) across component of the followers' derivative with a common turn."""
-    angle = problem.alpha0 + apply(problem.follower_rows, q)
-    c, s = np.cos(angle), np.sin(angle)
-    f = problem.follower
-    turning = np.stack([-s * f[..., 0] - c * f[..., 1], c * f[..., 0] - s * f[..., 1]], axis=-1)
-    per_turn = np.einsum("tcd,tcq->tqd", turning, problem.follower_beyond)
-    return np.asarray(per_turn[..., 1, None] * cos - per_turn[..., 0, None] * sin)

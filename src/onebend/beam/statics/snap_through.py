@@ -18,8 +18,9 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.grid import apply, transposed
-from onebend.beam.statics.equilibrium import balance, gradient, is_stable, node_angles, scaled
+from onebend.beam.statics.equilibrium import balance, gradient, is_stable, scaled
 from onebend.beam.statics.newton import correct, solve_batch
+from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Problem
 from onebend.records import Array, BoolArray
 

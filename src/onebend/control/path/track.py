@@ -12,8 +12,9 @@ import numpy as np
 
 from onebend.beam.clamped_ends.end_pose import stands
 from onebend.beam.grid import transposed
-from onebend.beam.statics.equilibrium import balance, is_stable, pulls, scaled
+from onebend.beam.statics.equilibrium import balance, is_stable, scaled
 from onebend.beam.statics.newton import solve_batch
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.control.goals.targets import Targets, misses_along
 from onebend.control.shape.grip import Hands, actions
 from onebend.control.shape.steps import mixed
@@ -93,7 +94,7 @@ def _step(
     stiff, root = scaled(problem, matrix), np.sqrt(hands.mean_stiffness)
     unbend, unit = 1.0 / np.sqrt(problem.weights * problem.k), hands.scale / root
     turned = at.multipliers @ b.T
-    bent = missed.bent + pulls(problem, at.q)[1] * turned
+    bent = missed.bent + nodal_forces(problem, at.q).across * turned
     rows = missed.rows * unbend
     second = transposed(rows) @ rows + scaled(problem, transposed(b) @ (bent[..., None] * b))
     coupled = unit[:, None] * (mixed(hands, solved.alpha, turned) @ b) * unbend

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.statics.equilibrium import pulls
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.control.goals.targets import Misses
 from onebend.control.shape.grip import Bound, Hands, Stand
 from onebend.records import Array
@@ -33,7 +33,7 @@ def model_of(stand: Stand, missed: Misses) -> Model:
     dq, du = stand.plane
     b, solved = stand.hands.problem.to_nodes, stand.solved
     turned = b @ multipliers(stand, missed)
-    _, across = pulls(solved.problem, solved.q)
+    across = nodal_forces(solved.problem, solved.q).across
     flow, seen = b @ dq, missed.rows[0] @ dq  # (Q, m) turn of the nodes
     bent = flow.T @ ((missed.bent[0] + across[0] * turned)[:, None] * flow)
     coupled = du.T @ mixed(stand.hands, solved.alpha, turned[None])[0] @ flow

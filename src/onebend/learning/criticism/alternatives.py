@@ -14,14 +14,8 @@ import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import (
-    Perturbation,
-    Perturbations,
-    of_clamp_angle,
-    of_moment,
-    of_rest_curvature,
-    respond,
-)
+from onebend.beam.statics.perturbation import Perturbation, Perturbations
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_moment, of_rest_curvature, respond
 from onebend.learning.model.fit_data import REST_MODES, Film
 from onebend.learning.model.forward import Prediction, tag_places
 from onebend.learning.model.parameters import Layout

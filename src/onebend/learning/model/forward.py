@@ -10,9 +10,8 @@ import numpy as np
 from onebend.beam.grid import apply
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.perturbation import Perturbation, Perturbations
 from onebend.beam.statics.sensitivity import (
-    Perturbation,
-    Perturbations,
     of_clamp_angle,
     of_force,
     of_moment,
