@@ -211,7 +211,7 @@ def test_along_a_smooth_path_nothing_jumps_and_work_is_energy() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: hold(UNIT, (1.0, 0.0, 0.0)), "1 m long and does not stretch"),
+        (lambda: hold(UNIT, (1.0, 0.0, 0.0)), "1 m long at rest"),
         (lambda: hold(UNIT, [(0.5, 0.0, 0.0), (0.8, 0.8, 0.0)]), "pose 1"),
         (lambda: hold(UNIT, (0.5, 0.0)), "three finite numbers"),
         (lambda: hold(UNIT, (0.5, np.nan, 0.0)), "three finite numbers"),

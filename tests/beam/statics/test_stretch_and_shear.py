@@ -185,7 +185,7 @@ def test_clamp_wrench_balances_the_loads_on_the_strained_shape() -> None:
 
 def test_error_falls_with_the_fourth_order_for_two_nodes_a_panel() -> None:
     def tip(resolution: Resolution) -> Array:
-        return follow(make_problem(THICK, push((0.1, 0.5)), resolution)).xy(TIP)[0, 0]
+        return np.asarray(follow(make_problem(THICK, push((0.1, 0.5)), resolution)).xy(TIP)[0, 0])
 
     panels, reference = np.array([8, 16, 32, 64]), tip(Resolution(16, 0.125))
     errors = [np.linalg.norm(tip(Resolution(order=2, widest=1.0 / count)) - reference) for count in panels]

@@ -3,20 +3,21 @@
 A held beam has several equilibria, and which of them a real beam takes depends on how it came there. `hold` answers
 for a beam brought to its pose in no particular way: several shapes through the pose (bowed to either side, its chord
 reached by turning either way) are each followed, with the end at its pose all the way, from being stress-free to the
-true rest curvature and loads; of the stable equilibria solutions the one of least potential energy is returned.
+true rest curvature and loads; of the stable equilibria found the one of least potential energy is returned. Where the
+beam stretches and shears, all this is done without; then the strains grow from nothing.
 `hold_along` answers for a known history: it follows the beam from pose to pose, and says where it snaps over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.clamped_ends.end_pose import end_pose, let_down, newton, restore, stands
+from onebend.beam.clamped_ends.end_pose import end_pose, let_down, newton, restore, stands, with_end_wrench
+from onebend.beam.clamped_ends.homotopy import follow_homotopy, let_strain, release, rigid
 from onebend.beam.loads import Loads
 from onebend.beam.statics.equilibrium import Equilibrium, potential
 from onebend.beam.statics.nodal_forces import node_angles
@@ -25,20 +26,19 @@ from onebend.beam.statics.sensitivity import clamp_wrench
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
-_TRUST = 0.4  # rad, the largest turn that one step of a walk may take
 _NEIGHBOUR = 0.05  # rad, the largest turn from a coarser grid's equilibrium to that of a finer grid
-_SHORTEST = 1e-5  # share of a walk: where no step above this keeps the beam stable, it snaps
 _FAR = 2.0  # rad, from a circular arc's chord: beyond it turning the other way to the chord may be the easier
 _COARSEST = Resolution(order=16, widest=0.5)
 _FINEST = 1.0 / 8.0  # widest panel at the end of refinement
 _BATCH = 4_000_000  # entries of the tangents solved together: what stays within some ten MB
 
-Homotopy = Callable[[IntArray, Array], tuple[Problem, Array]]  # frames, share of the way -> problem and pose there
-
 
 @dataclass(frozen=True)
 class ClampedEquilibrium:
-    """Equilibria of a beam held at both ends."""
+    """Equilibria of a beam held at both ends.
+
+    Where it stretches and shears, the wrench is among the loads of `solved.problem`, since it strains the beam.
+    """
 
     solved: Equilibrium  # `converged`: the end is at its pose in equilibrium; `stable`: with both ends held
     wrench: Array  # (T, 3) N, N, N m: what the second end's holder puts on the beam
@@ -47,6 +47,8 @@ class ClampedEquilibrium:
     @property
     def clamp_wrench(self) -> Array:
         """(T, 3) N, N, N m: what the clamp at s = 0 puts on the beam; with `wrench` and all loads it cancels."""
+        if self.solved.problem.compliance is not None:
+            return clamp_wrench(self.solved)
         x, y, _ = end_pose(self.solved.problem, self.solved.q).T
         fx, fy, moment = self.wrench.T
         return np.asarray(clamp_wrench(self.solved) - np.stack([fx, fy, x * fy - y * fx + moment], axis=-1))
@@ -72,7 +74,7 @@ def hold(
     while resolution is None and widest > _FINEST and not np.all(held.solved.resolved):
         widest *= 0.5
         held = _resolve(held, make_problem(beam, loads, replace(_COARSEST, widest=widest)), goal)
-    return held
+    return _under_wrench(held)
 
 
 def hold_along(
@@ -97,9 +99,9 @@ def hold_along(
         def on_the_way(_: IntArray, share: Array, a: Array = before, b: Array = after) -> tuple[Problem, Array]:
             return problem, a + share[:, None] * (b - a)
 
-        q, wrench, share = _follow_homotopy(on_the_way, here.solved.q, here.wrench)
+        q, wrench, share = follow_homotopy(on_the_way, here.solved.q, here.wrench)
         solutions.append(_land(problem, q, wrench, after[None], share))
-    return _join(make_problem(beam, loads.spread(len(poses)), resolution), solutions)
+    return _under_wrench(_join(make_problem(beam, loads.spread(len(poses)), resolution), solutions))
 
 
 def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
@@ -115,7 +117,7 @@ def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
         frame = int(np.argmax(reach))
         raise MechanicsError(
             f"pose {frame}: the end is held {reach[frame]:.4g} m from the clamp, but the beam is {beam.length:.4g} m "
-            "long and does not stretch; bring the ends closer"
+            "long at rest; bring the ends closer"
         )
     return goal
 
@@ -144,6 +146,15 @@ def _resolve(held: ClampedEquilibrium, finer: Problem, goal: Array) -> ClampedEq
 
 
 def _lowest(problem: Problem, goal: Array) -> ClampedEquilibrium:
+    """The beam without strain at its lowest, and then as it strains."""
+    held = _lowest_rigid(rigid(problem), goal)
+    if problem.compliance is None:
+        return held
+    q, wrench, there = let_strain(problem, held.solved.q, held.wrench, goal)
+    return _held(problem, q, wrench, np.asarray(there & held.solved.stable), held.jumped)
+
+
+def _lowest_rigid(problem: Problem, goal: Array) -> ClampedEquilibrium:
     """Of the equilibria that grow from the first shapes, the stable one of least energy; the first where equal.
 
     Where none of the walks came to its end, the beam is let down from where the longest of them stopped.
@@ -195,55 +206,20 @@ def _bowed(problem: Problem, goal: Array, chord: Array, side: float) -> Array:
     return restore(problem, q + side * bow, goal)[0]
 
 
-def release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, Array]:
-    """From `begin` as a stress-free shape over to the true rest curvature and loads, the end held at `goal`."""
-
-    def partly(frames: IntArray, share: Array) -> tuple[Problem, Array]:
-        part, f = problem.take(frames), share[:, None]
-        blended = replace(
-            part,
-            q0=(1.0 - f) * begin[frames] + f * part.q0,
-            dead_force=f[..., None] * part.dead_force,
-            moment=f * part.moment,
-        )
-        return blended, goal[frames]
-
-    return _follow_homotopy(partly, begin, np.zeros((len(begin), 3)))
-
-
-def _follow_homotopy(homotopy: Homotopy, start: Array, wrench: Array) -> tuple[Array, Array, Array]:
-    """Follow stable equilibria while a setting goes over from its beginning to its end; the share of the way reached.
-
-    A step counts if Newton's method settled within `_TRUST` and the second variation stayed positive on the way.
-    """
-    q, w = start.copy(), wrench.copy()
-    done, step = np.zeros(len(q)), np.full(len(q), 0.25)
-    while True:
-        todo = np.flatnonzero((done < 1.0) & (step > _SHORTEST))
-        if todo.size == 0:
-            return q, w, done
-        target = np.minimum(done[todo] + step[todo], 1.0)
-        problem, goal = homotopy(todo, target)
-        shape, end_wrench, near = newton(problem, q[todo], w[todo], goal, trust=_TRUST)
-        near[near] &= stands(problem.take(near), shape[near], end_wrench[near])
-        q[todo[near]], w[todo[near]], done[todo[near]] = shape[near], end_wrench[near], target[near]
-        step[todo] = np.where(near, 2.0, 0.25) * step[todo]
-
-
 def _land(problem: Problem, q: Array, wrench: Array, goal: Array, share: Array) -> ClampedEquilibrium:
     """Frames whose walk ended early have lost stability: they fall from there to a stable equilibrium, if any."""
     jumped = share < 1.0
     stable = ~jumped
     for i in np.flatnonzero(jumped):
-        fallen = let_down(problem.take(np.array([i])), q[i : i + 1], goal[i : i + 1])
+        part, end = problem.take(np.array([i])), goal[i : i + 1]
+        fallen = let_down(rigid(part), q[i : i + 1], end)
         if fallen is not None:
-            q[i], wrench[i] = fallen[0][0], fallen[1][0]
-            stable[i] = True
+            q[i : i + 1], wrench[i : i + 1], stable[i : i + 1] = let_strain(part, *fallen, end)
     return _held(problem, q, wrench, stable, jumped)
 
 
 def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: BoolArray) -> ClampedEquilibrium:
-    """A record of what was solutions; only stable equilibria are."""
+    """A record of what was found; only stable equilibria are."""
     solved = Equilibrium(
         problem=problem,
         q=q,
@@ -255,6 +231,14 @@ def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: 
         iterations=0,
     )
     return ClampedEquilibrium(solved, wrench, jumped)
+
+
+def _under_wrench(held: ClampedEquilibrium) -> ClampedEquilibrium:
+    """The same, the wrench among the loads where it strains the beam."""
+    problem = held.solved.problem
+    if problem.compliance is None:
+        return held
+    return replace(held, solved=replace(held.solved, problem=with_end_wrench(problem, held.wrench)))
 
 
 def _join(problem: Problem, parts: list[ClampedEquilibrium]) -> ClampedEquilibrium:

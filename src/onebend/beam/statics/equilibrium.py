@@ -18,7 +18,7 @@ has no potential, and its part of T is not symmetric.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -57,10 +57,15 @@ class Equilibrium:
         """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
         return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
 
-    @property
+    @cached_property
     def alpha(self) -> Array:
-        """(T, Q) tangent's angle at the nodes."""
+        """(T, Q) the director's angle at the nodes: the tangent's, where nothing shears."""
         return node_angles(self.problem, self.q)
+
+    @cached_property
+    def forces(self) -> NodalForces:
+        """Internal forces at the nodes under the full load."""
+        return nodal_forces(self.problem, self.q)
 
     def angle(self, s: Array) -> Array:
         """(T, S) tangent's angle at places `s` (S,) or (T, S). Equation (3)."""

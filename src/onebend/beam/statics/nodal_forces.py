@@ -104,12 +104,11 @@ def centreline_slope(problem: Problem, q: Array, load_factor: Array | float = 1.
     return np.stack([along * cos - shear * sin, along * sin + shear * cos], axis=-1)
 
 
-def lever(problem: Problem, q: Array) -> Array:
+def lever(forces: NodalForces) -> Array:
     """(T, Q, 2): d(r'/L)/dalpha at fixed n, `(1 + delta N) d2 + delta Q d1`.
 
-    By the same token the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal.
+    It is also the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal (Betti).
     """
-    forces = nodal_forces(problem, q)
     cos, sin = forces.cos, forces.sin
     if forces.lever is None:
         return np.stack([-sin, cos], axis=-1)
@@ -117,11 +116,13 @@ def lever(problem: Problem, q: Array) -> Array:
     return np.stack([first * cos - second * sin, first * sin + second * cos], axis=-1)
 
 
-def strain_by_force(problem: Problem, alpha: Array) -> Array:
+def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
     """(T, Q, 2, 2) 1/N: d(r'/L)/dn at fixed angle, `d1 d1^T / EA + d2 d2^T / kGA`; of a beam that is compliant."""
     assert problem.compliance is not None
     stretch, shear = problem.compliance
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    mixed = (stretch - shear) * cos * sin
-    first, second = stretch * cos**2 + shear * sin**2, stretch * sin**2 + shear * cos**2
-    return np.stack([np.stack([first, mixed], axis=-1), np.stack([mixed, second], axis=-1)], axis=-2)
+    cos, sin = forces.cos, forces.sin
+    out = np.empty((*cos.shape, 2, 2))
+    out[..., 0, 0] = stretch * cos**2 + shear * sin**2
+    out[..., 1, 1] = stretch * sin**2 + shear * cos**2
+    out[..., 0, 1] = out[..., 1, 0] = (stretch - shear) * cos * sin
+    return out

@@ -10,7 +10,6 @@ from onebend.beam.grid import apply, transposed
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.nodal_forces import (
     lever,
-    nodal_forces,
     normal_and_shear,
     strain_by_force,
     turned_followers,
@@ -87,7 +86,7 @@ def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
     problem, out = solved.problem, None
     if part.force is not None:
         lw = (problem.length * problem.weights)[..., None]
-        out = lw * _dot(lever(problem, solved.q), part.force)
+        out = lw * _dot(lever(solved.forces), part.force)
     if part.compliance is not None:
         size, functions = _twisted(solved, part.compliance)
         strained = size[..., None] * functions
@@ -117,13 +116,14 @@ def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Arr
     integrate r'. None where they stay."""
     problem, out = solved.problem, None
     if part.force is not None and problem.compliance is not None:
-        strained = strain_by_force(problem, solved.alpha) @ part.force  # (T, Q, 2, P)
+        by_force, force = strain_by_force(problem, solved.forces), part.force
+        strained = by_force[..., :1] * force[..., :1, :] + by_force[..., 1:] * force[..., 1:, :]  # (T, Q, 2, P)
         flat = rows @ strained.reshape(*strained.shape[:2], -1)
         out = flat.reshape(*flat.shape[:2], *strained.shape[2:])
     if part.compliance is not None:
         (stretch, shear), functions = part.compliance
         normal, transverse = normal_and_shear(problem, solved.q)
-        cos, sin = np.cos(solved.alpha), np.sin(solved.alpha)
+        cos, sin = solved.forces.cos, solved.forces.sin
         along, across = stretch * normal, shear * transverse
         way = np.stack([along * cos - across * sin, along * sin + across * cos], axis=-2)  # (T, 2, Q)
         by_node = rows[..., None, :] * way[:, None]
@@ -149,10 +149,10 @@ def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array])
 def _by_turn(solved: Equilibrium) -> Array:
     """(T, Q, 1): of the gradient with a common turn: T summed over a uniform turn, less elasticity."""
     problem = solved.problem
-    along = nodal_forces(problem, solved.q).along
+    along = solved.forces.along
     if problem.follower.shape[1]:  # they turn alike
         force = np.sum(followers_turned(solved), axis=1)[..., None]
-        along = along - (problem.length * problem.weights) * _dot(lever(problem, solved.q), force)[..., 0]
+        along = along - (problem.length * problem.weights) * _dot(lever(solved.forces), force)[..., 0]
     return apply(transposed(problem.to_nodes), along)[..., None]
 
 

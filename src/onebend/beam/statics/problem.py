@@ -110,6 +110,13 @@ class Problem:
         stretch, shear = self.compliance
         return np.asarray((stretch - shear) / (self.length * self.weights))
 
+    def strained(self, share: Array) -> Problem:
+        """With 1/EA and 1/kGA times `share` (T,): 0 is the beam that neither stretches nor shears."""
+        if self.compliance is None:
+            return self
+        stretch, shear = (share[:, None] * compliance for compliance in self.compliance)
+        return replace(self, section=None, stretch=stretch, shear=shear)
+
     def loaded(self, factor: Array) -> Problem:
         """With all loads times `factor` (T,)."""
         f = factor[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.beam.grid import solve_each, transposed
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.nodal_forces import internal_force, lever, nodal_forces, strain_by_force
+from onebend.beam.statics.nodal_forces import internal_force, lever, strain_by_force
 from onebend.beam.statics.perturbation import (
     Perturbation,
     Perturbations,
@@ -71,8 +71,7 @@ class Response:
 
     def clamp_wrench(self) -> Array:
         """(T, 3, P) N, N, N m per unit: of force and moment that the clamp puts on the beam (dead loads)."""
-        problem, base = self.solved.problem, _at_base(self.solved.problem)
-        along = nodal_forces(problem, self.solved.q).along
+        base, along = _at_base(self.solved.problem), self.solved.forces.along
         out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
         out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
         for columns, part in self._parts:
@@ -97,13 +96,13 @@ class Response:
         """(T, S, 2, Q) m: how positions at `s` go with the curvature at the nodes; (T, S, 2) m: with a common turn."""
         problem = self.solved.problem
         rows = problem.length[..., None] * problem.grid.integral_to(s)
-        ways = lever(problem, self.solved.q)
+        ways = lever(self.solved.forces)
         turning = np.stack([ways[:, None, :, 0] * rows, ways[:, None, :, 1] * rows], axis=-2)
         b = problem.to_nodes
         by_q, by_turn = turning @ (b if b.ndim == 2 else b[:, None]), np.sum(turning, axis=-1)
         if problem.follower.shape[1] and problem.compliance is not None:  # they strain the beam as they turn
             strained = np.einsum(
-                "tqab,tcqb->tqac", strain_by_force(problem, self.solved.alpha), followers_turned(self.solved)
+                "tqab,tcqb->tqac", strain_by_force(problem, self.solved.forces), followers_turned(self.solved)
             )
             moved = np.einsum("...sq,tqac->tsac" if rows.ndim == 2 else "tsq,tqac->tsac", rows, strained)
             by_q = by_q + np.einsum("tsac,tcq->tsaq", moved, problem.follower_rows)
@@ -215,7 +214,7 @@ def clamp_wrench(solved: Equilibrium) -> Array:
     """(T, 3) N, N, N m: force and moment that the clamp puts on the beam."""
     problem, base = solved.problem, _at_base(solved.problem)
     n = internal_force(problem, solved.q)
-    moment = np.sum(nodal_forces(problem, solved.q).across, axis=-1) + problem.moment @ base
+    moment = np.sum(solved.forces.across, axis=-1) + problem.moment @ base
     return -np.concatenate([np.einsum("q,tqc->tc", base, n), moment[:, None]], axis=1)
 
 

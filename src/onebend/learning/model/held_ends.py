@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.clamped_ends.end_pose import end_pose
-from onebend.beam.clamped_ends.near_shape import hold_near, with_end_wrench
+from onebend.beam.clamped_ends.end_pose import end_pose, with_end_wrench
+from onebend.beam.clamped_ends.near_shape import hold_near
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
