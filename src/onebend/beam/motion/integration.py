@@ -162,9 +162,7 @@ def _stretches(
     stretches = [_Stretch(a, b, max(1, int(np.ceil((b - a) / step * (1.0 - 1e-12))))) for a, b in pairwise(times)]
     count = sum(stretch.count for stretch in stretches)
     if count > max_steps:
-        raise MechanicsError(
-            f"{duration:g} s in steps of {step:g} s are {count} steps, more than the {max_steps} allowed"
-        )
+        raise MechanicsError(f"{duration:g} s in steps of {step:g} s are {count} steps, more than the {max_steps}")
     return stretches
 
 

@@ -17,7 +17,7 @@ from onebend.beam.motion.dynamics import Body, body, mass_matrix
 from onebend.beam.motion.integration import MotionState
 from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.problem import Rod
+from onebend.beam.statics.problem import Rod, refuse_section
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
@@ -101,8 +101,8 @@ def vibration(
     `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; without it the beam is Euler-Bernoulli's.
 
     Raises:
-        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass, or
-            follower forces act (their vibrations are `exponents`).
+        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass or has a
+            thickness, or follower forces act (their vibrations are `exponents`).
     """
     if solved.problem.follower.shape[1]:
         raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
@@ -130,6 +130,7 @@ def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) 
     """Body on the grid of one equilibrium, its state there, and its tangent."""
     if not solved.converged[frame]:
         raise MechanicsError(f"load {frame} has no equilibrium to vibrate about")
+    refuse_section(beam, "the equation of motion")
     problem = solved.problem.take(np.array([frame]))
     grid = problem.grid if problem.grid.edges.ndim == 1 else replace(problem.grid, edges=problem.grid.edges[0])
     on = body(beam, rotary_inertia=rotary_inertia, grid=grid)

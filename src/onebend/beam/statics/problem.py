@@ -43,6 +43,12 @@ def has_mass(rod: Rod) -> bool:
     return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
 
 
+def refuse_section(rod: Rod, who: str) -> None:
+    """Raises `MechanicsError` where a beam has a thickness and `who` does not know stretch and shear."""
+    if rod.section is not None:
+        raise MechanicsError(f"{who} takes beams that neither stretch nor shear: give the beam without its thickness")
+
+
 @dataclass(frozen=True)
 class Resolution:
     """How finely a beam is resolved: `order` Gauss nodes a panel, no panel wider than `widest`."""

@@ -23,7 +23,7 @@ from onebend.beam.clamped_ends.end_pose import end_jacobian, end_pose
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium, balance, scaled, tangent
-from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
+from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem, refuse_section
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -205,12 +205,14 @@ def rest(
 
     Raises:
         ControlError: no hand at all, or a beam that buckles under its own weight.
+        MechanicsError: the beam has a thickness: stretch and shear are not known here.
     """
     if not pushes and grip is None:
         raise ControlError("no hand on the beam: give a push or a grip")
     loads = sum((push((0.0, 0.0), one.at_s) for one in pushes), Loads())
     if gravity is not None:
         loads = loads + weight(gravity)
+    refuse_section(beam, "the search for a shape")
     hands = Hands(make_problem(beam, loads, resolution), pushes, grip)
     solved = equilibrium(beam, loads, resolution=resolution)
     if not solved.stable[0]:
