@@ -17,9 +17,9 @@ from onebend.beam.loads import push, weight
 from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.shortcut import observe_quickly
-from onebend.lab.truths import RESOLUTION
-from onebend.lab.virtual import Bench, Virtual, from_base, observe_virtual, tag_poses, virtual_recording
+from onebend.lab.direct_observation import observe_from_truth
+from onebend.lab.random_beams import RESOLUTION
+from onebend.lab.virtual import VirtualBench, VirtualRecording, from_base, observe_virtual, tag_poses, virtual_recording
 from onebend.learning.posterior import Posterior, stiffness_of
 from onebend.records import Array, ForceNoise, Observations
 
@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[1]
 class Breakage:
     """A way in which a recording contradicts the model, and what it should be called."""
 
-    make: Callable[[Bench, int], Virtual]
+    make: Callable[[VirtualBench, int], VirtualRecording]
     names: tuple[str, ...]  # suspects that are right
 
 
@@ -51,31 +51,31 @@ class Outcome:
     marker: float = float("nan")  # noise of the tags, of what was stated
 
 
-def stretching(bench: Bench, seed: int, *, strain: float) -> Virtual:
+def stretching(bench: VirtualBench, seed: int, *, strain: float) -> VirtualRecording:
     """The largest force, along the beam, would stretch it by `strain`."""
     return virtual_recording(replace(bench, axial_stiffness=bench.push.peak / strain), seed=seed)
 
 
-def misplaced(bench: Bench, seed: int, *, along: float) -> Virtual:
+def misplaced(bench: VirtualBench, seed: int, *, along: float) -> VirtualRecording:
     """One of the tags sits `along` [m] farther out than written."""
     which = seed % len(bench.tags)
     tags = tuple(replace(t, along=t.along + along * (i == which)) for i, t in enumerate(bench.tags))
     return virtual_recording(replace(bench, tags=tags), seed=seed)
 
 
-def elsewhere(bench: Bench, seed: int, *, at_s: float) -> Virtual:
+def elsewhere(bench: VirtualBench, seed: int, *, at_s: float) -> VirtualRecording:
     """The push is said to act at `at_s`; it acts at the tip."""
     tip = replace(bench.push, at_s=1.0)
-    return virtual_recording(replace(bench, push=tip, said=replace(bench.said, push_s=at_s)), seed=seed)
+    return virtual_recording(replace(bench, push=tip, declared=replace(bench.declared, push_s=at_s)), seed=seed)
 
 
-def wrong_length(bench: Bench, seed: int, *, share: float) -> Virtual:
+def wrong_length(bench: VirtualBench, seed: int, *, share: float) -> VirtualRecording:
     """The length is said too large by `share`."""
-    said = replace(bench.said, length=bench.beam.length * (1.0 + share))
-    return virtual_recording(replace(bench, said=said), seed=seed)
+    declared = replace(bench.declared, length=bench.beam.length * (1.0 + share))
+    return virtual_recording(replace(bench, declared=declared), seed=seed)
 
 
-def creeping(bench: Bench, seed: int, *, turn: float) -> Virtual:
+def creeping(bench: VirtualBench, seed: int, *, turn: float) -> VirtualRecording:
     """The rest shape turns by `turn` [rad] at the tip, as the force is summed over time."""
     one = virtual_recording(bench, seed=seed)
     bent = replace(bench, beam=replace(bench.beam, rest_curvature=Powers((turn,))))
@@ -83,7 +83,7 @@ def creeping(bench: Bench, seed: int, *, turn: float) -> Virtual:
     return moved(one, (size / size[-1])[:, None, None] * (tag_poses(bent, one.force) - one.pose))
 
 
-def slipping(bench: Bench, seed: int, *, turn: float) -> Virtual:
+def slipping(bench: VirtualBench, seed: int, *, turn: float) -> VirtualRecording:
     """The clamp turns by `turn` [rad] at the largest force."""
     one = virtual_recording(bench, seed=seed)
     turned = replace(bench, beam=replace(bench.beam, clamp_angle=turn))
@@ -91,7 +91,7 @@ def slipping(bench: Bench, seed: int, *, turn: float) -> Virtual:
     return moved(one, late[:, None, None] * (tag_poses(turned, one.force) - one.pose))
 
 
-def loosening(bench: Bench, seed: int, *, along: float) -> Virtual:
+def loosening(bench: VirtualBench, seed: int, *, along: float) -> VirtualRecording:
     """A tag shifts by `along` [m] and turns by 1.5 deg at some time during contact."""
     one, which = virtual_recording(bench, seed=seed), seed % len(bench.tags)
     tags = tuple(
@@ -103,7 +103,7 @@ def loosening(bench: Bench, seed: int, *, along: float) -> Virtual:
     return moved(one, late[:, None, None] * (tag_poses(replace(bench, tags=tags), one.force) - one.pose))
 
 
-def heavy(bench: Bench, seed: int, *, share: float) -> Virtual:
+def heavy(bench: VirtualBench, seed: int, *, share: float) -> VirtualRecording:
     """The beam's weight, of which nothing is written, bends it: `share` of the largest force, across it."""
     one = virtual_recording(bench, seed=seed)
     beam = replace(bench.beam, mass_per_length=Uniform(share * bench.push.peak / 9.81 / bench.beam.length))
@@ -133,7 +133,7 @@ BROKEN = {
 }
 
 
-def moved(one: Virtual, away: Array) -> Virtual:
+def moved(one: VirtualRecording, away: Array) -> VirtualRecording:
     """With tags that really were `away` (T, m, 3) from where they are, their noise the same."""
     base = one.bench.base
     change = from_base(one.pose + away, base) - from_base(one.pose, base)
@@ -141,12 +141,12 @@ def moved(one: Virtual, away: Array) -> Virtual:
     return replace(one, markers=markers, pose=one.pose + away)
 
 
-def quickly(one: Virtual) -> Observations:
+def quickly(one: VirtualRecording) -> Observations:
     """Observations with clock and contact from the truth, and the sensor's noise as it is."""
-    seen, sensor = observe_quickly(one, cutoff=CUTOFF), one.bench.sensor
-    assert seen.clean_force is not None
+    seen, sensor = observe_from_truth(one, cutoff=CUTOFF), one.bench.sensor
+    assert seen.source.clean_force is not None
     noise = ForceNoise(sensor.white_sd, sensor.coloured_sd, sensor.coloured_time, 0.1 * sensor.coloured_sd, 0.005)
-    return replace(seen, clean_force=replace(seen.clean_force, noise=noise))
+    return replace(seen, source=replace(seen.source, clean_force=replace(seen.source.clean_force, noise=noise)))
 
 
 def run(cell: str, seed: int) -> Outcome:
@@ -166,7 +166,8 @@ def run(cell: str, seed: int) -> Outcome:
 
 def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
     """A fit against k (35,) at S, and what its criticism says."""
-    band, critic = stiffness_of(found.at, found.optimum, found.gain_sd).band(S), found.criticism  # whatever the verdict
+    band = stiffness_of(found.layout, found.optimum, found.gain_sd).band(S)  # whatever the verdict
+    critic = found.criticism
     known, sd = band.identified, np.log(band.high / band.low) / (2.0 * 1.96)
     inside = (truth > band.low) & (truth < band.high)
     z = np.log(band.k / truth) / sd
@@ -179,7 +180,7 @@ def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
         causes=tuple(f.score.suspect.name for f in critic.causes),
         inside=float(np.mean(inside[known])) if np.any(known) else np.nan,
         z=float(np.sqrt(np.mean(z[known] ** 2))) if np.any(known) else np.nan,
-        marker=found.optimum.scales.films[0].marker,
+        marker=found.optimum.hyperparameters.noise[0].marker,
     )
 
 

@@ -170,7 +170,7 @@ def virtual_row(cell: str, runs: int) -> str:
     for seed in range(runs):
         bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
         said = bench.clock.offset + float(np.random.default_rng([seed, 9]).uniform(-1.5, 1.5))
-        made = virtual_recording(replace(bench, clock=replace(bench.clock, said=said, uncertainty=2.0)), seed=seed)
+        made = virtual_recording(replace(bench, clock=replace(bench.clock, declared=said, uncertainty=2.0)), seed=seed)
         clock = match_clocks(made.recording, with_angles(made.markers), made.log, None, ClockSettings()).clock
         found.append((clock.offset - bench.clock.offset - bench.sensor.lag, clock.sd))
     miss, sd = np.array(found).T

@@ -28,7 +28,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Frame, Picture, read_frames
+from onebend.recording.video import FilmFrame, Picture, read_frames
 from onebend.records import Array, View
 
 NAMES = ("linear_train", "cubic_fast", "quadratic_grav")
@@ -116,7 +116,7 @@ def true_corners(truth: Truth) -> Array:
     return project(view, square(truth.tags[..., :2], truth.tags[..., 2], size))
 
 
-def some(video: VideoEntry) -> list[Frame]:
+def some(video: VideoEntry) -> list[FilmFrame]:
     """The frames that are looked at."""
     return [frame for frame in read_frames(video) if frame.index % EVERY == 0 and frame.index < EVERY * FRAMES]
 

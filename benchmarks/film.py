@@ -29,7 +29,7 @@ from benchmarks.truth import Truth, parser_of, read_truth
 from onebend.errors import OnebendError
 from onebend.lab.filming.film import film
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.random_bench import Chance, random_bench
+from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn_recording
 from onebend.progress import Progress, Silent
@@ -48,7 +48,7 @@ KEPT = Path(__file__).parents[1] / "out" / "film"
 STREAM = 77  # of the random numbers of benches
 # Shorter and coarser films than a laboratory's best, so that 50 of them are affordable: contact of 4 to 7 s, some
 # cameras of 640 x 480, some at 10 frames/s.
-DRAWN = Chance(
+DRAWN = BenchRanges(
     seconds=(4.0, 7.0),
     sides=((640, 480), (1280, 720), (1280, 720), (1920, 1080)),
     fps=(10.0, 15.0, 24.0, 30.0),

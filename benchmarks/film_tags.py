@@ -19,17 +19,17 @@ import numpy as np
 from benchmarks.markers import MEDIAN_CHI2, relative
 from benchmarks.truth import read_truth
 from onebend.lab.designs import DESIGNS
+from onebend.lab.film_request import FilmRequest, PushName, filming_of
 from onebend.lab.filming.film import film
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.named import PushName, Wish, filming_of
-from onebend.lab.random_bench import Chance, random_camera
+from onebend.lab.random_bench import BenchRanges, random_camera
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
 from onebend.recording.tags.detection import detect_tags
 from onebend.records import Array
 
 CAMERAS, FPS, SECONDS = 4, 10.0, 3.0  # a design; of its films, and of contact
-DRAWN = Chance(sides=((1280, 720),))  # as the development recordings
+DRAWN = BenchRanges(sides=((1280, 720),))  # as the development recordings
 TWINS: tuple[tuple[str, PushName, bool], ...] = (  # calibrated as the recordings are
     ("linear", "slow", True),
     ("quadratic", "s08", True),
@@ -75,8 +75,8 @@ def rms(values: Array) -> float:
 
 def twin(design: str, push: PushName, calibrated: bool, seed: int) -> Filming:
     """A named design before a camera that is drawn."""
-    wish = Wish(push=push, calibrated=calibrated, fps=FPS, seconds=SECONDS)
-    filming = filming_of(DESIGNS[design], wish, f"{design}-{push}")
+    request = FilmRequest(push=push, calibrated=calibrated, fps=FPS, seconds=SECONDS)
+    filming = filming_of(DESIGNS[design], request, f"{design}-{push}")
     return replace(filming, camera=random_camera(np.random.default_rng([seed, 78]), DRAWN))
 
 

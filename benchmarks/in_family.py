@@ -14,24 +14,18 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline
-from onebend.lab.pushes import Push
+from onebend.lab.direct_observation import observe_from_truth
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.shortcut import observe_quickly
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, virtual_recording
-from onebend.learning.inference.hyperparameters import Known
-from onebend.learning.inference.linear_gaussian import (
-    FilmNoise,
-    Scales,
-    quadratic,
-    rest_quadratic,
-    together,
-    unweighted,
-)
-from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, mixed
-from onebend.learning.model.fit_data import Film, film
+from onebend.lab.virtual import VirtualBench, virtual_recording
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
+from onebend.learning.inference.hyperparameters import Evidence
+from onebend.learning.inference.linear_gaussian import data_information, rest_information, unweighted_rows
+from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
+from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.records import Array, ForceNoise, Observations
 
@@ -47,11 +41,9 @@ class Drawn:
 
     observations: Observations
     stiffness: LogSpline
-    seen: Film
-    at: Layout
+    problem: FitProblem
     x: Array  # (P,) true parameters
-    own: Array  # (F, 2) N, the force less what the log, its slow error taken off, says of it
-    scales: Scales
+    own: Array  # (F, 2) N, the force less the logged one without its slow error
 
 
 def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
@@ -63,37 +55,42 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     beam = Beam(0.15, stiffness)
     direction = own.uniform(1.4, 2.1)
     peak = force_that_bends(beam, own.uniform(0.7, 1.3), direction)
-    push = Push(peak, direction=direction, turn=own.uniform(0.2, 0.8))
-    exact = virtual_recording(Bench(beam, push, sensor=ForceSensor()), seed=seed)
-    template = observe_quickly(exact, clock_sd=CLOCK)
-    assert template.clean_force is not None
+    push = PushProfile(peak, direction=direction, turn=own.uniform(0.2, 0.8))
+    exact = virtual_recording(VirtualBench(beam, push, sensor=ForceSensor()), seed=seed)
+    template = observe_from_truth(exact, clock_sd=CLOCK)
+    assert template.source.clean_force is not None
     noise = ForceNoise(white=0.0, coloured=COLOURED * peak, tau=MEMORY, walk=WALK * peak)
-    clean = replace(template.clean_force, noise=noise)
-    template = replace(template, clean_force=clean, force_sd=np.full(2, COLOURED * peak))
-    seen, at = prepared(template, spline)
-    x = np.zeros(at.size)
-    for block in at.blocks:
+    clean = replace(template.source.clean_force, noise=noise)
+    template = replace(
+        template, force_sd=np.full(2, COLOURED * peak), source=replace(template.source, clean_force=clean)
+    )
+    problem = prepared(template, spline)
+    (data,), layout = problem.recordings, problem.layout
+    x = np.zeros(layout.size)
+    for block in layout.blocks:
         if block.start >= 0 and block.name not in ("stiffness", "force"):
             x[block.where] = block.prior_sd * rng.standard_normal(len(block.prior_sd))
     x[: spline.count] = k
-    root = np.linalg.cholesky(seen.error.covariance(1.0, 1.0, 1.0, 1.0))
+    root = np.linalg.cholesky(data.error.covariance(1.0, 1.0, 1.0, 1.0))
     errors = root @ rng.standard_normal((len(root), 2))
-    x[at.index["force", 0].where] = errors.ravel()
-    log_error = spline_at(seen, clean.time) @ errors
-    rest_noise = rest_sd(seen, at) * rng.standard_normal(clean.force.shape)
+    x[layout.index["force", 0].where] = errors.ravel()
+    log_error = spline_at(data, clean.time) @ errors
+    rest_noise = rest_sd(problem) * rng.standard_normal(clean.force.shape)
     logged = replace(clean, force=clean.force + log_error + rest_noise)
     force = template.force.copy()
-    force[seen.frames] += seen.error.weights @ errors
-    template = replace(template, force=force, clean_force=logged)
-    seen, at = prepared(template, spline)
-    poses = noisy_poses(seen, at, x, rng)
-    quick = WHITE * peak * rng.standard_normal((int(seen.frames.sum()), 2))
-    force[seen.frames] += quick  # the log is off, not the force
+    force[data.frames] += data.error.weights @ errors
+    template = replace(template, force=force, source=replace(template.source, clean_force=logged))
+    problem = prepared(template, spline)
+    (data,) = problem.recordings
+    poses = noisy_poses(data, layout, x, rng)
+    quick = WHITE * peak * rng.standard_normal((int(data.frames.sum()), 2))
+    force[data.frames] += quick  # the log is off, not the force
     template = replace(template, force=force)
     beside = np.vstack([-quick, np.zeros((len(poses) - len(quick), 2))])
-    scales = Scales(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, (FilmNoise(1.0, WHITE * peak),))
-    observations = with_poses(template, seen, poses)
-    return Drawn(observations, stiffness, prepared(observations, spline)[0], at, x, beside, scales)
+    expected = replace(problem.expected, noise=(RecordingNoise(1.0, WHITE * peak),))
+    observations = with_poses(template, data, poses)
+    problem = replace(prepared(observations, spline), expected=expected)
+    return Drawn(observations, stiffness, problem, x, beside)
 
 
 def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
@@ -107,40 +104,42 @@ def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
     return np.concatenate([line, tau * rng.standard_normal(spline.count - 2), local])
 
 
-def prepared(o: Observations, spline: Spline) -> tuple[Film, Layout]:
+def prepared(o: Observations, spline: Spline) -> FitProblem:
     """As the fit prepares them: every loaded frame."""
-    seen = film(o, 0, o.loaded, spline)
-    return seen, layout(spline, [o], [len(seen.error.knots)], Priors())
+    data = fit_data(o, 0, o.loaded, spline)
+    layout = make_layout(spline, [o], [len(data.error.knots)], Priors())
+    noise = (RecordingNoise(1.0, 1.0),)
+    return FitProblem((data,), layout, LEVEL, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise))
 
 
-def spline_at(seen: Film, time: Array) -> Array:
+def spline_at(data: FitData, time: Array) -> Array:
     """(N, K) weights of the force error's knots at `time`, constant beyond them."""
-    knots = seen.error.knots
+    knots = data.error.knots
     held = np.clip(time, knots[1], knots[-2])
     u = np.abs(held[:, None] - knots) / (knots[1] - knots[0])
     near, far = 2.0 / 3.0 - u**2 + 0.5 * u**3, (2.0 - np.minimum(u, 2.0)) ** 3 / 6.0
     return np.asarray(np.where(u < 1.0, near, far))
 
 
-def rest_sd(seen: Film, at: Layout) -> float:
+def rest_sd(problem: FitProblem) -> float:
     """N: the noise that the fit takes the log in the rests to have around its knots, from the weight it gives them."""
-    where = at.index["force", 0].where
-    information = rest_quadratic([seen], at).information[where, where]
-    weights = np.kron(seen.error.rest_weights, np.eye(2))
+    where = problem.layout.index["force", 0].where
+    information = rest_information(problem).information[where, where]
+    weights = np.kron(problem.recordings[0].error.rest_weights, np.eye(2))
     return float(np.sqrt(np.sum(weights**2) / np.trace(information)))
 
 
-def noisy_poses(seen: Film, at: Layout, x: Array, rng: np.random.Generator) -> Array:
+def noisy_poses(data: FitData, layout: Layout, x: Array, rng: np.random.Generator) -> Array:
     """(F, m, 3) tags where x puts them, with the noise that their covariances state."""
-    pose = predict(seen, at, x, None).pose
-    roots = np.linalg.inv(seen.whiten)
+    pose = predict(data, layout, x, None).pose
+    roots = np.linalg.inv(data.whiten)
     return np.asarray(pose + np.einsum("fmab,fmb->fma", roots, rng.standard_normal(pose.shape)))
 
 
-def with_poses(o: Observations, seen: Film, poses: Array) -> Observations:
+def with_poses(o: Observations, data: FitData, poses: Array) -> Observations:
     """The observations with these tags in the frames of the film, the last of which is the rest."""
     xy, angle = o.xy.copy(), o.angle.copy()
-    xy[seen.frames], angle[seen.frames] = poses[:-1, :, :2], poses[:-1, :, 2]
+    xy[data.frames], angle[data.frames] = poses[:-1, :, :2], poses[:-1, :, 2]
     return replace(o, xy=xy, angle=angle, rest_xy=poses[-1, :, :2], rest_angle=poses[-1, :, 2])
 
 
@@ -151,20 +150,19 @@ def thirds(spline: Spline) -> Array:
 
 
 def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
-    """(3,) of the means of log k over thirds: what is possible at the truth, all scales but those of log k known.
+    """(3,) of the means of log k over thirds: what is possible at the truth, hyperparameters known but for log k's.
 
     The model linearised at the truth, with the data as drawn and the priors of what is random. With the prior of k too
     it is the variance of the exact posterior, sizes of log k averaged over: no estimator's mean squared error over
     draws is less than its mean. Without it, the Cramer-Rao bound on any unbiased estimator for this k, the rest being
     random and integrated out.
     """
-    at, seen, noise = drawn.at, drawn.seen, drawn.scales.films[0]
-    now = predict(seen, at, drawn.x, None, drawn.own)
-    rows = unweighted(now)
-    data = together([quadratic(rows, at, 0, drawn.x, noise), rest_quadratic([seen], at)])
-    told = Known(data, [seen], at, LEVEL, drawn.scales).told(drawn.scales)
+    problem, spline = drawn.problem, drawn.problem.layout.spline
+    now = predict(problem.recordings[0], problem.layout, drawn.x, None, drawn.own)
+    data = data_information(problem, [unweighted_rows(now)], drawn.x, problem.expected)
+    told = Evidence(problem, data).told(problem.expected)
     covariance = np.linalg.pinv(told.information, hermitian=True)
     if prior_of_k:
-        covariance = mixed(at.spline, [told], LEVEL, Draws(30, 50, 150)).covariance
-    g = thirds(at.spline)
+        covariance = stiffness_mixture(spline, [told], LEVEL, Draws(30, 50, 150)).covariance
+    g = thirds(spline)
     return np.asarray(np.einsum("gi,ij,gj->g", g, covariance, g))

@@ -15,10 +15,10 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
-from onebend.control.loop.feedback import Controller, controller
-from onebend.control.loop.loop import Eye, Rehearsal, Truth, rehearse
-from onebend.control.loop.margins import Loop, margins
+from onebend.control.loop.controller import Controller, controller
+from onebend.control.loop.margins import SampledLoop, margins
 from onebend.control.loop.plant import plant_at
+from onebend.control.loop.simulation import LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.records import Array
 
 BEAMS = {
@@ -33,7 +33,7 @@ SHARES = {
     "tip softer, base stiffer": 1.0 - 2.0 * S,
     "base softer, tip stiffer": 2.0 * S - 1.0,
 }
-EYE = Eye(delay=0.06, jitter=0.01, noise=1e-4, dropped=0.1)
+EYE = LoopCamera(delay=0.06, jitter=0.01, noise=1e-4, dropped=0.1)
 VARIANTS = {"open loop": (True, False), "feedback alone": (False, True), "both": (True, True)}
 DURATION = 20.0  # s: a direction that hardly yields is corrected slowly, steady is what is left then
 DELAYS = (0.0, 0.03, 0.06, 0.1, 0.15)  # s, the controller being told 0.05
@@ -50,10 +50,10 @@ class Case:
     control: Controller
     beam: Beam
 
-    def run(self, variant: str, eye: Eye = EYE) -> Rehearsal:
+    def run(self, variant: str, eye: LoopCamera = EYE) -> LoopSimulation:
         feedforward, feedback = VARIANTS[variant]
         settings = replace(self.control.settings, feedforward=feedforward, feedback=feedback)
-        return rehearse(replace(self.control, settings=settings), Truth(self.beam, eye=eye), DURATION, seed=1)
+        return simulate_loop(replace(self.control, settings=settings), TrueSystem(self.beam, eye=eye), DURATION, seed=1)
 
 
 def wrong(k: Profile, error: str) -> Profile:
@@ -103,10 +103,12 @@ def print_onset(every: list[Case]) -> None:
     print("\n| beam | goal | true k(s) | gain margin said | simulated between | phase [deg] | delay [ms] | softest k |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for case in every:
-        truth = Truth(case.beam, eye=Eye(delay=0.05, noise=0.0))
-        held = rehearse(case.control, truth, DURATION).asked[-1]
+        truth = TrueSystem(case.beam, eye=LoopCamera(delay=0.05, noise=0.0))
+        held = simulate_loop(case.control, truth, DURATION).asked[-1]
         inverse = case.control.inverse_at(held, 99.0)
-        said = margins(Loop(plant_at(case.beam, held), inverse, case.control.gains, case.control.settings.timing))
+        said = margins(
+            SampledLoop(plant_at(case.beam, held), inverse, case.control.gains, case.control.settings.timing)
+        )
         rings = [ringing(case, truth, held, share * said.gain) for share in (0.9, 1.1)]
         between = " and ".join(
             f"{share * said.gain:.2f} ({'rings' if ring else 'calm'})"
@@ -116,14 +118,14 @@ def print_onset(every: list[Case]) -> None:
         print(f"| {case.name} | {case.goal} | {case.error} | {said.gain:.2f} | {between} | {rest} |", flush=True)
 
 
-def ringing(case: Case, truth: Truth, held: Array, factor: float) -> bool:
+def ringing(case: Case, truth: TrueSystem, held: Array, factor: float) -> bool:
     """Whether the point's distance from the goal grows after the force was led to where it holds the goal."""
     control = replace(
         case.control,
         gains=replace(case.control.gains, rate=factor * case.control.gains.rate),
         reference=replace(case.control.reference, ends=held, rise=3.0),
     )
-    found = rehearse(control, truth, 7.0)
+    found = simulate_loop(control, truth, 7.0)
     early, late = (found.time > 3.5) & (found.time < 4.5), found.time > 6.0
     return bool(np.max(found.error[late]) > np.max(found.error[early]))
 

@@ -21,8 +21,8 @@ from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline, Powers, Profile, Steps, Table, Uniform
 from onebend.beam.statics.continuation import equilibrium
-from onebend.control.loop.feedback import Controller, ControllerSettings, controller
-from onebend.control.loop.loop import Eye, Hand, Rehearsal, Truth, rehearse
+from onebend.control.loop.controller import Controller, ControllerSettings, controller
+from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.control.reach.reach import Reach, ReachSettings, reach
 from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
@@ -46,7 +46,7 @@ class Case:
     point_s: float
     gravity: tuple[float, float]
     error: str
-    truth: Truth
+    truth: TrueSystem
     held: Reach  # what the true beam needs
 
 
@@ -83,9 +83,9 @@ def drawn(rng: np.random.Generator) -> Case | None:
     size, way = rng.uniform(0.7, 3.0), rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.85) * np.pi
     force = size * float(np.mean(beam.stiffness(S))) / (beam.length * push_s**2) * np.array([np.cos(way), np.sin(way)])
     error, k = wrong(beam.stiffness, rng)
-    eye = Eye(delay=float(rng.uniform(0.0, 0.1)), jitter=0.005, noise=1e-4, dropped=0.1)
-    hand = Hand(gain=float(rng.uniform(0.9, 1.1)))
-    truth = Truth(replace(beam, stiffness=k), 0.05, push_s, point_s, gravity, eye, hand)
+    eye = LoopCamera(delay=float(rng.uniform(0.0, 0.1)), jitter=0.005, noise=1e-4, dropped=0.1)
+    hand = Actuator(gain=float(rng.uniform(0.9, 1.1)))
+    truth = TrueSystem(replace(beam, stiffness=k), 0.05, push_s, point_s, gravity, eye, hand)
     try:
         solved = equilibrium(beam, push(force[None], push_s) + weight(gravity))
         if not (solved.converged[0] and solved.stable[0]):
@@ -115,7 +115,7 @@ def made(case: Case, settings: ControllerSettings = ControllerSettings()) -> Con
     )
 
 
-def row_of(number: int, case: Case, found: Rehearsal | None) -> str:
+def row_of(number: int, case: Case, found: LoopSimulation | None) -> str:
     """One line of the table."""
     heavy = "yes" if any(case.gravity) else "no"
     end = "lost | never" if found is None else f"{1e3 * found.steady():.2f} | {found.settled(WITHIN):.1f}"
@@ -135,9 +135,9 @@ def main() -> None:
     print(f"|{' --- |' * 8}")
     steady, refused, began = [], 0, time.process_time()
     for number, case in enumerate(cases(asked.cases, asked.seed), 1):
-        found: Rehearsal | None
+        found: LoopSimulation | None
         try:
-            found = rehearse(made(case), case.truth, DURATION, seed=number)
+            found = simulate_loop(made(case), case.truth, DURATION, seed=number)
         except ControlError:
             refused += 1
             continue

@@ -25,7 +25,8 @@ SETTINGS = FitSettings(most_frames=150, first_frames=60)
 
 def main() -> None:
     names = sorted({name for names in SETS for name in names})
-    seen = {name: replace(observe(RECORDINGS / f"quadratic_{name}"), mass=np.nan) for name in names}
+    weighed = {name: observe(RECORDINGS / f"quadratic_{name}") for name in names}
+    seen = {name: replace(o, stated=replace(o.stated, mass=np.nan)) for name, o in weighed.items()}
     truth = np.load(RECORDINGS / "quadratic_train" / "truth" / "truth.npz")
     s, line, length = truth["s"], truth["rhoA"], seen["grav"].length
     total, pull = length * np.trapezoid(line, s), 2 * length * np.trapezoid(s * line, s)
@@ -35,7 +36,7 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- | --- |")
     inside = (s >= 0.05) & (s <= 0.9)
     for chosen, along in product(SETS, STATED):
-        ready = with_mass([replace(seen[name], mass_along=along) for name in chosen])
+        ready = with_mass([replace(seen[name], stated=replace(seen[name].stated, mass_along=along)) for name in chosen])
         posterior = fit(ready, start_of(ready, None), settings=SETTINGS)
         mass = posterior.mass
         assert mass is not None

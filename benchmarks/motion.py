@@ -21,7 +21,7 @@ from onebend.beam.profiles.stiffness import Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import equilibrium
 from onebend.learning.swing.damping import DampingSettings, SwingFit, learn_damping
-from onebend.learning.swing.free_swing import Part
+from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import learn_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
@@ -62,12 +62,12 @@ def row(name: str, fit: SwingFit, tau: float, frequency: float, mass: float) -> 
 def rows(seen: Observations, learned: Beam, band: UncertainStiffness, true: Beam) -> Iterator[tuple[str, SwingFit]]:
     """Every way to ask."""
     bare, width = replace(learned, mass_per_length=Uniform(0.0)), DampingSettings(mass_along="width")
-    unweighed = replace(seen, mass=float("nan"))
+    unweighed = replace(seen, stated=replace(seen.stated, mass=float("nan")))
     yield "learned k, weighed, mass as the width", learn_damping(bare, seen, uncertain=band, settings=width)
     yield "the same, mass even", learn_damping(bare, seen, uncertain=band)
     yield "as the width, not weighed", learn_damping(bare, unweighed, uncertain=band, settings=width)
     for begin in (3.6, 4.5):
-        fit = learn_damping(bare, seen, uncertain=band, part=Part(begin), settings=width)
+        fit = learn_damping(bare, seen, uncertain=band, part=FilmPart(begin), settings=width)
         yield f"as the width, from {begin:.1f} s of the film", fit
     yield "true k and mass", learn_damping(true, seen)
 

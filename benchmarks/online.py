@@ -43,7 +43,7 @@ class Row:
 @one_blas_thread
 def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
-    mass = o.mass if np.isfinite(o.mass) else 0.0
+    mass = o.stated.mass if np.isfinite(o.stated.mass) else 0.0
     learner = OnlineLearner(o.length, o.marker_s, START, mass=mass, settings=settings_for(o))
     wall, processor = [], []
     for frame in live_frames(o):
@@ -92,9 +92,9 @@ def case(cell: str, seed: int) -> Case:
     kind, errors = cell.split()
     bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
     seen = observe_virtual(virtual_recording(bench, seed=seed))
-    batch = fit_from_nothing(seen, gain_sd=bench.said.gain_sd).stiffness
+    batch = fit_from_nothing(seen, gain_sd=bench.declared.gain_sd).stiffness
     truth = np.asarray(bench.beam.stiffness(S))
-    learner = replay(seen, START, gain_sd=bench.said.gain_sd)
+    learner = replay(seen, START, gain_sd=bench.declared.gain_sd)
     end = learner.stiffness
     learner.settle()
     found = (end, learner.stiffness, batch)

@@ -13,11 +13,9 @@ from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.pushes import Push as VirtualPush
-from onebend.lab.virtual import Bench as VirtualBench
-from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.design.instruments import Bench, Push, push_of
-from onebend.learning.design.instruments import bench_of as bench_of_fit
+from onebend.lab.pushes import PushProfile
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
+from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import PLACES, Proposal
 from onebend.learning.paper.learn import learn
@@ -54,7 +52,7 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
         seen: dict[str, Observations] = {k: observe(recordings / f"{beam}_{k}") for k in ("train", *OTHERS)}
         start = learn(seen["train"]).beam.stiffness
         alone = fit([seen["train"]], start)
-        bench = bench_of_fit(alone)
+        bench = instruments_of(alone)
         for other in OTHERS:
             promised = widths(after_push(alone.stiffness, alone.beam, bench, push_of(seen[other])))
             both = widths(fit([seen["train"], seen[other]], start).stiffness)
@@ -82,7 +80,7 @@ def case(seed: int) -> Case:
     bench = bench_of(BEAM_KINDS[seed % len(BEAM_KINDS)], "tags", seed)
     first = observe_virtual(virtual_recording(bench, seed=seed))
     alone = _trusted(fit_from_nothing(first))
-    known = bench_of_fit(alone)
+    known = instruments_of(alone)
     tried = ranked_pushes(alone.stiffness, alone.beam, known, SETTINGS)
     before = float(np.mean(widths(alone.stiffness)))
     told = []
@@ -102,21 +100,21 @@ def _trusted(found: Posterior) -> Posterior:
     return found
 
 
-def ranked_pushes(known: UncertainStiffness, beam: Beam, bench: Bench, settings: PlanSettings) -> list[Proposal]:
+def ranked_pushes(known: UncertainStiffness, beam: Beam, bench: Instruments, settings: PlanSettings) -> list[Proposal]:
     """All new pushes with what there is, best first: `plan` tells only some of them."""
     found = plan(known, beam, bench, replace(settings, count=10_000, apart=0.0)).proposals
     return [one for one in found if not one.needs and not one.repeats]
 
 
-def _anew(bench: VirtualBench, push: Push, seed: int, number: int) -> VirtualBench:
+def _anew(bench: VirtualBench, push: PlannedPush, seed: int, number: int) -> VirtualBench:
     """The bench for one more push: clamped anew, place and axes of the push off anew, by what is stated of them."""
     rng = np.random.default_rng([seed, number, 31])
     x, y, turn = np.array([PLACEMENT, PLACEMENT, MOUNTING_SD]) * rng.standard_normal(3)
     off, axes = np.array([PLACE_SD / bench.beam.length, DIRECTION_SD]) * rng.standard_normal(2)
     return replace(
         bench,
-        push=VirtualPush(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
-        said=replace(bench.said, push_s=push.at_s, axes=float(axes)),
+        push=PushProfile(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),
+        declared=replace(bench.declared, push_s=push.at_s, axes=float(axes)),
         base=(float(x), float(y), float(turn)),
         name=f"{bench.name} {number + 2}",
     )

@@ -18,7 +18,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, make_problems
 from onebend.control.reach.reach import Reach, reach
 from onebend.control.reach.uncertainty import PredictedError, predicted_error
-from onebend.lab.truths import force_that_bends
+from onebend.lab.random_beams import force_that_bends
 from onebend.pipeline import learn_recording
 from onebend.records import Array
 

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from onebend.forecast.advice import advise
-from onebend.forecast.prediction import Predicted, predict
+from onebend.forecast.prediction import PredictedBand, predict
 from onebend.forecast.rehearsal import Obtained, obtained_of
 from onebend.forecast.runs import simulate
 from onebend.forecast.setup import Setup, known_beam, setup_of
-from onebend.lab.named import CameraName, SensorName, Wish
+from onebend.lab.film_request import CameraName, FilmRequest, SensorName
 from onebend.records import Array
 
 KEPT = Path(__file__).parents[1] / "out" / "rehearse"
@@ -42,10 +42,12 @@ class Case:
 
     @property
     def setup(self) -> Setup:
-        wish = Wish(sensor=self.sensor, seconds=self.seconds, camera=self.camera, bend=float(np.deg2rad(self.bend_deg)))
+        request = FilmRequest(
+            sensor=self.sensor, seconds=self.seconds, camera=self.camera, bend=float(np.deg2rad(self.bend_deg))
+        )
         return setup_of(
             known_beam(self.design),
-            [replace(wish, at_s=s) for s in self.at],
+            [replace(request, at_s=s) for s in self.at],
             tags=self.tags,
             placement_sd=self.placement_sd,
             clock_sd=self.clock_sd,
@@ -80,7 +82,7 @@ CASES = (
 )
 
 
-def row(name: str, predicted: Predicted, obtained: Obtained) -> str:
+def row(name: str, predicted: PredictedBand, obtained: Obtained) -> str:
     """Sizes of log k over the thirds of the beam."""
     band = float(np.sqrt(np.mean(obtained.sd**2) / np.mean(predicted.sd**2)))
     return (

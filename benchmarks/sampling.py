@@ -24,16 +24,16 @@ from scipy.linalg import cho_factor, cho_solve
 from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.blas import one_blas_thread
 from onebend.lab.virtual import observe_virtual, virtual_recording
+from onebend.learning.inference.fit_problem import prior
 from onebend.learning.inference.linear_gaussian import (
+    data_information,
     explained_by,
+    force_shrinkage,
     misfit,
-    prior,
-    quadratic,
+    posterior_of,
+    residual_rows,
     residuals,
-    rest_quadratic,
-    rows_of,
-    shrink,
-    together,
+    rest_information,
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.posterior import Posterior
@@ -90,45 +90,39 @@ class UnreachableError(Exception):
     """No equilibrium at these parameters."""
 
 
-def target_of(found: Posterior) -> tuple[Callable[[Array], Here], Array]:
+def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
     """The exact posterior, and Laplace's covariance at the optimum."""
-    films, at, best, scales = list(found.films), found.at, found.optimum, found.optimum.scales
-    every = list(zip(films, best.predictions, scales.films, strict=True))
-    rows = [rows_of(p, n) for _, p, n in every]
-    precision, mean, _ = prior(films, at, prior_level(found), scales)
-    rests = rest_quadratic(films, at)
-    data = together([*(quadratic(r, at, f.number, best.x, n) for (f, _, n), r in zip(every, rows, strict=True)), rests])
+    problem, layout, best = posterior.problem, posterior.layout, posterior.optimum
+    every = list(zip(problem.recordings, best.predictions, best.hyperparameters.noise, strict=True))
+    rows = [residual_rows(now, noise) for _, now, noise in every]
+    before, rests = prior(problem, best.hyperparameters), rest_information(problem)
+    data = data_information(problem, rows, best.x, best.hyperparameters)
+    precision = cho_solve((before.root, True), np.eye(len(best.x)))
 
     def target(x: Array) -> Here:
-        away, curvature = x - mean, precision + rests.information
+        away, curvature = x - before.mean, precision + rests.information
         slope = precision @ away + rests.information @ x - rests.b
         value = 0.5 * float(away @ precision @ away + x @ rests.information @ x) - float(rests.b @ x)
-        for (f, p, n), r in zip(every, rows, strict=True):
-            there: Prediction = predict(f, at, x, p.solved.q, p.own)
+        for (recording, now, noise), r in zip(every, rows, strict=True):
+            there: Prediction = predict(recording, layout, x, now.solved.q, now.own)
             if not np.all(there.solved.converged):
                 raise UnreachableError
-            left, mine = r.root_weight * residuals(there) + explained_by(r.a, there.own), at.known_to(f.number)
-            value += 0.5 * misfit(r, left, n)
-            j = (f.whiten @ there.slopes.written).reshape(*left.shape, -1) * r.root_weight[..., None]
-            across = (j - r.a @ (shrink(r, n) @ (np.swapaxes(r.a, 1, 2) @ j))) / n.marker**2
-            slope[mine] -= np.einsum("frc,fr->c", across, left)
-            curvature[np.ix_(mine, mine)] += across.reshape(-1, len(mine)).T @ j.reshape(-1, len(mine))
+            residual = r.root_weight * residuals(there) + explained_by(r.a, there.own)
+            mine = layout.known_to(recording.number)
+            value += 0.5 * misfit(r, residual, noise)
+            j = (recording.whiten @ there.slopes.written).reshape(*residual.shape, -1) * r.root_weight[..., None]
+            unexplained = (j - r.a @ (force_shrinkage(r, noise) @ (np.swapaxes(r.a, 1, 2) @ j))) / noise.marker**2
+            slope[mine] -= np.einsum("frc,fr->c", unexplained, residual)
+            curvature[np.ix_(mine, mine)] += unexplained.reshape(-1, len(mine)).T @ j.reshape(-1, len(mine))
         return Here(value, slope, curvature)
 
-    covariance = np.linalg.inv(data.information + precision)
-    return target, 0.5 * (covariance + covariance.T)
-
-
-def prior_level(found: Posterior) -> float:
-    """Mean of log k at the optimum: the prior's own centre is so loose that its place does not matter."""
-    s = np.linspace(0.0, 1.0, 101)
-    return float(np.mean(found.at.spline.basis(s) @ found.at.get(found.mean, "stiffness")))
+    return target, posterior_of(data, before).covariance
 
 
 def force_errors(found: Posterior) -> BoolArray:
     """(P,) which parameters are the force's error."""
-    out = np.zeros(found.at.size, dtype=bool)
-    for block in found.at.blocks:
+    out = np.zeros(found.layout.size, dtype=bool)
+    for block in found.layout.blocks:
         if block.start >= 0 and block.name == "force":
             out[block.where] = True
     return out
@@ -169,7 +163,7 @@ class _Followed:
 def sample(found: Posterior, count: int, *, seed: int) -> tuple[Sampled, Array]:
     """`count` Hamiltonian steps from the optimum, the first quarter left out, in which the stride is set; and Laplace's
     covariance (P, P) at fixed scales."""
-    followed, rng, p = _Followed(found), np.random.default_rng(seed), found.at.spline.count
+    followed, rng, p = _Followed(found), np.random.default_rng(seed), found.layout.spline.count
     z, stride, burn = np.zeros(followed.root.shape[1]), 0.3, count // 4
     there, chain, volumes, chances = followed(z), [], [], []
     for i in range(count):
@@ -182,7 +176,7 @@ def sample(found: Posterior, count: int, *, seed: int) -> tuple[Sampled, Array]:
         chain.append((followed.mean + followed.root @ z)[:p])
         volumes.append(there.volume)
         chances.append(chance)
-    log_k = np.array(chain) @ found.at.spline.basis(S).T
+    log_k = np.array(chain) @ found.layout.spline.basis(S).T
     volume = np.exp(np.array(volumes) - max(volumes))
     sampled = Sampled(log_k, volume / volume.sum(), float(np.mean(chances)), min(worth(column) for column in log_k.T))
     return sampled, followed.covariance
@@ -220,7 +214,7 @@ def worth(values: Array) -> float:
 def compare(found: Posterior, count: int, *, seed: int) -> Comparison:
     """Quantiles of log k from samples against Laplace's."""
     sampled, covariance = sample(found, count, seed=seed)
-    basis, p = found.at.spline.basis(S), found.at.spline.count
+    basis, p = found.layout.spline.basis(S), found.layout.spline.count
     sd = np.sqrt(np.einsum("si,ij,sj->s", basis, covariance[:p, :p], basis))
     away = (sampled.log_k - basis @ found.mean[:p]) / sd
     even = np.full(len(away), 1.0 / len(away))

@@ -19,10 +19,10 @@ from onebend.beam.statics.continuation import equilibrium
 from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals, point_goals
 from onebend.control.goals.targets import curve
-from onebend.control.path.path import PathSettings, follow_goals
-from onebend.control.path.timing import Rates
-from onebend.control.shape.grip import Grip, Push
-from onebend.control.shape.shape import Shaped, shape
+from onebend.control.path.follow import PathSettings, follow_goals
+from onebend.control.path.timing import RateLimits
+from onebend.control.shape.actuators import Grip, Pusher
+from onebend.control.shape.shape import ShapeResult, shape
 from onebend.records import Array
 from tests.beam.boundary import integrate
 
@@ -32,7 +32,7 @@ INDEPENDENT, GRIPPED, ONE_PUSH, TWO_PUSHES = 30, 400, 300, 300
 STRONGEST = 4.0  # largest force, in units of mean k over L
 FOUND = 1e-6  # of L, rms over the targets: the shape was found again
 
-Hands = tuple[tuple[Push, ...], Grip | None]
+Hands = tuple[tuple[Pusher, ...], Grip | None]
 Row = tuple[str, str]
 
 
@@ -67,19 +67,19 @@ def pushed(places: tuple[float, ...], count: int, seed: int) -> Array:
     return solved.xy(S)[solved.stable]
 
 
-def why_not(found: Shaped) -> str:
+def why_not(found: ShapeResult) -> str:
     """Why a shape was not found again."""
     if found.limits:
         return f"ended at the edge of {found.limits[0]}"
     return "another local optimum" if found.converged else "the search ended early"
 
 
-def recovered(name: str, wanted: Array, hands: Hands) -> Row:
+def recovered(name: str, wanted: Array, actuators: Hands) -> Row:
     """How many shapes were found again, and why not the others."""
     reasons: Counter[str] = Counter()
     first, seconds = 0, time.process_time()
     for xy in wanted:
-        found = shape(BEAM, curve(S, xy), pushes=hands[0], grip=hands[1])
+        found = shape(BEAM, curve(S, xy), pushes=actuators[0], grip=actuators[1])
         if found.rms < FOUND * BEAM.length:
             first += found.starts == 1
             reasons["found"] += 1
@@ -118,10 +118,10 @@ def paths() -> list[Row]:
     shapes = Goals(np.linspace(0.0, 3.0, 7), curve(S, held[0]), held, blank)
     out = []
     for name, goals, pushes, grip, limits in (
-        ("force for a point", tip, (Push(),), None, Rates()),
-        ("the same, stretched to 0.1 N/s", tip, (Push(),), None, Rates(force=0.1)),
-        ("the same, bound to 0.35 N", tip, (Push(1.0, 0.35),), None, Rates()),
-        ("gripper for a shape of ten points", shapes, (), Grip(), Rates()),
+        ("force for a point", tip, (Pusher(),), None, RateLimits()),
+        ("the same, stretched to 0.1 N/s", tip, (Pusher(),), None, RateLimits(force=0.1)),
+        ("the same, bound to 0.35 N", tip, (Pusher(1.0, 0.35),), None, RateLimits()),
+        ("gripper for a shape of ten points", shapes, (), Grip(), RateLimits()),
     ):
         began = time.process_time()
         way = follow_goals(BEAM, goals, pushes=pushes, grip=grip, settings=PathSettings(limits=limits))
@@ -133,7 +133,7 @@ def paths() -> list[Row]:
 @one_blas_thread
 def rows() -> list[Row]:
     """All figures."""
-    one, two = (Push(1.0),), (Push(0.5), Push(1.0))
+    one, two = (Pusher(1.0),), (Pusher(0.5), Pusher(1.0))
     return [
         *exactness(),
         recovered("gripper", gripped(), ((), Grip())),

@@ -17,11 +17,18 @@ from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import Kind, force_that_bends, random_stiffness
 from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.tag_errors import TagNoise
-from onebend.lab.truths import Kind, force_that_bends, random_stiffness
-from onebend.lab.virtual import Bench, Clock, Said, Tag, observe_virtual, virtual_recording
+from onebend.lab.virtual import (
+    DeclaredValues,
+    VirtualBench,
+    VirtualClock,
+    VirtualTag,
+    observe_virtual,
+    virtual_recording,
+)
 from onebend.learning.model.fit_data import REST_MODES
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
@@ -84,7 +91,7 @@ class Run:
         return Run(**(data | changed))
 
 
-def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
+def bench_of(kind: Kind, errors: str, seed: int) -> VirtualBench:
     """A random beam and push with one kind of errors; sizes of force errors are in parts of the largest force.
 
     Whatever the fit is told to allow for is drawn as it is told: where tags sit and how they are turned, the base tag,
@@ -114,15 +121,15 @@ def bench_of(kind: Kind, errors: str, seed: int) -> Bench:
     gain = GAIN * has("gain") + FRANKA.gain_sd * franka
     bias = 0.3 * peak * rng.standard_normal(2) * has("bias")
     late = has("clock") or franka
-    return Bench(
+    return VirtualBench(
         beam=beam,
-        push=Push(peak, direction=direction, turn=turn, at_s=at_s),
-        tags=tuple(Tag(i + 1, (i + 1) / 3, *map(float, off[i])) for i in range(3)),
+        push=PushProfile(peak, direction=direction, turn=turn, at_s=at_s),
+        tags=tuple(VirtualTag(i + 1, (i + 1) / 3, *map(float, off[i])) for i in range(3)),
         base=(float(base[0]), float(base[1]), float(base[2])),
         sensor=sensor_of(errors, peak, bias, gain),
         camera=lasting if everything else TagNoise(),
-        clock=Clock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if late else Clock(250.0, 250.0, 0.01),
-        said=Said(
+        clock=VirtualClock(250.0, 250.0 + rng.uniform(-1.5, 1.5), 2.0) if late else VirtualClock(250.0, 250.0, 0.01),
+        declared=DeclaredValues(
             push_s=PUSHED,
             placement_sd=placement,
             axes=DIRECTION_SD * float(rng.standard_normal()),
@@ -170,14 +177,14 @@ def run(cell: str, seed: int) -> Run:
     try:
         bench = bench_of(kind, errors, seed)  # type: ignore[arg-type]
         seen = observe_virtual(virtual_recording(bench, seed=seed))
-        found = fit_from_nothing(seen, gain_sd=bench.said.gain_sd)
+        found = fit_from_nothing(seen, gain_sd=bench.declared.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    assert seen.clock is not None
+    assert seen.source.clock is not None
     return replace(
         compared(found, np.asarray(bench.beam.stiffness(S)), cell, seed),
-        clock_error=seen.clock.offset - bench.clock.offset - bench.sensor.lag,  # a lag is part of the offset
-        clock_sd=seen.clock.sd,
+        clock_error=seen.source.clock.offset - bench.clock.offset - bench.sensor.lag,  # a lag is part of the offset
+        clock_sd=seen.source.clock.sd,
         seconds=time.perf_counter() - began,
     )
 
@@ -194,7 +201,7 @@ def own_run(cell: str, seed: int) -> Run:
         found = fit_from_nothing(drawn.observations, settings=FitSettings(functions=functions))
     except (LearningError, MechanicsError) as wrong:
         return Run(cell, seed, failure=f"{type(wrong).__name__}: {wrong}")
-    error = thirds(drawn.at.spline) @ (found.mean[:functions] - drawn.x[:functions])
+    error = thirds(drawn.problem.layout.spline) @ (found.mean[:functions] - drawn.x[:functions])
     return replace(
         compared(found, np.asarray(drawn.stiffness(S)), cell, seed),
         thirds_error=tuple(error.tolist()),

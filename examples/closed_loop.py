@@ -8,15 +8,15 @@ from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
-from onebend.control.loop.feedback import ControllerSettings, controller
-from onebend.control.loop.loop import Eye, Rehearsal, Truth, rehearse
+from onebend.control.loop.controller import ControllerSettings, controller
+from onebend.control.loop.simulation import LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.report.figures.style import BLUE, GREEN, ORANGE, blank, png_of, styled
 
 TARGET = Path(__file__).parents[1] / "docs" / "images" / "loop.png"
 MODEL = Beam(0.15, Powers((0.03, -0.02)), mass_per_length=Uniform(0.1))
-TRUTH = Truth(
+TRUTH = TrueSystem(
     replace(MODEL, stiffness=Scaled(0.7, MODEL.stiffness)),
-    eye=Eye(delay=0.06, jitter=0.01, noise=1e-4, dropped=0.1, hidden=((2.2, 2.7),)),
+    eye=LoopCamera(delay=0.06, jitter=0.01, noise=1e-4, dropped=0.1, hidden=((2.2, 2.7),)),
 )
 VARIANTS = {
     "open loop: the learned beam's force": (True, False, ORANGE, "--"),
@@ -25,18 +25,18 @@ VARIANTS = {
 }
 
 
-def runs(duration: float = 5.0) -> dict[str, Rehearsal]:
+def runs(duration: float = 5.0) -> dict[str, LoopSimulation]:
     """The three variants on one beam, through the same camera."""
     control = controller(MODEL, MODEL.equilibrium((-0.1, 0.3)).xy(1.0))
     found = {}
     for name, (feedforward, feedback, *_) in VARIANTS.items():
         settings = ControllerSettings(feedforward=feedforward, feedback=feedback)
-        found[name] = rehearse(replace(control, settings=settings), TRUTH, duration, seed=1)
+        found[name] = simulate_loop(replace(control, settings=settings), TRUTH, duration, seed=1)
     return found
 
 
 @styled
-def picture(found: dict[str, Rehearsal]) -> Figure:
+def picture(found: dict[str, LoopSimulation]) -> Figure:
     """Distance from the goal, in mm, on a logarithmic axis."""
     figure, (axes,) = blank(3.2)
     for name, run in found.items():

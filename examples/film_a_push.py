@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from onebend.lab.designs import design_named
+from onebend.lab.film_request import FilmRequest, filming_of
 from onebend.lab.filming.film import film
-from onebend.lab.named import Wish, filming_of
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
 from onebend.recording.tags.detection import detect_tags
 
-wish = Wish(push="s08", seconds=1.5, camera="webcam", fps=6.0, sensor="wrist")
+request = FilmRequest(push="s08", seconds=1.5, camera="webcam", fps=6.0, sensor="wrist")
 with tempfile.TemporaryDirectory() as place:
-    folder = film(filming_of(design_named("linear"), wish, "example"), Path(place) / "example", seed=1)
+    folder = film(filming_of(design_named("linear"), request, "example"), Path(place) / "example", seed=1)
     recording = read_recording(folder)  # as any other; `onebend learn` takes a slower push
     assert recording.video is not None
     seen = measure_markers(detect_tags(recording.video, recording.tags), recording)

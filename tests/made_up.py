@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import FitSettings, Posterior, fit
-from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, View
+from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, Source, Stated, View
 
 LENGTH = 0.15  # m
 MARKER_S = np.array([1 / 3, 2 / 3, 1.0])
@@ -79,7 +80,27 @@ def observations(name: str = "made-up", one: Comparison | None = None) -> Observ
     log_time = one.time[0] - 0.5 + steps / 300
     log_force = np.stack([np.interp(log_time, one.time, one.force[:, i]) for i in (0, 1)], axis=1)
     return Observations(
-        name=name,
+        source=Source(
+            name=name,
+            view=overhead_view(),
+            clock=ClockOffset(offset=254.31, sd=0.004, stated=255.64, found=True),
+            clean_force=CleanForce(
+                time=log_time,
+                force=log_force,
+                push_s=None,
+                noise_sd=np.array([0.004, 0.005]),
+                tare=np.array([-0.11, -0.26]),
+                drift=np.array([0.001, float("nan")]),
+                cutoff=6.0,
+                outliers=3,
+            ),
+            remarks=(Remark("note", "the mass is not known"), Remark("warning", "tag 3 was hidden for 2 frames")),
+        ),
+        stated=Stated(
+            rest="straight",
+            mass=float("nan"),
+            placement_sd=0.0005,
+        ),
         length=LENGTH,
         time=one.time,
         frame=one.frame,
@@ -96,23 +117,25 @@ def observations(name: str = "made-up", one: Comparison | None = None) -> Observ
         rest_angle=np.zeros(3),
         rest_covariance=np.broadcast_to(np.diag([1e-10, 1e-10, 1e-7]), (3, 3, 3)).copy(),
         gravity=np.zeros((frames, 2)),
-        mass=float("nan"),
-        placement_sd=0.0005,
-        rest="straight",
-        clock=ClockOffset(offset=254.31, sd=0.004, said=255.64, found=True),
-        clean_force=CleanForce(
-            time=log_time,
-            force=log_force,
-            push_s=None,
-            noise_sd=np.array([0.004, 0.005]),
-            tare=np.array([-0.11, -0.26]),
-            drift=np.array([0.001, float("nan")]),
-            cutoff=6.0,
-            outliers=3,
-        ),
-        view=overhead_view(),
-        remarks=(Remark("note", "the mass is not known"), Remark("warning", "tag 3 was hidden for 2 frames")),
     )
+
+
+def with_stated(observations: Observations, **changes: Any) -> Observations:
+    """The same, but for what is stated."""
+    return replace(observations, stated=replace(observations.stated, **changes))
+
+
+def with_source(observations: Observations, **changes: Any) -> Observations:
+    """The same, but for where it comes from."""
+    return replace(observations, source=replace(observations.source, **changes))
+
+
+def same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray):
+        return bool(a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
+    if isinstance(a, float):
+        return bool(a == b or (np.isnan(a) and np.isnan(b)))
+    return bool(a == b)
 
 
 def overhead_view() -> View:

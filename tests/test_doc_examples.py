@@ -15,8 +15,8 @@ import onebend
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.lab.pushes import Push
-from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.lab.pushes import PushProfile
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.records import Observations
 from onebend.results.model import save_model
 from tests.learning.swinging import HEAVY, released
@@ -46,7 +46,7 @@ def test_no_page_has_an_example_that_nothing_runs() -> None:
 @pytest.fixture(scope="module")
 def pushes() -> list[Observations]:
     """Three pushes of one beam with few frames and little noise."""
-    bench = Bench(BEAM, Push(0.3), fps=6.0)
+    bench = VirtualBench(BEAM, PushProfile(0.3), fps=6.0)
     return [observe_virtual(virtual_recording(bench, seed=seed)) for seed in range(3)]
 
 

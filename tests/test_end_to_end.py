@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
-from onebend.results import kept
+from onebend.results import detection_cache
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "linear-beam"
@@ -43,7 +43,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
         first = CliRunner().invoke(cli.app, command)
         left = sorted(path.name.split("-")[0] for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kept, "detect_tags", interrupted)
+        patch.setattr(detection_cache, "detect_tags", interrupted)
         second = CliRunner().invoke(cli.app, command)
     return Runs(first, left, second, out)
 

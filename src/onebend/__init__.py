@@ -3,9 +3,9 @@
 from onebend.beam.model import Beam, Shape
 from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Steps, Table, Uniform
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
-from onebend.control.loop.feedback import controller
-from onebend.control.loop.loop import rehearse
-from onebend.control.path.path import follow_goals
+from onebend.control.loop.controller import controller
+from onebend.control.loop.simulation import simulate_loop
+from onebend.control.path.follow import follow_goals
 from onebend.control.reach.reach import Reach, ReachSettings, reach
 from onebend.control.reach.reachable import reachable
 from onebend.control.reach.uncertainty import predicted_error
@@ -23,13 +23,13 @@ from onebend.errors import (
 from onebend.lab.design_file import read_design
 from onebend.lab.designs import DESIGNS, Design
 from onebend.learning.design.identifiability import information, information_along
-from onebend.learning.design.instruments import Bench, Push, bench_of
+from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.live.online_learner import OnlineLearner, Update
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.replay import replay
 from onebend.learning.swing.damping import Damping, DampingSettings, SwingFit, learn_damping
@@ -39,7 +39,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.records import Observations
 from onebend.results.model import load_model, load_uncertain, save_model
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 
 __version__ = "0.1.0"
 
@@ -47,7 +47,6 @@ __all__ = [
     "DESIGNS",
     "Band",
     "Beam",
-    "Bench",
     "Comparison",
     "ControlError",
     "Damping",
@@ -56,6 +55,7 @@ __all__ = [
     "ExportError",
     "FitSettings",
     "Gaussians",
+    "Instruments",
     "Learned",
     "LearningError",
     "LogSpline",
@@ -66,14 +66,14 @@ __all__ = [
     "OnlineLearner",
     "OnlineSettings",
     "PlanSettings",
+    "PlannedPush",
     "Posterior",
     "Powers",
-    "Push",
     "Reach",
     "ReachSettings",
     "RecordingError",
+    "RegressionSettings",
     "ResultsError",
-    "Settings",
     "Shape",
     "Steps",
     "SwingFit",
@@ -81,12 +81,12 @@ __all__ = [
     "UncertainStiffness",
     "Uniform",
     "Update",
-    "bench_of",
     "controller",
     "fit",
     "follow_goals",
     "information",
     "information_along",
+    "instruments_of",
     "learn",
     "learn_damping",
     "learn_recording",
@@ -100,10 +100,10 @@ __all__ = [
     "reachable",
     "read_design",
     "read_recording",
-    "rehearse",
     "replay",
     "save_model",
     "save_observations",
     "shape",
+    "simulate_loop",
     "validate",
 ]

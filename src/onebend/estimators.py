@@ -44,7 +44,7 @@ def regression_rows(
     states = solve_states(observations, n, with_angles=False)
     use = usable_frames(observations) & states.converged & (states.data >= n)
     if not np.any(use):
-        raise LearningError(f"{observations.name}: no frame shows enough tags under load for n = {n}")
+        raise LearningError(f"{observations.source.name}: no frame shows enough tags under load for n = {n}")
     return literal_rows(assemble(observations, states), use, basis(family, m, width)[0])
 
 

@@ -16,7 +16,7 @@ from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.paper.selection import pairs as trials
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of, with_mass
@@ -53,7 +53,7 @@ class Run:
 def learn_recording(
     folder: Path | str,
     *more: Path | str,
-    settings: Settings = Settings(),
+    settings: RegressionSettings = RegressionSettings(),
     fitting: FitSettings | None = FitSettings(),
     observing: ObserveSettings = ObserveSettings(),
     validate_on: Sequence[Path | str] = (),
@@ -130,7 +130,7 @@ def _ids(one: Recording) -> list[int]:
 
 
 def _regression(
-    seen: Observations, settings: Settings, *, needed: bool, progress: Progress
+    seen: Observations, settings: RegressionSettings, *, needed: bool, progress: Progress
 ) -> tuple[Learned | None, tuple[Remark, ...]]:
     """The paper's result; None, and a warning with the reason, where it finds no beam but is not needed."""
     if seen.static and not needed:
@@ -142,11 +142,11 @@ def _regression(
             raise
         return None, (Remark("warning", f"the paper's regression found no beam: {error}"),)
     except np.linalg.LinAlgError as error:
-        why = f"{seen.name}: the regression's equations cannot be solved ({error})"
+        why = f"{seen.source.name}: the regression's equations cannot be solved ({error})"
         if not np.isfinite(seen.force_sd).all():
             why = (
-                f"{seen.name}: the force log shows no rest, so neither its zero nor its noise is known. Film and log "
-                "some still seconds before and after the push"
+                f"{seen.source.name}: the force log shows no rest, so neither its zero nor its noise is known. Film "
+                "and log some still seconds before and after the push"
             )
         if needed:
             raise LearningError(why) from error
@@ -162,7 +162,7 @@ def _fit(
     All forces are taken to come from one sensor: its scale error is common, so more recordings do not average it out.
     Raises `LearningError` where several recordings have no beam in common.
     """
-    gain_sd = max(one.gain_sd for one in seen)
+    gain_sd = max(one.stated.gain_sd for one in seen)
     posterior = fit(seen, start_of(seen, learned), settings=fitting, gain_sd=gain_sd, progress=progress)
     if len(seen) > 1 and posterior.misses:
         reasons = "; ".join(f"{one.name}: {one.words}" for one in posterior.misses)
@@ -171,7 +171,7 @@ def _fit(
             "k(s) agree"
         )
     remarks = fit_remarks(posterior) + mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
-    if len({one.gain_sd for one in seen if one.clean_force is not None}) > 1:
+    if len({one.stated.gain_sd for one in seen if one.source.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
         remarks += (Remark("note", text),)
     return posterior, remarks

@@ -147,15 +147,15 @@ class CleanForce:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """`log time = video time + offset`. A sensor's own lag cannot be told apart from it and is inside.
+    """`log time = video time + offset`. A constant lag of the sensor cannot be separated from it and is part of it.
 
-    An `sd` of 0 says that the offset was stated to be exact; nothing was looked for.
+    An `sd` of 0: the offset was stated to be exact and was not searched.
     """
 
     offset: float  # s
     sd: float  # s
-    said: float  # s, what `recording.toml` says
-    found: bool  # False where no data could settle it and `offset` is what was said
+    stated: float  # s, as in `recording.toml`; NaN where it is not stated
+    found: bool  # False where the data did not determine it, and `offset` is the stated one
 
 
 @dataclass(frozen=True)
@@ -177,10 +177,51 @@ class MassLine:
 
 
 @dataclass(frozen=True)
-class Observations:
-    """What a recording says, on one clock and in one frame: all that learning and validation need."""
+class Stated:
+    """What the experimenter states of the beam and the bench, and how exactly: the priors of what the fit may move.
+
+    An `sd` is one standard deviation. NaN: nothing is stated, and the fit takes its usual value.
+    """
+
+    rest: Rest
+    mass: float  # kg, NaN where unknown
+    placement_sd: float  # m, tolerance of the tags' places
+    mass_sd: float = math.nan  # one sd of the mass over itself
+    mass_line: MassLine | None = None  # None: the mass is evenly spread
+    mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
+    stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
+    turn_sd: float = TURN_SD  # rad, tolerance of the tags' turns
+    place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
+    direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's
+    clamp_sd: float = math.nan  # rad, one sd of the clamp's direction (static: against x)
+    curvature_sd: float = CURVATURE_SD  # rad, one sd of the Legendre states of q0; only where rest is "unknown"
+    scale_sd: float = math.nan  # one sd of lengths in the picture
+    gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %); 0 where it is not stated, or without a force
+    load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where observations come from: their files, and how camera, clock and force log were read."""
 
     name: str
+    video: Path | None = None
+    video_topic: str = ""  # where `video` is a bag
+    view: View | None = None  # of the beam's plane and frame
+    clock: ClockOffset | None = None  # between the force log and the video; None for static poses
+    clean_force: CleanForce | None = None  # the log that `Observations.force` was read from
+    remarks: tuple[Remark, ...] = ()
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What a recording says, on one clock and in one frame: all that learning and validation need.
+
+    Here stands what was measured; `stated` holds what the experimenter adds to it, `source` where it comes from.
+    """
+
+    source: Source
+    stated: Stated
     length: float  # L, m
     time: Array  # (T,) s, the force log's clock
     frame: IntArray  # (T,) index in the video
@@ -197,28 +238,7 @@ class Observations:
     rest_angle: Array  # (m,) rad
     rest_covariance: Array  # (m, 3, 3)
     gravity: Array  # (T, 2) m/s^2 in the beam's frame; zeros where it acts across the plane
-    mass: float  # kg, NaN where unknown
-    placement_sd: float  # m, tolerance of the tags' places
-    rest: Rest
-    clock: ClockOffset | None
-    clean_force: CleanForce | None
-    gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %), as declared; 0 where it was not, or without a force
-    view: View | None = None  # of the beam's plane and frame
-    video: Path | None = None
-    video_topic: str = ""  # where `video` is a bag
-    static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
-    sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
-    known: KnownLoads | None = None
-    mass_sd: float = math.nan  # one sd of the mass over itself; NaN: as usual for one that was weighed
-    mass_line: MassLine | None = None  # None: the mass is evenly spread
-    mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
-    clamp_sd: float = math.nan  # rad, one sd of the clamp's direction (static: against x); NaN: as usual
-    stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
     held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
-    remarks: tuple[Remark, ...] = ()
-    load_error_sd: float = math.nan  # N, of a force error that comes with the load, as declared; NaN: found by the fit
-    place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
-    direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's
-    turn_sd: float = TURN_SD  # rad, tolerance of the tags' turns
-    curvature_sd: float = CURVATURE_SD  # rad, one sd of the Legendre states of q0; only where rest is "unknown"
-    scale_sd: float = math.nan  # one sd of lengths in the picture; NaN: as usual
+    known_loads: KnownLoads | None = None
+    sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
+    static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged

@@ -15,7 +15,7 @@ from onebend.errors import ExportError
 from onebend.export import rerun_file
 from onebend.export.rerun_file import write_rerun
 from onebend.learning.validation import validate
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.results.model import save_model
 from tests.learning.bench import SOFT, forces, observed
 
@@ -28,7 +28,7 @@ def contents(path: Path) -> str:
 
 def test_video_tags_beam_forces_and_residuals_are_there(tmp_path: Path) -> None:
     seen = observed(SOFT, forces(6), noise=(1e-4, 1e-3))
-    frames = (Frame(i, i / 30, np.full((48, 64), 10 * i, dtype=np.uint8)) for i in range(6))
+    frames = (FilmFrame(i, i / 30, np.full((48, 64), 10 * i, dtype=np.uint8)) for i in range(6))
     write_rerun(tmp_path / "a.rrd", SOFT, validate(SOFT, seen), seen, frames, every=3)
     said = contents(tmp_path / "a.rrd")
     for entity in ("/force/x_N", "/force/y_N", "/stiffness", "/residual/tag_1_mm", "/plane/beam", "/plane/tags"):

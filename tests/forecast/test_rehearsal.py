@@ -14,70 +14,103 @@ from onebend.cli import app
 from onebend.errors import MechanicsError, OnebendError, RecordingError
 from onebend.forecast.advice import advise
 from onebend.forecast.instruments import instruments
-from onebend.forecast.prediction import BASIS, SPLINE, derivatives, doubts, known_exactly, predict, ranges, told_by
+from onebend.forecast.prediction import (
+    BASIS,
+    SPLINE,
+    derivatives,
+    information_of,
+    known_exactly,
+    predict,
+    ranges,
+    uncertainty_budget,
+)
 from onebend.forecast.rehearsal import obtained_of, rehearse
-from onebend.forecast.runs import Run, benches, kept, key_of, simulate
-from onebend.forecast.setup import known_beam, setup_of
+from onebend.forecast.runs import SimulatedRun, benches, key_of, read_runs, simulate
+from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.forecast.writing import COLUMNS, writer_of
 from onebend.lab.designs import DESIGNS
-from onebend.lab.named import Wish
+from onebend.lab.film_request import FilmRequest
 from onebend.learning.design.identifiability import STEPS
+from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
 from onebend.records import PLACE_SD, Array
 from onebend.results.model import save_model
 
-WRIST = setup_of(known_beam("linear"), [Wish(sensor="wrist", seconds=4.0)], clock_sd=0.01)
+WRIST, CUBIC, UNIFORM = (
+    setup_of(known_beam(name), [FilmRequest(sensor="wrist", seconds=4.0)], clock_sd=0.01)
+    for name in ("linear", "cubic", "uniform")
+)
 
 
-def test_scatter_and_pull_are_those_of_the_linear_estimate() -> None:
-    """`(I + P)^-1 (I c + n + P mu)` over many draws of n ~ N(0, I)."""
+def test_scatter_is_that_of_the_linear_estimate_under_the_equivalent_prior() -> None:
+    """`(I + P)^-1 (I c + n)` over many draws of n ~ N(0, I); a normal prior's mean only shifts all of them."""
     setup = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.0))
-    bench, found = instruments(setup), predict(setup)
-    told = told_by(setup, bench, derivatives(setup, bench))
-    prior = SPLINE.precision(found.tau, found.rho)
-    values, vectors = np.linalg.eigh(told)
-    noise = np.random.default_rng(0).standard_normal((4000, len(told))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
-    level = np.full(len(told), np.mean(np.log(found.k)))
-    drawn = np.linalg.solve(told + prior, (told @ truth + prior @ level + noise).T).T @ BASIS.T
+    used, found = instruments(setup), predict(setup)
+    information = information_of(setup, used, derivatives(setup, used))
+    values, vectors = np.linalg.eigh(information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    noise = np.random.default_rng(0).standard_normal((4000, len(information))) @ root
+    drawn = np.linalg.solve(information + found.prior, noise.T).T @ BASIS.T
     assert np.std(drawn, axis=0) == pytest.approx(found.scatter, rel=0.06)
-    off = np.mean(drawn, axis=0) - BASIS @ truth
-    assert np.max(np.abs(off - found.pull)) < 0.1 * np.max(found.scatter)
+
+
+def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
+    """One prior: what the fit's sampler makes of the same information, with other draws."""
+    setup = replace(CUBIC, sensor=replace(CUBIC.sensor, gain_sd=0.0))
+    used, found = instruments(setup), predict(setup)
+    information = information_of(setup, used, derivatives(setup, used))
+    truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
+    data, level = Told(information, information @ truth), float(np.mean(np.log(found.k)))
+    posterior = stiffness_mixture(SPLINE, [data], level, Draws(chains=20, burn=400, kept=400))
+    sd = np.sqrt(np.einsum("si,ij,sj->s", BASIS, posterior.covariance, BASIS))
+    assert np.sqrt(np.mean((found.own_sd / sd - 1.0) ** 2)) < 0.06
+    assert np.max(np.abs(found.bias - BASIS @ (posterior.mean - truth)) / sd) < 0.15
+
+
+@pytest.mark.parametrize("setup", [CUBIC, UNIFORM], ids=["cubic", "uniform"])
+def test_predicted_band_is_that_of_fits(setup: Setup) -> None:
+    """Steps and bumps of k widen the band, an even k narrows it: as in fits of simulated recordings."""
+    fits = simulate(setup, range(3))
+    assert not any(fit.failure for fit in fits)
+    sd = np.median([fit.sd for fit in fits], axis=0)
+    assert np.median(predict(setup).sd / sd) == pytest.approx(1.0, abs=0.08)
 
 
 def test_more_information_never_widens_the_band() -> None:
-    now, bench = predict(WRIST), instruments(WRIST)
-    seen = derivatives(WRIST, bench)
-    whole = told_by(WRIST, bench, seen)
-    for better in known_exactly(bench).values():
-        gained = told_by(WRIST, better, seen) - whole
+    now, used = predict(WRIST), instruments(WRIST)
+    along_pushes = derivatives(WRIST, used)
+    whole = information_of(WRIST, used, along_pushes)
+    for better in known_exactly(used).values():
+        gained = information_of(WRIST, better, along_pushes) - whole
         assert np.min(np.linalg.eigvalsh(gained)) > -1e-6 * np.max(np.abs(whole))
-    assert all(0.0 <= one.share < 1.0 and one.mean_width <= now.quality.mean_width * 1.001 for one in doubts(WRIST))
+    for entry in uncertainty_budget(WRIST, now):
+        assert 0.0 <= entry.share < 1.0
+        assert entry.mean_width <= now.quality.mean_width * 1.001
 
 
-def test_one_clock_leaves_nothing_to_doubt_of_it() -> None:
+def test_with_one_clock_no_error_of_it_is_left() -> None:
     one = replace(WRIST, clock_sd=0.0)
     used = instruments(one)
     assert used.bench.clock_sd == 0.0
     assert "clock" not in known_exactly(used)
     assert predict(one).quality.mean_width < predict(WRIST).quality.mean_width
     with pytest.raises(RecordingError, match="clock's sd"):
-        setup_of(known_beam("linear"), [Wish()], clock_sd=-0.01)
+        setup_of(known_beam("linear"), [FilmRequest()], clock_sd=-0.01)
 
 
 def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
     twice = replace(WRIST, pushes=WRIST.pushes * 2)
     used = instruments(WRIST)
     sure = replace(used, bench=replace(used.bench, placement_sd=1e-12, turn_sd=1e-9, origin_sd=1e-12))
-    single = told_by(WRIST, sure, derivatives(WRIST, sure))
-    double = told_by(twice, sure, derivatives(twice, sure))
+    single = information_of(WRIST, sure, derivatives(WRIST, sure))
+    double = information_of(twice, sure, derivatives(twice, sure))
     assert double == pytest.approx(2.0 * single, rel=1e-4, abs=1e-6 * np.max(single))
 
 
 def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
     """Against differences of exact equilibria: a place farther in, axes turned, a force added."""
-    setup = setup_of(known_beam("cubic"), [Wish(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
+    setup = setup_of(known_beam("cubic"), [FilmRequest(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
     (push,), used = setup.pushes, instruments(setup)
-    told = derivatives(setup, used)[0].functions[..., -4:]
+    told = derivatives(setup, used)[0].blocks["stiffness"][..., -4:]
     tags, h = np.asarray(setup.tags), 1e-5
     size = push.peak * np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)
 
@@ -99,19 +132,18 @@ def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
         assert np.max(error) < 3e-4 * np.max(np.abs(expected)), i
 
 
-def test_doubts_name_a_pushs_own() -> None:
+def test_budget_names_a_pushs_own_errors() -> None:
     vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.0, reversal=0.3))
-    shares = {one.name: one.share for one in doubts(vague)}
-    assert shares["push's place"] > 0.0
-    assert (
-        shares["force's bias and slow error"]
-        > {one.name: one.share for one in doubts(WRIST)}["force's bias and slow error"]
+    shares, before = (
+        {entry.name: entry.share for entry in uncertainty_budget(setup, predict(setup))} for setup in (vague, WRIST)
     )
+    assert shares["push's place"] > 0.0
+    assert shares["force's bias and slow error"] > before["force's bias and slow error"]
 
 
 def test_an_unknown_gain_costs_most_and_its_calibration_is_advised() -> None:
     vague = replace(WRIST, sensor=replace(WRIST.sensor, gain_sd=0.2))
-    assert doubts(vague)[0].name == "force's gain"
+    assert uncertainty_budget(vague, predict(vague))[0].name == "force's gain"
     changes = advise(vague, predict(vague))
     assert {one.kind for one in changes[:2]} == {"gain", "sensor"}
     shares = [one.share for one in changes]
@@ -124,11 +156,11 @@ def test_runs_are_repeatable_kept_and_resumed(tmp_path: Path) -> None:
     first = simulate(WRIST, [3], keep=tmp_path)
     file = tmp_path / f"runs-{key_of(WRIST)}.jsonl"
     assert not first[0].failure
-    assert kept(file)[3].error == pytest.approx(first[0].error, rel=1e-4)
-    told = replace(kept(file)[3], failure="taken from the file")
+    assert read_runs(file)[3].error == pytest.approx(first[0].error, rel=1e-4)
+    told = replace(read_runs(file)[3], failure="taken from the file")
     file.write_text(json.dumps(told.as_dict()) + '\n{"seed": 4, "err', encoding="utf-8")
     assert simulate(WRIST, [3], keep=tmp_path)[0].failure == "taken from the file"
-    assert set(kept(file)) == {3}  # a line that was cut off is done again
+    assert set(read_runs(file)) == {3}  # a line that was cut off is done again
     sd = np.asarray(first[0].sd)
     assert np.mean(np.abs(first[0].error) < 4.0 * sd) > 0.95
     assert 0.75 < np.median(predict(WRIST).sd / sd) < 1.33
@@ -136,7 +168,7 @@ def test_runs_are_repeatable_kept_and_resumed(tmp_path: Path) -> None:
 
 def test_a_sensor_without_errors_can_be_fitted() -> None:
     """A log more exact than rounding lets the fit's equations follow."""
-    [one] = simulate(setup_of(known_beam("quadratic"), [Wish(sensor="ideal", seconds=6.0)], clock_sd=0.01), [0])
+    [one] = simulate(setup_of(known_beam("quadratic"), [FilmRequest(sensor="ideal", seconds=6.0)], clock_sd=0.01), [0])
     assert one.failure == ""
     assert np.sqrt(np.mean(np.square(one.error[5:90]))) < 0.03
 
@@ -152,20 +184,20 @@ def test_every_run_draws_its_own_errors_and_pushes_share_them() -> None:
     inner = replace(WRIST, pushes=(replace(WRIST.pushes[0], at_s=0.8),))
     missed = np.array([benches(inner, seed)[0].push.at_s - 0.8 for seed in range(200)]) * inner.beam.length
     assert np.std(missed) == pytest.approx(PLACE_SD, rel=0.2)
-    assert {benches(inner, seed)[0].said.push_s for seed in range(3)} == {0.8}
+    assert {benches(inner, seed)[0].declared.push_s for seed in range(3)} == {0.8}
     assert all(benches(WRIST, seed)[0].push.at_s <= 1.0 for seed in range(20))
 
 
 def test_coverage_counts_identified_places_only() -> None:
-    inside = Run(0, error=(0.1,) * 101, sd=(0.1,) * 101, identified=(True,) * 101)
-    outside = Run(1, error=(0.3,) * 101, sd=(0.1,) * 101, identified=(True,) * 50 + (False,) * 51)
-    found = obtained_of((inside, outside, Run(2, failure="no push")))
+    inside = SimulatedRun(0, error=(0.1,) * 101, sd=(0.1,) * 101, identified=(True,) * 101)
+    outside = SimulatedRun(1, error=(0.3,) * 101, sd=(0.1,) * 101, identified=(True,) * 50 + (False,) * 51)
+    found = obtained_of((inside, outside, SimulatedRun(2, failure="no push")))
     assert found is not None
     assert found.runs == 2
     assert found.failed == 1
     assert found.covered == pytest.approx(101.0 / 151.0)
     assert found.coverage == pytest.approx(np.full(101, 0.5))
-    assert obtained_of((Run(2, failure="no push"),)) is None
+    assert obtained_of((SimulatedRun(2, failure="no push"),)) is None
 
 
 def test_ranges_are_those_of_the_mask() -> None:
@@ -176,21 +208,21 @@ def test_ranges_are_those_of_the_mask() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tags", "wish", "says"),
+    ("tags", "asked", "says"),
     [
-        ((0.5, 1.2), Wish(), "beyond the tip"),
-        ((0.5, 0.505), Wish(), "overlap"),
-        ((), Wish(at_s=0.2), "before the first tag"),
-        ((), Wish(push="fast"), "swing"),
-        ((), Wish(seconds=0.3), "frames"),
-        ((), Wish(force=-1.0), "above zero"),
-        ((), Wish(force=50.0, direction=np.pi), "snaps through"),
-        ((), Wish(force=1e-3), "Push harder"),
+        ((0.5, 1.2), FilmRequest(), "beyond the tip"),
+        ((0.5, 0.505), FilmRequest(), "overlap"),
+        ((), FilmRequest(at_s=0.2), "before the first tag"),
+        ((), FilmRequest(push="fast"), "swing"),
+        ((), FilmRequest(seconds=0.3), "frames"),
+        ((), FilmRequest(force=-1.0), "above zero"),
+        ((), FilmRequest(force=50.0, direction=np.pi), "snaps through"),
+        ((), FilmRequest(force=1e-3), "Push harder"),
     ],
 )
-def test_nonsense_is_refused(tags: tuple[float, ...], wish: Wish, says: str) -> None:
+def test_nonsense_is_refused(tags: tuple[float, ...], asked: FilmRequest, says: str) -> None:
     with pytest.raises((RecordingError, MechanicsError), match=says):
-        rehearse(setup_of(known_beam("quadratic"), [wish], tags=tags), runs=0)
+        rehearse(setup_of(known_beam("quadratic"), [asked], tags=tags), runs=0)
 
 
 def test_counts_that_cannot_be_are_refused() -> None:

@@ -26,7 +26,7 @@ from onebend.lab.materials import (
     BALL_RADIUS,
     SILICONES,
     TRAVEL,
-    Stiffness,
+    ModulusEstimate,
     from_shore_00,
     from_shore_a,
     from_stress_100,
@@ -69,7 +69,7 @@ def test_the_band_is_the_modulus_alone() -> None:
     design = DESIGNS["cubic"]
     band = design.uncertain().band(S)
     np.testing.assert_allclose(np.log(band.high / band.low), 2 * 1.959964 * design.modulus_log_sd, rtol=1e-6)
-    assert design.of(Stiffness(1e6, 0.0, "given")).uncertain().gain_sd == 0.0
+    assert design.of(ModulusEstimate(1e6, 0.0, "given")).uncertain().gain_sd == 0.0
 
 
 def test_hardness_relations_state_their_scatter_against_the_makers_figures() -> None:
@@ -142,7 +142,7 @@ def test_the_buckling_force_is_where_the_straight_beam_stops_being_stable() -> N
 
 def test_forces_scale_with_the_modulus_and_shapes_do_not() -> None:
     soft = DESIGNS["linear"]
-    stiff = soft.of(Stiffness(3.0 * soft.modulus, 0.1, "given"))
+    stiff = soft.of(ModulusEstimate(3.0 * soft.modulus, 0.1, "given"))
     one, other = bend(soft, 1.2), bend(stiff, 1.2)
     assert other.force == pytest.approx(3.0 * one.force, rel=1e-8)
     np.testing.assert_allclose(one.tip, other.tip, atol=1e-9)

@@ -10,32 +10,40 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.pushes import Push
+from onebend.lab.direct_observation import observe_from_truth
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends, random_stiffness
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.shortcut import observe_quickly
 from onebend.lab.tag_errors import TagNoise
-from onebend.lab.truths import force_that_bends, random_stiffness
-from onebend.lab.virtual import Bench, Clock, Said, Tag, Virtual, observe_virtual, virtual_recording
+from onebend.lab.virtual import (
+    DeclaredValues,
+    VirtualBench,
+    VirtualClock,
+    VirtualRecording,
+    VirtualTag,
+    observe_virtual,
+    virtual_recording,
+)
 from onebend.learning.posterior import fit
 
 S = np.linspace(0.05, 0.9, 60)
 BEAM = Beam(0.15, random_stiffness("smooth", np.random.default_rng(3)))
-PUSH = Push(force_that_bends(BEAM, 1.0, 1.75))
+PUSH = PushProfile(force_that_bends(BEAM, 1.0, 1.75))
 QUIET = TagNoise(white_xy=1e-7, white_angle=1e-5)
-TAGS = (Tag(1, 1.0 / 3.0), Tag(2, 2.0 / 3.0), Tag(3, 1.0))
+TAGS = (VirtualTag(1, 1.0 / 3.0), VirtualTag(2, 2.0 / 3.0), VirtualTag(3, 1.0))
 
 
-def made(seed: int = 0, **changes: object) -> Virtual:
-    bench = replace(Bench(BEAM, PUSH, camera=QUIET), **changes)  # type: ignore[arg-type]
+def made(seed: int = 0, **changes: object) -> VirtualRecording:
+    bench = replace(VirtualBench(BEAM, PUSH, camera=QUIET), **changes)  # type: ignore[arg-type]
     return virtual_recording(bench, seed=seed)
 
 
 @pytest.fixture(scope="module")
-def plain() -> Virtual:
+def plain() -> VirtualRecording:
     return made()
 
 
-def test_tags_ride_on_the_exact_equilibrium(plain: Virtual) -> None:
+def test_tags_ride_on_the_exact_equilibrium(plain: VirtualRecording) -> None:
     shape = BEAM.equilibrium(PUSH.force(plain.markers.time))
     np.testing.assert_allclose(plain.pose[..., :2], shape.xy(plain.markers.s), atol=1e-9)
     np.testing.assert_allclose(plain.pose[..., 2], shape.angle(plain.markers.s), atol=1e-7)
@@ -51,11 +59,11 @@ def test_a_push_rests_rises_and_turns() -> None:
     assert np.ptp(angle) == pytest.approx(PUSH.turn, rel=0.05)
 
 
-def test_without_noise_the_whole_way_gives_force_clock_and_stiffness_back(plain: Virtual) -> None:
-    late = replace(plain.bench, clock=Clock(250.0, 250.8), sensor=ForceSensor(bias=(0.2, -0.1)))
+def test_without_noise_the_whole_way_gives_force_clock_and_stiffness_back(plain: VirtualRecording) -> None:
+    late = replace(plain.bench, clock=VirtualClock(250.0, 250.8), sensor=ForceSensor(bias=(0.2, -0.1)))
     seen = observe_virtual(virtual_recording(late, seed=0))
-    assert seen.clock is not None
-    assert seen.clock.offset == pytest.approx(250.0, abs=0.005)
+    assert seen.source.clock is not None
+    assert seen.source.clock.offset == pytest.approx(250.0, abs=0.005)
     np.testing.assert_allclose(seen.force, PUSH.force(seen.time - 250.0), atol=0.01 * PUSH.peak)
     found = fit([seen], 0.03)
     np.testing.assert_allclose(found.band(S).k, BEAM.stiffness(S), rtol=0.03)
@@ -63,23 +71,27 @@ def test_without_noise_the_whole_way_gives_force_clock_and_stiffness_back(plain:
 
 def test_the_shortcut_agrees_with_the_whole_way() -> None:
     one = made(sensor=ForceSensor(white_sd=0.01 * PUSH.peak))
-    quick, whole = observe_quickly(one), observe_virtual(one)
+    quick, whole = observe_from_truth(one), observe_virtual(one)
     assert len(quick.time) == len(whole.time)
     np.testing.assert_allclose(quick.xy, whole.xy, atol=1e-6)
     np.testing.assert_allclose(quick.force, whole.force, atol=0.03 * PUSH.peak)
 
 
-def test_the_shortcut_takes_a_given_error(plain: Virtual) -> None:
+def test_the_shortcut_takes_a_given_error(plain: VirtualRecording) -> None:
     error = 0.01 * np.ones_like(plain.force)
-    quick = observe_quickly(plain, error=error, clock_error=0.02, clock_sd=0.03)
+    quick = observe_from_truth(plain, error=error, clock_error=0.02, clock_sd=0.03)
     np.testing.assert_allclose(quick.force, plain.force + error)
     np.testing.assert_allclose(quick.time - 250.0, plain.markers.time + 0.02)
     with pytest.raises(RecordingError, match="its error is"):
-        observe_quickly(plain, error=error[:-1])
+        observe_from_truth(plain, error=error[:-1])
 
 
-def test_displaced_tags_and_base_are_where_they_are_said_to_be(plain: Virtual) -> None:
-    moved = (Tag(1, 1.0 / 3.0, along=1e-3), Tag(2, 2.0 / 3.0, across=-5e-4, turn=0.02), Tag(3, 1.0, along=2e-3))
+def test_displaced_tags_and_base_are_where_they_are_said_to_be(plain: VirtualRecording) -> None:
+    moved = (
+        VirtualTag(1, 1.0 / 3.0, along=1e-3),
+        VirtualTag(2, 2.0 / 3.0, across=-5e-4, turn=0.02),
+        VirtualTag(3, 1.0, along=2e-3),
+    )
     off = made(tags=moved)
     rest = off.pose[0]
     np.testing.assert_allclose(rest[:, 0], [0.051, 0.1, 0.152], atol=1e-9)
@@ -101,7 +113,7 @@ def test_camera_and_sensor_draw_from_streams_of_their_own() -> None:
 
 
 def test_what_is_said_may_be_wrong() -> None:
-    wrong = made(said=Said(length=0.16, push_s=0.9, placement_sd=1e-4, rest="unknown")).recording
+    wrong = made(declared=DeclaredValues(length=0.16, push_s=0.9, placement_sd=1e-4, rest="unknown")).recording
     assert (wrong.beam.length, wrong.beam.rest, wrong.tags.placement_sd) == (0.16, "unknown", 1e-4)
     assert wrong.push is not None
     assert wrong.push.at == 0.9
@@ -115,7 +127,7 @@ def test_a_beam_that_hardly_stretches_is_one_that_does_not() -> None:
 
 
 def test_a_pull_along_the_beam_stretches_it_by_hooke() -> None:
-    pull = Push(0.5, direction=0.0, turn=0.0)
+    pull = PushProfile(0.5, direction=0.0, turn=0.0)
     straight = made(beam=Beam(0.15, Uniform(0.02)), push=pull, fps=4.0, axial_stiffness=50.0)
     hold = int(np.argmax(np.linalg.norm(straight.force, axis=1)))
     strain = np.linalg.norm(straight.force[hold]) / 50.0
@@ -126,8 +138,8 @@ def test_pushes_that_cannot_be_are_refused() -> None:
     with pytest.raises(MechanicsError, match="axial stiffness"):
         made(fps=2.0, axial_stiffness=1e-3 * PUSH.peak)
     with pytest.raises(RecordingError, match="rise"):
-        Push(1.0, rise=0.0)
+        PushProfile(1.0, rise=0.0)
     with pytest.raises(RecordingError, match="acts at"):
-        Push(1.0, at_s=0.0)
+        PushProfile(1.0, at_s=0.0)
     with pytest.raises(RecordingError, match="frame rate"):
         made(fps=0.0)

@@ -9,7 +9,7 @@ from onebend.beam.modal import Modes, angles, places, positions
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
 from onebend.beam.statics.problem import make_problem
-from onebend.records import Array, Observations
+from onebend.records import Array, Observations, Source, Stated
 from tests.beam.modal import modal_equilibrium
 
 MARKERS = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
@@ -45,7 +45,14 @@ def observed(
     count = len(force)
     sd = np.array([max(noise[0], 1e-5), max(noise[0], 1e-5), max(noise[1], 1e-4)])
     return Observations(
-        name="made",
+        source=Source(
+            name="made",
+        ),
+        stated=Stated(
+            rest="straight",
+            mass=np.nan,
+            placement_sd=5e-4,
+        ),
         length=beam.length,
         time=np.arange(count) / 30.0,
         frame=np.arange(count),
@@ -62,11 +69,6 @@ def observed(
         rest_angle=rest.angle(MARKERS),
         rest_covariance=np.tile(np.diag(sd**2), (len(MARKERS), 1, 1)) / 30.0,
         gravity=np.zeros((count, 2)),
-        mass=np.nan,
-        placement_sd=5e-4,
-        rest="straight",
-        clock=None,
-        clean_force=None,
     )
 
 

@@ -15,6 +15,7 @@ from onebend.beam.motion.vibration import settle
 from onebend.beam.profiles.stiffness import LogSpline, Scaled, Uniform
 from onebend.records import ClockOffset, Observations
 from tests import made_up
+from tests.made_up import with_source, with_stated
 
 TAU = 0.004  # s
 BEAM = Beam(0.15, LogSpline(tuple([0.0] * 4 + [1.0] * 4), tuple(np.log([0.03, 0.015, 0.015, 0.03]).tolist())))
@@ -39,19 +40,23 @@ def released(
     xy = xy + noise * rng.standard_normal(xy.shape)
     angle = angle + 20.0 * noise * rng.standard_normal(angle.shape)
     xy[free & (time < RELEASE + 0.2), 2] = np.nan  # the tip tag is too fast to be read at first
-    return replace(
-        made_up.observations(),
-        time=time + OFFSET,
-        frame=np.arange(len(time)),
-        xy=xy,
-        angle=angle,
-        covariance=np.broadcast_to(
-            np.diag([noise**2, noise**2, (20.0 * noise) ** 2]) + 1e-16 * np.eye(3), (len(time), 3, 3, 3)
+    return with_stated(
+        with_source(
+            replace(
+                made_up.observations(),
+                time=time + OFFSET,
+                frame=np.arange(len(time)),
+                xy=xy,
+                angle=angle,
+                covariance=np.broadcast_to(
+                    np.diag([noise**2, noise**2, (20.0 * noise) ** 2]) + 1e-16 * np.eye(3), (len(time), 3, 3, 3)
+                ),
+                force=np.where(free[:, None], 0.0, np.array([0.1 * pull, pull])),
+                push_s=np.ones(len(time)),
+                loaded=~free,
+                gravity=np.zeros((len(time), 2)),
+            ),
+            clock=ClockOffset(offset=OFFSET, sd=0.002, stated=OFFSET, found=True),
         ),
-        force=np.where(free[:, None], 0.0, np.array([0.1 * pull, pull])),
-        push_s=np.ones(len(time)),
-        loaded=~free,
-        gravity=np.zeros((len(time), 2)),
-        clock=ClockOffset(offset=OFFSET, sd=0.002, said=OFFSET, found=True),
         mass=float("nan"),
     )

@@ -17,7 +17,7 @@ from onebend.learning import posterior
 from onebend.learning.model.frames import nothing_moves
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
@@ -26,6 +26,7 @@ from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.recording.folder import read_recording
 from onebend.records import Observations, Remark
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_source, with_stated
 
 NOISE = (2e-5, 1e-3)
 EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-beam"
@@ -64,7 +65,7 @@ def test_a_recording_without_a_load_gives_no_start() -> None:
         with pytest.raises(LearningError, match=r"made: nothing moves in the film: .* within 0 mm"):
             start_of([one], None)
         with pytest.raises(LearningError, match="nothing moves"):
-            learn(one, Settings(n=4, m=3))
+            learn(one, RegressionSettings(n=4, m=3))
     assert nothing_moves(replace(still, gravity=np.full((30, 2), -9.81))) == ""
     assert nothing_moves(replace(still, xy=np.add(still.xy, 1e-3))) == ""
     heavy = replace(made(), gravity=np.full((30, 2), -9.81))
@@ -79,12 +80,13 @@ def test_correlations_are_those_of_draws_from_the_posterior() -> None:
     draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance, 40_000, method="cholesky")
     s = np.linspace(0, 1, 201)
     known = one.band(s).identified
-    level = np.mean(draws[:, :8] @ one.at.spline.basis(s[known]).T, axis=1)
+    level = np.mean(draws[:, :8] @ one.layout.spline.basis(s[known]).T, axis=1)
     for name in ("tag 1 along", "made: clamp angle", "made: mean force error y"):
-        block = next(b for b in one.at.blocks if any(label.startswith(name.split(" error")[0]) for label in b.labels)
+        start = name.split(" error")[0]
+        block = next(b for b in one.layout.blocks if any(label.startswith(start) for label in b.labels)
                      or (b.name == "force" and "force" in name))  # fmt: skip
         own = draws[:, block.where]
-        over = one.films[0].error.weights[: int(np.sum(one.films[0].frames))].mean(axis=0)
+        over = one.recordings[0].error.weights[: int(np.sum(one.recordings[0].frames))].mean(axis=0)
         value = own[:, 1::2] @ over if block.name == "force" else own[:, block.labels.index(name)]
         assert found[0, names.index(name)] == pytest.approx(np.corrcoef(level, value)[0, 1], abs=0.02), name
 
@@ -119,23 +121,32 @@ def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -
     assert any("not to be trusted" in text and "tag 2 sits" in text for text in texts)
 
 
+def shifted(posterior: Posterior, by: float) -> Posterior:
+    """Of one recording, all measured numbers [m, rad] off by the same."""
+    (recording,) = posterior.recordings
+    problem = replace(posterior.problem, recordings=(replace(recording, measured=recording.measured + by),))
+    return replace(posterior, problem=problem)
+
+
 def test_a_fit_that_misses_hopelessly_says_so_once_and_nothing_else() -> None:
     one = fitted()
-    (film,) = one.films
-    far = replace(one, films=(replace(film, measured=film.measured + 1.0),))
+    far = shifted(one, 1.0)
     (said,) = fit_remarks(far)
     assert said.level == "warning"
     assert "not to be relied on" in said.text
-    near = replace(one, films=(replace(film, measured=film.measured + 0.003),))
+    near = shifted(one, 0.003)
     assert [miss.hopeless for miss in (*far.misses, *near.misses)] == [True, False]
     assert not near.band(np.linspace(0, 1, 11)).identified.any()
 
 
 def test_a_force_that_contradicts_the_bending_puts_k_in_doubt() -> None:
     one = fitted()
-    (film,) = one.films
-    odd = replace(film.observations, remarks=(Remark("warning", "turned", doubt=True), Remark("warning", "other")))
-    assert replace(one, films=(replace(film, observations=odd),)).doubts == ("the force contradicts the bending",)
+    (recording,) = one.recordings
+    odd = with_source(
+        recording.observations, remarks=(Remark("warning", "turned", doubt=True), Remark("warning", "other"))
+    )
+    problem = replace(one.problem, recordings=(replace(recording, observations=odd),))
+    assert replace(one, problem=problem).doubts == ("the force contradicts the bending",)
 
 
 def test_a_tag_that_was_never_seen_is_no_hindrance() -> None:
@@ -148,7 +159,7 @@ def test_a_tag_that_was_never_seen_is_no_hindrance() -> None:
         rest_angle=np.where(there[:, 0], made().rest_angle, np.nan),
         covariance=np.where(there[..., None], made().covariance, np.nan),
     )
-    learned = learn(seen, Settings(n=4, m=3))
+    learned = learn(seen, RegressionSettings(n=4, m=3))
     found = fit([seen], learned.beam.stiffness, settings=FitSettings(functions=8))
     assert found.doubts == ()
     s = np.linspace(0.1, 0.8, 8)
@@ -162,7 +173,7 @@ def test_the_fit_comes_as_near_to_the_tags_as_their_noise() -> None:
 
 def test_a_curved_beam_is_compared_from_its_own_shape_at_rest() -> None:
     beam = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
-    seen = replace(observed(beam, forces(10)), rest="unknown")
+    seen = with_stated(observed(beam, forces(10)), rest="unknown")
     np.testing.assert_allclose(mounting(beam, seen), 0.0, atol=1e-9)
     assert np.max(validate(beam, seen).rms) < 1e-7
     hidden = replace(seen, rest_xy=np.where(np.arange(3)[:, None] == 1, np.nan, seen.rest_xy))
@@ -205,7 +216,7 @@ def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pyte
 
 
 def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = iter([replace(made(), gain_sd=0.02), replace(made(1), name="again", gain_sd=0.05)])
+    seen = iter([with_stated(made(), gain_sd=0.02), with_stated(with_source(made(1), name="again"), gain_sd=0.05)])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
     run = pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
     assert run.posterior is not None
@@ -217,14 +228,14 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(posterior, "conclude", singular)
+    monkeypatch.setattr(posterior, "laplace_posterior", singular)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
         pipeline.learn_recording(EXAMPLE / "train")
 
 
 def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    other = replace(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
+    other = with_source(observed(Beam(0.15, Uniform(0.2)), forces(30), noise=NOISE, seed=4), name="other")
     assert fitted().misses == ()
     seen = iter([made(), other])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))

@@ -10,24 +10,26 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
 from onebend.errors import LearningError
-from onebend.learning.inference.linear_gaussian import FilmNoise, Rows, quadratic, rows_of
-from onebend.learning.model.fit_data import Film, film
+from onebend.learning.inference.fit_problem import RecordingNoise
+from onebend.learning.inference.linear_gaussian import ResidualRows, residual_rows, tag_information
+from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_source, with_stated
 
 S = np.linspace(0.05, 0.9, 60)
 NOISE = (2e-5, 1e-3)
 
 
-def prepared(made: Observations, priors: Priors = Priors()) -> tuple[Film, Layout, Array]:
+def prepared(made: Observations, priors: Priors = Priors()) -> tuple[FitData, Layout, Array]:
     """A film, its parameters, and a point away from the optimum."""
     spline = Spline(8)
-    seen = film(made, 0, np.ones(len(made.time), dtype=bool), spline)
-    at = layout(spline, [made], [len(seen.error.knots)], priors)
+    seen = fit_data(made, 0, np.ones(len(made.time), dtype=bool), spline)
+    at = make_layout(spline, [made], [len(seen.error.knots)], priors)
     x = 1e-3 * np.sin(np.arange(at.size))
     x[:8] = np.log(0.02) + 0.3 * np.cos(np.arange(8))
     return seen, at, x
@@ -36,7 +38,7 @@ def prepared(made: Observations, priors: Priors = Priors()) -> tuple[Film, Layou
 @pytest.fixture(scope="module")
 def curved() -> Observations:
     beam = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.2))
-    return replace(observed(beam, forces(12), noise=NOISE), rest="unknown")
+    return with_stated(observed(beam, forces(12), noise=NOISE), rest="unknown")
 
 
 @pytest.mark.parametrize("weighs", [False, True])
@@ -44,7 +46,7 @@ def test_every_derivative_matches_differences(curved: Observations, weighs: bool
     if weighs:
         turn = np.linspace(0.0, 2.0, len(curved.time))
         gravity = 9.81 * np.stack([np.sin(turn), -np.cos(turn)], axis=1)
-        curved = replace(curved, gravity=gravity, mass=0.03)
+        curved = with_stated(replace(curved, gravity=gravity), mass=0.03)
     seen, at, x = prepared(curved, Priors(clock=0.02, placement=5e-4, origin=5e-4))
     assert ("mass", -1) in at.index
     assert (at.columns("mass") is not None) == weighs
@@ -61,9 +63,9 @@ def test_every_derivative_matches_differences(curved: Observations, weighs: bool
 def test_a_frames_covariance_is_the_dense_one(curved: Observations) -> None:
     """`S = s^2 I + f^2 A A^T`: information, right side, misfit and log determinant against explicit inverses."""
     seen, at, x = prepared(curved)
-    noise = FilmNoise(1.7, 0.004)
-    rows: Rows = rows_of(predict(seen, at, x, None), noise)
-    found = quadratic(rows, at, 0, x, noise)
+    noise = RecordingNoise(1.7, 0.004)
+    rows: ResidualRows = residual_rows(predict(seen, at, x, None), noise)
+    found = tag_information(rows, at, 0, x, noise)
     written = rows.slopes.written
     y = rows.r + written @ x
     h, b, c, log_noise = np.zeros((at.size, at.size)), np.zeros(at.size), 0.0, 0.0
@@ -140,7 +142,7 @@ def test_declared_gain_widens_the_whole_band_alike() -> None:
 
 def test_several_recordings_in_one_fit_tell_more_than_one() -> None:
     tip = wrong_force(observed(SOFT, forces(40), noise=NOISE, seed=1), 1, 0.005)
-    side = replace(wrong_force(observed(SOFT, forces(40), at_s=0.7, noise=NOISE, seed=2), 2, 0.005), name="side")
+    side = with_source(wrong_force(observed(SOFT, forces(40), at_s=0.7, noise=NOISE, seed=2), 2, 0.005), name="side")
     alone, both = fit([tip], 0.02), fit([tip, side], 0.02)
     assert np.mean(both.stiffness.log_at(S)[1]) < np.mean(alone.stiffness.log_at(S)[1])
 
@@ -177,7 +179,7 @@ def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
     shape = beam.equilibrium(force, gravity=gravity)
     made = observed(beam, force, xy=shape.xy(MARKERS), angle=shape.angle(MARKERS), noise=NOISE)
     unknown = np.full((3, 2), np.nan)
-    made = replace(made, gravity=gravity, mass=mass, rest_xy=unknown, rest_angle=unknown[:, 0])
+    made = with_stated(replace(made, gravity=gravity, rest_xy=unknown, rest_angle=unknown[:, 0]), mass=mass)
     band = fit([made], 0.03, settings=FitSettings(functions=12)).band(S)
     assert np.max(np.abs(np.log(band.k / beam.stiffness(S)))) < 0.1
     stubborn = replace(Priors(), mass_spread=1e-6)
@@ -193,7 +195,9 @@ def test_weight_without_a_mass_is_refused(curved: Observations) -> None:
 
 
 def test_a_film_without_a_force_log_has_no_force_error(curved: Observations) -> None:
-    hung = replace(curved, gravity=np.tile([0.0, -9.81], (len(curved.time), 1)), mass=0.03, force=0.0 * curved.force)
+    hung = with_stated(
+        replace(curved, gravity=np.tile([0.0, -9.81], (len(curved.time), 1)), force=0.0 * curved.force), mass=0.03
+    )
     seen, at, _ = prepared(hung)
     assert len(seen.error.knots) == 0
     assert at.columns("force", 0) is None

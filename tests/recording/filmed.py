@@ -15,7 +15,7 @@ from onebend.recording.camera.plane import FACING, square
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import Recording, TagEntry, TagsEntry
 from onebend.recording.toml.source_entries import CameraEntry, VideoEntry
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.records import Array, Detections, View
 
 WIDTH, HEIGHT = 640, 360
@@ -106,7 +106,7 @@ def picture(
     return frame
 
 
-def film(true: Array, tag_id: Sequence[int], seen: View, *, noise: float = 1.5, seed: int = 0) -> list[Frame]:
+def film(true: Array, tag_id: Sequence[int], seen: View, *, noise: float = 1.5, seed: int = 0) -> list[FilmFrame]:
     """Frames at 30 a second of tags at poses (T, m, 3); NaN hides a tag."""
     random = np.random.default_rng(seed)
     frames = []
@@ -114,7 +114,7 @@ def film(true: Array, tag_id: Sequence[int], seen: View, *, noise: float = 1.5, 
         shown = np.isfinite(row).all(axis=1)
         clean = picture(row[shown], [tag for tag, is_in in zip(tag_id, shown, strict=True) if is_in], seen)
         noisy = np.clip(np.rint(clean + noise * random.standard_normal(clean.shape)), 0, 255)
-        frames.append(Frame(t, t / 30, noisy.astype(np.uint8)))
+        frames.append(FilmFrame(t, t / 30, noisy.astype(np.uint8)))
     return frames
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.lab.pushes import Push
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, Virtual, observe_virtual, virtual_recording
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
+from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
 from onebend.recording.clock.offset import fit_clock
 from onebend.recording.force.force_log import read_force_log, whole_log
 from onebend.recording.force.implausible_force import size_remarks
@@ -56,13 +56,13 @@ def test_a_column_that_never_changes_is_named(tmp_path: Path, dead: str) -> None
 
 
 @pytest.mark.parametrize("off", [-30, 60, 90])
-def test_a_turned_log_is_named_with_the_angle_that_fits(pushed: Virtual, off: int) -> None:
+def test_a_turned_log_is_named_with_the_angle_that_fits(pushed: VirtualRecording, off: int) -> None:
     cos, sin = np.cos(np.deg2rad(off)), np.sin(np.deg2rad(off))
     log = replace(pushed.log, force=pushed.log.force @ np.array([[cos, sin], [-sin, cos]]))
-    told = [one.text for one in observe_virtual(replace(pushed, log=log)).remarks if one.level == "warning"]
+    told = [one.text for one in observe_virtual(replace(pushed, log=log)).source.remarks if one.level == "warning"]
     fits = [float(text.split("(about ")[1].split()[0]) for text in told if "bending far better" in text]
     assert fits == [pytest.approx(-off, abs=8)]
-    assert not [one for one in observe_virtual(pushed).remarks if one.level == "warning"]
+    assert not [one for one in observe_virtual(pushed).source.remarks if one.level == "warning"]
 
 
 def test_rows_of_one_time_become_their_mean(tmp_path: Path) -> None:
@@ -75,9 +75,9 @@ def test_rows_of_one_time_become_their_mean(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def pushed() -> Virtual:
+def pushed() -> VirtualRecording:
     peak = force_that_bends(BEAM, 1.0, 1.75)
-    return virtual_recording(Bench(beam=BEAM, push=Push(peak)), seed=0)
+    return virtual_recording(VirtualBench(beam=BEAM, push=PushProfile(peak)), seed=0)
 
 
 def long_log(log: ForceLog, before: float, after: float) -> ForceLog:
@@ -89,13 +89,13 @@ def long_log(log: ForceLog, before: float, after: float) -> ForceLog:
 
 
 @pytest.mark.parametrize("before", [10.0, 100.0])
-def test_a_film_is_found_in_a_log_much_longer_than_it(pushed: Virtual, before: float) -> None:
+def test_a_film_is_found_in_a_log_much_longer_than_it(pushed: VirtualRecording, before: float) -> None:
     clock = fit_clock(pushed.markers, long_log(pushed.log, before, 20.0), nan, inf, push_s=1.0).clock
     assert clock.found
     assert abs(clock.offset - pushed.bench.clock.offset) < 0.05
 
 
-def test_a_short_film_from_the_middle_of_the_push_is_not_drawn_to_the_quiet(pushed: Virtual) -> None:
+def test_a_short_film_from_the_middle_of_the_push_is_not_drawn_to_the_quiet(pushed: VirtualRecording) -> None:
     m = pushed.markers
     cut = m.time >= 2.2
     film = replace(
@@ -112,7 +112,7 @@ def test_a_short_film_from_the_middle_of_the_push_is_not_drawn_to_the_quiet(push
     assert abs(clock.offset - true) < 0.08
 
 
-def test_milliseconds_are_named(pushed: Virtual) -> None:
+def test_milliseconds_are_named(pushed: VirtualRecording) -> None:
     log = replace(pushed.log, time=1000.0 * pushed.log.time)
     with pytest.raises(ObservationError, match='for milliseconds write time_unit = "ms"'):
         observe_virtual(replace(pushed, log=log))
@@ -120,7 +120,7 @@ def test_milliseconds_are_named(pushed: Virtual) -> None:
 
 @pytest.mark.parametrize("quarter", [1, 2, -1])
 @pytest.mark.parametrize("which", [0, 2])
-def test_a_tag_turned_otherwise_than_written_is_named(pushed: Virtual, which: int, quarter: int) -> None:
+def test_a_tag_turned_otherwise_than_written_is_named(pushed: VirtualRecording, which: int, quarter: int) -> None:
     m, turn = pushed.markers, quarter * np.pi / 2
     check_turns(m, pushed.recording)
     if which == 0:  # the base tag's own axes turn: so does all that is seen from it
@@ -135,7 +135,7 @@ def test_a_tag_turned_otherwise_than_written_is_named(pushed: Virtual, which: in
     assert str(caught.value).count("would fit") == 1
 
 
-def test_a_start_far_off_and_milliseconds_beside_a_start_in_seconds_are_hinted_at(pushed: Virtual) -> None:
+def test_a_start_far_off_and_milliseconds_beside_a_start_in_seconds_are_hinted_at(pushed: VirtualRecording) -> None:
     video = pushed.recording.video
     assert video is not None
     late = replace(pushed, recording=replace(pushed.recording, video=replace(video, start=video.start + 5.0)))

@@ -55,9 +55,9 @@ def observed(log: ForceLog | None = None, rec: Recording | None = None, **settin
 
 def test_force_and_markers_meet_on_one_clock() -> None:
     found = plain()
-    assert found.clock is not None
-    assert found.clean_force is not None
-    assert found.time - found.clock.offset == pytest.approx(PUSHED.markers().time[found.frame])
+    assert found.source.clock is not None
+    assert found.source.clean_force is not None
+    assert found.time - found.source.clock.offset == pytest.approx(PUSHED.markers().time[found.frame])
     wrong = found.force - PUSHED.true_force(found.time - PUSHED.offset)
     assert np.sqrt(np.mean(wrong**2)) < 0.015
     assert np.all(np.isfinite(found.force))
@@ -73,7 +73,7 @@ def test_the_beam_defines_the_frame_not_the_base_tag() -> None:
     skew = assemble(recording(), PUSHED.markers(turn=turn), PUSHED.log(), None, ObserveSettings())
     assert skew.xy == pytest.approx(straight.xy, abs=4e-5)  # the tag's own direction still counts a little
     assert skew.angle == pytest.approx(straight.angle, abs=3e-4)
-    assert any("base tag is turned by 1.5 deg" in remark.text for remark in skew.remarks)
+    assert any("base tag is turned by 1.5 deg" in remark.text for remark in skew.source.remarks)
 
 
 def test_opposite_and_swapped_forces_are_named() -> None:
@@ -83,8 +83,8 @@ def test_opposite_and_swapped_forces_are_named() -> None:
     with pytest.raises(ObservationError, match=r"swapped|turned"):
         observed(replace(log, force=log.force[:, ::-1].copy()))
     found = observed(replace(log, force=-log.force), check_force=False)
-    assert any("opposite sign" in r.text and r.level == "warning" and r.doubt for r in found.remarks)
-    assert not any("force looks" in r.text or r.doubt for r in plain().remarks)
+    assert any("opposite sign" in r.text and r.level == "warning" and r.doubt for r in found.source.remarks)
+    assert not any("force looks" in r.text or r.doubt for r in plain().source.remarks)
 
 
 def test_a_film_at_a_wrong_rate_is_told_to_look_at_it() -> None:
@@ -105,8 +105,8 @@ def test_a_swap_is_named_in_the_axes_of_the_log() -> None:
 def test_what_is_said_of_the_tags_turns_is_carried_along() -> None:
     whole = recording()
     stated = replace(whole, tags=replace(whole.tags, turn_sd=0.05))
-    assert observed(rec=stated).turn_sd == 0.05
-    assert plain().turn_sd == pytest.approx(math.radians(1.5))
+    assert observed(rec=stated).stated.turn_sd == 0.05
+    assert plain().stated.turn_sd == pytest.approx(math.radians(1.5))
 
 
 def test_robot_and_rotation_are_undone() -> None:
@@ -117,7 +117,7 @@ def test_robot_and_rotation_are_undone() -> None:
     )
     found = observed(replace(log, force=-log.force @ axes.T), recording(force=entry))
     assert found.force == pytest.approx(plain().force, abs=0.003)
-    assert (found.gain_sd, plain().gain_sd) == (0.03, 0.0)  # 0 where it is not declared
+    assert (found.stated.gain_sd, plain().stated.gain_sd) == (0.03, 0.0)  # 0 where it is not declared
 
 
 def test_no_overlap_names_both_spans() -> None:
@@ -131,7 +131,7 @@ def test_frames_outside_the_log_are_left_out() -> None:
     early = log.time < PUSHED.offset + 6.0
     found = observed(replace(log, time=log.time[early], force=log.force[early]))
     assert 175 <= len(found.time) <= 181
-    assert any("outside the force log" in remark.text for remark in found.remarks)
+    assert any("outside the force log" in remark.text for remark in found.source.remarks)
 
 
 def test_nearest_pairs_within_epsilon_only() -> None:
@@ -142,10 +142,10 @@ def test_nearest_pairs_within_epsilon_only() -> None:
     near = observed(thin, pairing="nearest", epsilon=0.01)
     assert len(all_frames.time) == 240
     assert 80 < len(near.time) < 160
-    assert near.clean_force is not None
-    away = np.abs(near.time[:, None] - near.clean_force.time).min(axis=1)
+    assert near.source.clean_force is not None
+    away = np.abs(near.time[:, None] - near.source.clean_force.time).min(axis=1)
     assert away.max() <= 0.01
-    assert np.all(np.isin(near.force[:, 0], near.clean_force.force[:, 0]))
+    assert np.all(np.isin(near.force[:, 0], near.source.clean_force.force[:, 0]))
 
 
 def test_hidden_tags_stay_missing_and_empty_frames_go() -> None:
@@ -165,8 +165,8 @@ def test_without_a_log_the_force_is_zero_and_nothing_is_loaded() -> None:
     assert np.all(found.force == 0)
     assert np.isnan(found.push_s).all()
     assert not found.loaded.any()
-    assert found.clean_force is None
-    assert found.gain_sd == 0.0
+    assert found.source.clean_force is None
+    assert found.stated.gain_sd == 0.0
 
 
 def test_push_place_from_the_log() -> None:

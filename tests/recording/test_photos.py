@@ -98,8 +98,8 @@ def test_a_camera_in_the_hand(tmp_path: Path) -> None:
 def test_without_a_bare_picture_the_clamps_direction_is_in_doubt(tmp_path: Path) -> None:
     o = observe(folder_of(tmp_path, loads=LOADS.replace("0.png,1,0.0,0.0\n", "")))
     assert len(o.time) == 4
-    assert o.clamp_sd == pytest.approx(np.radians(2.0))
-    assert any("bare beam" in remark.text for remark in o.remarks)
+    assert o.stated.clamp_sd == pytest.approx(np.radians(2.0))
+    assert any("bare beam" in remark.text for remark in o.source.remarks)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 
 from onebend.errors import RecordingError
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Frame, frame_at, frame_count, rate_remarks, read_frames, upright
+from onebend.recording.video import FilmFrame, frame_at, frame_count, rate_remarks, read_frames, upright
 
 WIDTH, HEIGHT = 64, 48
 CLOCK = Fraction(1, 1000)
@@ -128,7 +128,7 @@ def test_truncated_file_names_the_last_good_frame(tmp_path: Path, name: str, cod
     assert len(list(read_frames(video))) == 60
     whole = video.file.read_bytes()
     video.file.write_bytes(whole[: int(kept * len(whole))])
-    read: list[Frame] = []
+    read: list[FilmFrame] = []
     with pytest.raises(RecordingError, match="damaged or truncated") as told:
         read += read_frames(video)
     good = int(str(told.value).split("frames 0 to ")[1].split(" ")[0])

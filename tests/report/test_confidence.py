@@ -11,7 +11,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.report.confidence import gain_words, identified_ranges, load_error_words, nuisance_rows, unidentified_words
 from onebend.report.figures import curves
 from onebend.report.figures.style import png_of
-from onebend.report.page.cards import sureness_card
+from onebend.report.page.cards import band_card
 from tests import made_up
 
 KNOTS = np.array([0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0])  # piecewise linear: the sd at a knot is its coefficient's
@@ -43,12 +43,12 @@ def test_every_blind_stretch_is_named_and_no_other(sd: tuple[float, ...], starts
         inside |= (s >= low - 1e-9) & (s <= high + 1e-9)
     np.testing.assert_array_equal(inside, one.band(s).identified)
     png_of(curves.stiffness(made_up.BEAM, uncertain=one))
-    assert ("not identified" in sureness_card(one)["value"]) == (sd[2] == sd[0] == 1.0)
+    assert ("not identified" in band_card(one)["value"]) == (sd[2] == sd[0] == 1.0)
 
 
 def test_the_gain_is_in_the_card_and_said_apart() -> None:
-    assert sureness_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
-    assert sureness_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
+    assert band_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
+    assert band_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
     assert "declared to 5 %" in gain_words(0.05)
     assert "No scale error" in gain_words(0.0)
     assert "weight" in gain_words(0.0, forced=False)
@@ -58,7 +58,7 @@ def test_nothing_counts_as_identified_where_k_is_in_doubt() -> None:
     one = replace(uncertain(*[0.01] * 5), doubts=("the fit did not converge",))
     assert not one.band(np.linspace(0.0, 1.0, 11)).identified.any()
     assert identified_ranges(one) == []
-    assert sureness_card(one) == {
+    assert band_card(one) == {
         "what": "k(s) is known to",
         "value": "NOT TO BE TRUSTED",
         "note": "the fit did not converge",

@@ -1,4 +1,4 @@
-"""The results folder: whole or not there, and strangers' files stay."""
+"""The results folder: complete or absent, and foreign files stay."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.results.folder import Workplace, files_in, own_files, prepare, publish, strangers
+from onebend.results.folder import OutputFolder, files_in, foreign_files, own_files, prepare, publish
 
 KIND = "onebend-test-1"
 
@@ -28,7 +28,7 @@ def earlier(out: Path, mark: str = "old", figures: tuple[str, ...] = ("a.png", "
     write(out, mark, figures)
 
 
-def place_at(out: Path, *, overwrite: bool = False) -> Workplace:
+def place_at(out: Path, *, overwrite: bool = False) -> OutputFolder:
     return prepare(out, kind=KIND, overwrite=overwrite)
 
 
@@ -63,12 +63,12 @@ def test_force_replaces_all_that_was_ours(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_strangers_stay_where_they_are(tmp_path: Path) -> None:
+def test_foreign_files_stay_where_they_are(tmp_path: Path) -> None:
     out = tmp_path / "out"
     earlier(out)
     (out / "notes.txt").write_text("mine")
     (out / "figures" / "mine.png").write_text("mine")
-    assert strangers(out, KIND) == {"notes.txt", "figures/mine.png"}
+    assert foreign_files(out, KIND) == {"notes.txt", "figures/mine.png"}
     publish(place_at(out, overwrite=True), write)
     assert files_in(out) == ["figures/a.png", "figures/mine.png", "model.json", "notes.txt", "summary.json"]
     assert (out / "model.json").read_text() == "new"

@@ -6,21 +6,17 @@ import csv
 import json
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from onebend.errors import ResultsError
-from onebend.records import Detections, ForceNoise, Observations, Remark
-from onebend.results.kept import KeptDetections, key_of
-from onebend.results.observed import load_observations, save_observations
+from onebend.records import Detections, Remark
+from onebend.results.detection_cache import DetectionCache, key_of
 from onebend.results.summary import summary_of, validation_summary, write_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
 from tests import made_up
+from tests.made_up import same, with_source
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -111,76 +107,6 @@ def test_validation_table_keeps_the_unknown_unknown(tmp_path: Path) -> None:
     assert float(table[3]["rms_m"]) == pytest.approx(2 * float(table[0]["rms_m"]))
 
 
-def same(a: Any, b: Any) -> bool:
-    if isinstance(a, np.ndarray):
-        return bool(a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
-    if isinstance(a, float):
-        return bool(a == b or (np.isnan(a) and np.isnan(b)))
-    return bool(a == b)
-
-
-@pytest.mark.parametrize("bare", [False, True])
-def test_observations_come_back_to_the_last_bit(tmp_path: Path, bare: bool) -> None:
-    before = made_up.observations()
-    before = replace(before, gain_sd=0.02, force_sd=np.array([np.inf, 1 / 3]), video=tmp_path / "video.mp4")
-    if bare:
-        before = replace(before, view=None, clock=None, video=None, remarks=())
-    else:
-        before = replace(before, remarks=(*before.remarks, Remark("warning", "the force contradicts", doubt=True)))
-    save_observations(tmp_path / "observations.parquet", before)
-    after = load_observations(tmp_path)
-    for field in fields(Observations):
-        if field.name == "view" and not bare:
-            assert all(same(getattr(before.view, k), v) for k, v in vars(after.view).items())
-        elif field.name != "clean_force":
-            assert same(getattr(before, field.name), getattr(after, field.name)), field.name
-    clean, again = before.clean_force, after.clean_force
-    assert clean is not None
-    assert again is not None
-    for name in ("noise_sd", "tare", "drift", "cutoff", "outliers", "noise", "remarks"):
-        assert same(getattr(clean, name), getattr(again, name)), name
-    assert np.all(np.isin(again.time, clean.time))
-
-
-def test_a_filtered_force_log_comes_back_as_exact_as_its_filter_leaves_it(tmp_path: Path) -> None:
-    made = made_up.observations()
-    assert made.clean_force is not None
-    time = np.arange(0.0, 12.0, 0.001)
-    wave = np.stack([np.sin(2.0 * np.pi * 0.7 * time), np.cos(2.0 * np.pi * 0.5 * time)], axis=1)
-    noise = ForceNoise(0.03, 0.01, 0.2, 0.004, spacing=0.001)
-    clean = replace(made.clean_force, time=time, force=wave, push_s=None, cutoff=0.7, noise=noise)
-    save_observations(tmp_path / "observations.parquet", replace(made, clean_force=clean))
-    again = load_observations(tmp_path).clean_force
-    assert again is not None
-    assert len(again.time) < 500
-    assert again.noise == noise
-    back = np.stack([np.interp(time, again.time, again.force[:, i]) for i in range(2)], axis=1)
-    assert np.max(np.abs(back - wave)) < 2.5e-3
-
-
-def test_observations_that_are_not_ours_are_named(tmp_path: Path) -> None:
-    file = tmp_path / "observations.parquet"
-    with pytest.raises(ResultsError, match="no such file"):
-        load_observations(tmp_path)
-    file.write_bytes(b"not parquet at all")
-    with pytest.raises(ResultsError, match="damaged, or not written by onebend"):
-        load_observations(file)
-    pq.write_table(pa.table({"a": [1.0]}), file)
-    with pytest.raises(ResultsError, match="damaged, or not written by onebend"):
-        load_observations(file)
-    save_observations(file, made_up.observations())
-    table = pq.read_table(file)
-    rest = json.loads(table.schema.metadata[b"onebend"])
-    del rest["gain_sd"], rest["clean_force"]  # as files were before there were such
-    pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
-    assert load_observations(file).gain_sd == 0.0
-    assert load_observations(file).clean_force is None
-    rest["version"] = 9
-    pq.write_table(table.replace_schema_metadata({b"onebend": json.dumps(rest)}), file)
-    with pytest.raises(ResultsError, match="version 9"):
-        load_observations(file)
-
-
 def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> None:
     summary = summary_of(made_up.findings(), written_by="a test")
     write_summary(tmp_path / "summary.json", summary, ["model.json"])
@@ -205,7 +131,7 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
 
 def test_summary_without_force_or_clock() -> None:
     found = made_up.findings(0)
-    seen = replace(found.recordings[0], clean_force=None, clock=None)
+    seen = with_source(found.recordings[0], clean_force=None, clock=None)
     summary = summary_of(replace(found, recordings=(seen,), posterior=None), written_by="a test")
     assert summary["observed"][0]["force"] is None
     assert summary["observed"][0]["clock"] is None
@@ -226,23 +152,23 @@ def detections() -> Detections:
     )
 
 
-def test_detections_are_kept_and_found_again(tmp_path: Path) -> None:
-    kept = KeptDetections(tmp_path / "out.partial", "1")
-    assert kept.load("k") is None
-    kept.save("k", detections())
-    again = kept.load("k")
+def test_cached_detections_are_found_again(tmp_path: Path) -> None:
+    cache = DetectionCache(tmp_path / "out.partial", "1")
+    assert cache.load("k") is None
+    cache.save("k", detections())
+    again = cache.load("k")
     assert again is not None
     assert all(same(getattr(again, field.name), getattr(detections(), field.name)) for field in fields(Detections))
-    assert kept.load("another") is None
+    assert cache.load("another") is None
 
 
 @pytest.mark.parametrize("size", [0, 10, 300])
 def test_kept_detections_that_were_cut_count_as_not_there(tmp_path: Path, size: int) -> None:
-    kept = KeptDetections(tmp_path, "1")
-    kept.save("k", detections())
+    cache = DetectionCache(tmp_path, "1")
+    cache.save("k", detections())
     file = tmp_path / "detections-k.npz"
     file.write_bytes(file.read_bytes()[:size])
-    assert kept.load("k") is None
+    assert cache.load("k") is None
 
 
 def test_the_key_follows_the_file_and_the_settings(tmp_path: Path) -> None:

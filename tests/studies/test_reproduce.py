@@ -18,21 +18,30 @@ from onebend.lab.designs import DESIGNS
 from onebend.learning.paper.selection import information_criterion
 from onebend.records import Observations
 from onebend.results.folder import files_in
-from onebend.results.observed import save_observations
+from onebend.results.observations_file import save_observations
 from onebend.studies.figures import draw_figures, ranked
 from onebend.studies.films import FilmJob, film_jobs, make_recording
 from onebend.studies.learned import LearnJob, learn_beam
 from onebend.studies.manipulation import TASKS, manipulate, true_place
-from onebend.studies.outcome import Outcome, beam_outcome
+from onebend.studies.outcome import StudyOutcome, beam_outcome
 from onebend.studies.page import page
 from onebend.studies.printed import PRINTED, printed_m3
-from onebend.studies.run import claim, spread
-from onebend.studies.setting import BEAMS, STRATEGIES, Setting, filming, gain_of, seed_of, seen_through, sensor_of
-from onebend.studies.tables import Cell, Table, all_tables, below_printed, selection_table, validation_table
+from onebend.studies.run import claim, run_jobs
+from onebend.studies.settings import (
+    BEAMS,
+    STRATEGIES,
+    StudySettings,
+    filmed_push,
+    gain_of,
+    seed_of,
+    seen_through,
+    sensor_of,
+)
+from onebend.studies.tables import Cell, ResultTable, all_tables, below_printed, selection_table, validation_table
 from onebend.studies.writing import summary_of, writer
 from tests import made_up
 
-TINY = Setting(seed=3, quick=True, video=False)
+TINY = StudySettings(seed=3, quick=True, video=False)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +57,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def seen_by(job: FilmJob) -> Observations:
     """36 frames of the push of a job, with the force as its robot logs it."""
-    bench, like = filming(TINY, job.beam, job.strategy).bench, made_up.comparison(frames=36)
+    bench, like = filmed_push(TINY, job.beam, job.strategy).bench, made_up.comparison(frames=36)
     force = bench.push.force(np.linspace(0.0, bench.push.duration, 36))
     shape = bench.beam.equilibrium(force, np.full(36, bench.push.at_s))
     error = 1e-4 * np.random.default_rng(7).standard_normal((36, 3, 2))
@@ -62,9 +71,9 @@ def seen_by(job: FilmJob) -> Observations:
 
 
 @pytest.fixture(scope="module")
-def found(work: Path) -> Outcome:
+def found(work: Path) -> StudyOutcome:
     gain = gain_of(TINY)
-    return Outcome(work, TINY, gain, (beam_outcome("quadratic", gain, quadratic(work), job_of(work).load()),))
+    return StudyOutcome(work, TINY, gain, (beam_outcome("quadratic", gain, quadratic(work), job_of(work).load()),))
 
 
 def quadratic(folder: Path) -> list[FilmJob]:
@@ -94,17 +103,19 @@ def test_printed_validation_errors_lie_where_the_paper_says() -> None:
 
 
 def test_one_robot_has_one_scale_and_every_recording_its_own_noise() -> None:
-    scales = {filming(Setting(seed=4), beam, one).bench.sensor.gain for beam in BEAMS for one in STRATEGIES[:1]}
-    assert scales == {gain_of(Setting(seed=4))}
-    assert gain_of(Setting(seed=4)) != gain_of(Setting(seed=5))
-    assert len({seed_of(Setting(seed=s), b, one) for s in (0, 1) for b in BEAMS for one in STRATEGIES}) == 24
-    assert sensor_of(Setting(sensor="franka")).reversal > 10.0 * sensor_of(Setting()).reversal
+    scales = {
+        filmed_push(StudySettings(seed=4), beam, one).bench.sensor.gain for beam in BEAMS for one in STRATEGIES[:1]
+    }
+    assert scales == {gain_of(StudySettings(seed=4))}
+    assert gain_of(StudySettings(seed=4)) != gain_of(StudySettings(seed=5))
+    assert len({seed_of(StudySettings(seed=s), b, one) for s in (0, 1) for b in BEAMS for one in STRATEGIES}) == 24
+    assert sensor_of(StudySettings(sensor="franka")).reversal > 10.0 * sensor_of(StudySettings()).reversal
 
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_the_fast_push_is_two_to_three_times_as_fast(quick: bool) -> None:
     def lasts(which: int) -> float:
-        begin, end = filming(Setting(quick=quick), "linear", STRATEGIES[which]).bench.push.contact
+        begin, end = filmed_push(StudySettings(quick=quick), "linear", STRATEGIES[which]).bench.push.contact
         return end - begin
 
     assert 2.0 <= lasts(0) / lasts(1) <= 3.0
@@ -113,7 +124,7 @@ def test_the_fast_push_is_two_to_three_times_as_fast(quick: bool) -> None:
 @pytest.mark.parametrize("wrong", [{"seed": -1}, {"sensor": "none"}])
 def test_settings_without_meaning_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(RecordingError):
-        Setting(**wrong)  # type: ignore[arg-type]
+        StudySettings(**wrong)  # type: ignore[arg-type]
 
 
 def test_the_independent_solver_agrees_with_the_statics() -> None:
@@ -148,9 +159,9 @@ def test_what_is_there_is_kept(tmp_path: Path, work: Path) -> None:
     jobs[0].observed.parent.mkdir()
     for job in jobs:
         save_observations(job.observed, made_up.observations("kept"))
-    spread(make_recording, jobs, 2, "pushing", made_up_progress := Counting())
+    run_jobs(make_recording, jobs, 2, "pushing", made_up_progress := Counting())
     assert made_up_progress.count == 2
-    assert [job.load().name for job in jobs] == ["kept", "kept"]
+    assert [job.load().source.name for job in jobs] == ["kept", "kept"]
 
 
 class Counting:
@@ -181,7 +192,7 @@ def test_damaged_work_is_named(tmp_path: Path) -> None:
         LearnJob(tmp_path, tmp_path / "none.parquet", "a test").load()
 
 
-def test_the_fit_beats_the_papers_method_and_its_band_holds_the_truth(found: Outcome) -> None:
+def test_the_fit_beats_the_papers_method_and_its_band_holds_the_truth(found: StudyOutcome) -> None:
     one = found.beams[0]
     assert one.error(one.learned.fit) < 0.1
     assert one.learned.paper is None or one.error(one.learned.paper) > 2.0 * one.error(one.learned.fit)
@@ -191,12 +202,12 @@ def test_the_fit_beats_the_papers_method_and_its_band_holds_the_truth(found: Out
     assert all(done.found.error < 1e-6 and done.off < 5e-3 for done in one.tasks if done.way == "fit")
 
 
-def column(table: Table, name: str) -> list[Cell]:
+def column(table: ResultTable, name: str) -> list[Cell]:
     at = table.columns.index(name)
     return [row[at] for row in table.rows]
 
 
-def test_tables_hold_what_was_printed_and_what_was_found(found: Outcome) -> None:
+def test_tables_hold_what_was_printed_and_what_was_found(found: StudyOutcome) -> None:
     one = found.beams[0]
     selection, validation = selection_table(one), validation_table(one)
     assert (selection.key, validation.key) == ("table-II", "table-V")
@@ -209,7 +220,7 @@ def test_tables_hold_what_was_printed_and_what_was_found(found: Outcome) -> None
     assert (below, known) == (sum(float(a) < float(b) for a, b in ours), 3)
 
 
-def test_figures_are_pictures_and_the_worst_is_the_worst(found: Outcome) -> None:
+def test_figures_are_pictures_and_the_worst_is_the_worst(found: StudyOutcome) -> None:
     figures = draw_figures(found)
     assert set(figures) == {"summary", "figure-3", "training", "figure-6", "figure-7", "figure-8"}
     assert all(png.startswith(b"\x89PNG") and len(png) > 5000 for png in figures.values())
@@ -219,7 +230,7 @@ def test_figures_are_pictures_and_the_worst_is_the_worst(found: Outcome) -> None
     assert errors == sorted(errors, reverse=True)
 
 
-def test_page_is_whole_and_fetches_nothing(found: Outcome) -> None:
+def test_page_is_whole_and_fetches_nothing(found: StudyOutcome) -> None:
     text = page(found, {"summary": b"\x89PNG", "figure-8": b"\x89PNG"}, version="0")
     assert text.count("<img") == 2
     assert not re.search(r'(src|href)="(?!#|data:)', text)
@@ -229,7 +240,7 @@ def test_page_is_whole_and_fetches_nothing(found: Outcome) -> None:
         assert part in text
 
 
-def test_a_folder_is_written_whole(found: Outcome, tmp_path: Path) -> None:
+def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
     work, out = tmp_path / "work", tmp_path / "out"
     (work / "learned").mkdir(parents=True)
     (work / "learned" / "model.json").write_text("{}", encoding="utf-8")

@@ -1,70 +1,150 @@
 """The command line. Results go to standard output, progress and errors to standard error.
 
 Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do; 130 interrupted.
+The list of commands stands here as text, so that `--version` and `--help` load no command; each loads what it needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
-from onebend.cli.common import BY
+import onebend
+from onebend.blas import one_blas_thread
 
-COMMANDS = {  # name -> file in this folder, and function
-    "learn": ("learning", "learn"),
-    "validate": ("learning", "validate"),
-    "plan": ("learning", "plan"),
-    "damp": ("motion", "damp"),
-    "reach": ("control", "reach"),
-    "shape": ("shaping", "shape"),
-    "path": ("shaping", "path"),
-    "loop": ("looping", "loop"),
-    "new": ("looking", "new"),
-    "topics": ("bags", "topics"),
-    "check": ("looking", "check"),
-    "calibrate": ("calibrating", "calibrate"),
-    "show": ("looking", "show"),
-    "export": ("exporting", "export_command"),
-    "rerun": ("exporting", "rerun_command"),
-    "design": ("making", "design"),
-    "mould": ("making", "mould"),
-    "tags": ("making", "tags"),
-    "film": ("filming", "film"),
-    "reproduce": ("reproducing", "reproduce"),
-    "rehearse": ("rehearsing", "rehearse"),
+BY = f"onebend {onebend.__version__}"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a command stands, and the first line of its help."""
+
+    module: str  # in this folder
+    function: str
+    help: str
+
+
+COMMANDS = {
+    "learn": Place(
+        "learning",
+        "learn",
+        "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
+    ),
+    "validate": Place(
+        "learning",
+        "validate",
+        "Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI).",
+    ),
+    "plan": Place("learning", "plan", "Say which push to make next: what each would leave of the band on k(s)."),
+    "damp": Place(
+        "motion",
+        "damp",
+        "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
+    ),
+    "reach": Place(
+        "control", "reach", "Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."
+    ),
+    "shape": Place(
+        "shaping",
+        "shape",
+        "Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape.",
+    ),
+    "path": Place(
+        "shaping",
+        "path",
+        "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
+    ),
+    "loop": Place(
+        "looping",
+        "loop",
+        "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
+    ),
+    "new": Place("looking", "new", "Write a recording.toml to fill in."),
+    "topics": Place(
+        "bags",
+        "topics",
+        "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
+    ),
+    "check": Place(
+        "looking", "check", "Read a recording's files without looking for tags, and say what was understood."
+    ),
+    "calibrate": Place(
+        "calibrating",
+        "calibrate",
+        "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
+    ),
+    "show": Place("looking", "show", "Draw the learned k(s) in the terminal."),
+    "export": Place(
+        "exporting",
+        "export_command",
+        "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
+    ),
+    "rerun": Place(
+        "exporting",
+        "rerun_command",
+        "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
+    ),
+    "design": Place(
+        "making",
+        "design",
+        "Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration.",
+    ),
+    "mould": Place(
+        "making",
+        "mould",
+        "Make the mould of a design, the clamp and the carriers of its tags, as files to print.",
+    ),
+    "tags": Place("making", "tags", "Draw a sheet of tags at exact size, with rulers to check the printer by."),
+    "film": Place(
+        "filming",
+        "film",
+        "Film a known beam that is pushed: a recording folder to learn from, with the truth beside it.",
+    ),
+    "reproduce": Place(
+        "reproducing",
+        "reproduce",
+        "Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report.",
+    ),
+    "rehearse": Place(
+        "rehearsing",
+        "rehearse",
+        "Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change.",
+    ),
 }
 
 
-class Shelf(Mapping[str, Any]):
-    """The commands by name, each read when it is asked for: meshes, bags and figures are not loaded to check a file."""
+class Command(TyperCommand):
+    """A name and a line of help; what the command does, and its options, are loaded when it is called."""
 
-    def __getitem__(self, name: str) -> Any:
-        module, function = COMMANDS[name]
+    def __init__(self, name: str, place: Place) -> None:
+        super().__init__(name, help=place.help)
+        self.place = place
+
+    def loaded(self) -> Any:
+        """The command itself. It works with one BLAS thread."""
+        module = import_module(f"onebend.cli.{self.place.module}")
         single = typer.Typer(add_completion=False)
-        single.command(name)(getattr(import_module(f"onebend.cli.{module}"), function))
+        single.command(self.name)(one_blas_thread(getattr(module, self.place.function)))
         return typer.main.get_command(single)
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(COMMANDS)
-
-    def __len__(self) -> int:
-        return len(COMMANDS)
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        return self.loaded().make_context(*args, **kwargs)
 
 
-class OnDemand(TyperGroup):
-    """A group whose commands stand on a `Shelf`."""
+class Commands(TyperGroup):
+    """The group of all commands, none of them loaded."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands = Shelf()  # type: ignore[assignment]
+        self.commands = {name: Command(name, place) for name, place in COMMANDS.items()}
 
 
 app = typer.Typer(
-    cls=OnDemand,
+    cls=Commands,
     help="Learn how stiff a soft slender object is along its length from one filmed push.",
     add_completion=False,
     no_args_is_help=True,

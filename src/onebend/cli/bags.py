@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from onebend.cli.common import clean_errors, print_json
+from onebend.cli.options import Json
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
 from onebend.terminal.bags import show_bag
-from onebend.terminal.options import Json
-from onebend.terminal.options_bags import BagPath, Definitions
+
+BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
+Definitions = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds."),
+]
 
 # What no bag knows.
 TO_ADD = (

@@ -4,26 +4,37 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, get_args
 
+import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, progress_of
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, print_json, progress_of
+from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.errors import RecordingError
 from onebend.recording.calibration.boards import Board, BoardKind
 from onebend.recording.calibration.intrinsics import calibrate as calibrate_camera
-from onebend.results.single import free_place, write_file
-from onebend.terminal.calibrating import (
-    BoardOption,
-    CameraFile,
-    Dictionary,
-    Film,
-    MarkerMm,
-    MostViews,
-    SquareMm,
-    show_calibration,
-)
-from onebend.terminal.options import Json, Overwrite, Quiet
+from onebend.results.single_file import check_free, write_file
+from onebend.terminal.calibrating import show_calibration
+
+Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]
+BoardOption = Annotated[
+    tuple[str, str],
+    typer.Option(
+        "--board",
+        metavar="KIND SIZE",
+        help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares).",
+    ),
+]
+SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]
+MarkerMm = Annotated[
+    float | None,
+    typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
+]
+Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
+MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
 
 CALIBRATE_FORMAT = "onebend-calibrate-1"
 
@@ -44,7 +55,7 @@ def calibrate(
     """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
     with clean_errors():
         wanted = _board(board, square, marker, dictionary)
-        free_place(output, overwrite=overwrite)
+        check_free(output, overwrite=overwrite)
         with progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)

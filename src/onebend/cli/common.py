@@ -11,17 +11,15 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
-import onebend
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import has_mass
 from onebend.errors import ControlError, OnebendError
 from onebend.progress import Progress, Silent
-from onebend.results.folder import Workplace, abandon, prepare
+from onebend.results.folder import OutputFolder, abandon, prepare
 from onebend.results.model import StoredModel, read_model
 from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars
 
-BY = f"onebend {onebend.__version__}"
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
@@ -47,7 +45,7 @@ def _fail(message: str, error: BaseException, code: int) -> NoReturn:
 
 
 @contextmanager
-def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[Workplace]:
+def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
     """A place to work for results in `out`; when the work ends early, its error says what was kept."""
     place = prepare(out, kind=kind, overwrite=overwrite)
     try:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Literal
 
 import numpy as np
+import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, gravity_on, print_summary, read_trusted, workplace
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, gravity_on, print_summary, read_trusted, workplace
+from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.reach.reach import Reach, ReachSettings
 from onebend.control.reach.reach import reach as solve_reach
 from onebend.control.reach.reachable import ReachableSet, reachable
@@ -17,20 +21,28 @@ from onebend.report.figures.reaching import reaching
 from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
-from onebend.terminal.options import Json, Model, Output, Overwrite
-from onebend.terminal.reaching import (
-    Direction,
-    Goal,
-    GoalAngle,
-    Gravity,
-    MaxCurvature,
-    Moment,
-    Point,
-    PushAt,
-    ReachMaxForce,
-    ReachMethod,
-    show_reach,
-)
+from onebend.terminal.reaching import show_reach
+
+GoalAngle = Annotated[
+    float | None,
+    typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
+]
+ReachMethod = Annotated[
+    Literal["newton", "paper"],
+    typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
+]
+ReachMaxForce = Annotated[
+    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force; default: no bound.")
+]
+MaxCurvature = Annotated[
+    float | None,
+    typer.Option("--max-curvature-per-m", min=LEAST, metavar="1/M", help="The beam bends no more than this from rest."),
+]
+Direction = Annotated[
+    float | None,
+    typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
+]
+Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
 def reach(

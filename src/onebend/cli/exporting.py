@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
 from onebend.cli.common import clean_errors, progress_of, read_trusted
+from onebend.cli.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
 from onebend.pipeline import compare
@@ -15,9 +17,31 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.model import StoredModel
-from onebend.results.single import fresh_file, write_file
-from onebend.terminal.options import Model, Overwrite, Quiet, Recording, Threads
-from onebend.terminal.options_export import DampingTime, Every, ExportTo, Hinges, MassKg, OutFile, RerunFile
+from onebend.results.single_file import fresh_file, write_file
+
+ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
+OutFile = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the ending."),
+]
+Hinges = Annotated[int, typer.Option(min=2, metavar="N", help="Hinges of a chain (mujoco, urdf, sdf).")]
+MassKg = Annotated[
+    float | None,
+    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: as it was learned with."),
+]
+DampingTime = Annotated[
+    float | None,
+    typer.Option(
+        "--damping-time-s",
+        metavar="SECONDS",
+        help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
+    ),
+]
+RerunFile = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: the recording's name.rrd."),
+]
+Every = Annotated[int, typer.Option(min=1, metavar="N", help="Keep one picture of the video in N.")]
 
 
 def export_command(

@@ -5,36 +5,68 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import typer
 
-from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, or_nan, print_json, progress_of
+from onebend.cli.options import Json, Quiet
 from onebend.lab.design_file import find_design
+from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
 from onebend.lab.filming.film import film as make_film
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.named import Wish, filming_of
 from onebend.lab.random_bench import random_bench
-from onebend.terminal.options import Json, Quiet
-from onebend.terminal.options_film import (
-    BaseAngle,
-    Bend,
-    Camera,
-    Design,
-    Direction,
-    Distance,
-    FilmFolder,
-    Force,
-    Fps,
-    Gravity,
-    PushAt,
-    PushKind,
-    Seconds,
-    Seed,
-    Sensor,
-    Tilt,
-    Uncalibrated,
-)
+
+Design = Annotated[
+    str,
+    typer.Argument(
+        metavar="DESIGN", help="A named design, a design.toml, or `random`: all but the seed is drawn then."
+    ),
+]
+FilmFolder = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
+]
+PushKind = Annotated[
+    PushName,
+    typer.Option(
+        "--push", help="slow: at the tip. s08, s06: slow, there. fast: the beam swings. free: released at once."
+    ),
+]
+PushAt = Annotated[
+    float | None, typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam.")
+]
+Force = Annotated[float | None, typer.Option("--force-N", min=1e-6, metavar="N", help="Peak; default: by --bend-deg.")]
+Bend = Annotated[
+    float, typer.Option("--bend-deg", min=1.0, max=150.0, metavar="DEG", help="How far the pushed place turns.")
+]
+Direction = Annotated[
+    float | None,
+    typer.Option("--direction-deg", metavar="DEG", help="Of the push against the beam's x axis; default: 100."),
+]
+Seconds = Annotated[float | None, typer.Option("--seconds", min=0.05, metavar="S", help="From first to last contact.")]
+Camera = Annotated[CameraName, typer.Option("--camera", help="Its picture, rate, lens and tilt.")]
+Fps = Annotated[float | None, typer.Option("--fps", min=1.0, max=240.0, metavar="HZ", help="Default: the camera's.")]
+Tilt = Annotated[
+    float | None, typer.Option("--tilt-deg", min=-45.0, max=45.0, metavar="DEG", help="Default: the camera's.")
+]
+Distance = Annotated[
+    float | None,
+    typer.Option("--distance-m", min=0.05, metavar="M", help="Of the camera; default: as near as shows the push."),
+]
+Sensor = Annotated[
+    SensorName, typer.Option("--sensor", help="A robot's own estimate, a six-axis sensor, or one without errors.")
+]
+Gravity = Annotated[
+    float,
+    typer.Option("--gravity-m-s2", min=0.0, metavar="G", help="In the plane of bending; 0: across it."),
+]
+BaseAngle = Annotated[
+    float, typer.Option("--base-angle-deg", metavar="DEG", help="The beam's x axis in the room; -90: it hangs.")
+]
+Uncalibrated = Annotated[bool, typer.Option("--uncalibrated", help="Do not tell the camera's calibration.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
 
 FILM_FORMAT = "onebend-film-1"
 DRAWN = "random"
@@ -63,8 +95,8 @@ def film(
     quiet: Quiet = False,
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
-    seen = Wish(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
-    wish = replace(
+    seen = FilmRequest(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
+    request = replace(
         seen,
         push=push,
         at_s=or_nan(push_at),
@@ -78,7 +110,7 @@ def film(
         calibrated=not uncalibrated,
     )
     with clean_errors(), progress_of(quiet) as progress:
-        filming, folder = _filming(design, wish, seed, output)
+        filming, folder = _filming(design, request, seed, output)
         make_film(filming, folder, seed=seed, progress=progress)
     bench = filming.bench
     if as_json:
@@ -91,11 +123,11 @@ def film(
     )
 
 
-def _filming(design: str, wish: Wish, seed: int, output: Path | None) -> tuple[Filming, Path]:
+def _filming(design: str, request: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:
     """What is filmed, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")
         return random_bench(np.random.default_rng([seed, 20]), name=folder.resolve().name), folder
     found = find_design(design)
-    folder = output or Path(f"{found.name}-{wish.push}")
-    return filming_of(found, wish, folder.resolve().name), folder
+    folder = output or Path(f"{found.name}-{request.push}")
+    return filming_of(found, request, folder.resolve().name), folder

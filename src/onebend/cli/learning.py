@@ -6,22 +6,27 @@ import math
 import time
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
+import typer
 from rich.console import Console
 
 import onebend
-from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted, workplace
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, print_json, progress_of, read_trusted, workplace
+from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
-from onebend.learning.paper.selection import Settings
+from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings
 from onebend.pipeline import compare, learn_recording, plan_next
 from onebend.recording.observe import ObserveSettings
+from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
+from onebend.results.detection_cache import DetectionCache
 from onebend.results.folder import publish
-from onebend.results.kept import KeptDetections
+from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -29,30 +34,62 @@ from onebend.results.summary import (
     summary_of,
     validation_summary,
 )
-from onebend.results.writing import learned_writer, validation_writer
-from onebend.terminal.options import (
-    Bic,
-    ClampSd,
-    Count,
-    Epsilon,
-    Family,
-    Functions,
-    Json,
-    MaxForce,
-    MaxTipAngle,
-    Method,
-    Model,
-    Modes,
-    Output,
-    Overwrite,
-    Quiet,
-    Recordings,
-    Threads,
-    ValidateOn,
-    Width,
-)
 from onebend.terminal.plans import show_plan
 from onebend.terminal.screens import show_run, show_validation
+
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml, of one beam.")]
+ValidateOn = Annotated[
+    list[Path] | None,
+    typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
+]
+Method = Annotated[
+    Literal["fit", "regression", "paper"],
+    typer.Option(
+        help="fit: k(s) with a band, from the markers; it begins at the regression. regression: the paper's way alone, "
+        "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
+    ),
+]
+Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
+Width = Annotated[
+    float | None,
+    typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
+]
+Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
+Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
+Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
+Epsilon = Annotated[
+    float | None,
+    typer.Option(
+        "--epsilon-s",
+        min=0.0,
+        metavar="SECONDS",
+        help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
+    ),
+]
+MaxForce = Annotated[
+    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="Default: twice the largest so far.")
+]
+MaxTipAngle = Annotated[
+    float | None,
+    typer.Option(
+        "--max-tip-angle-deg",
+        min=1.0,
+        max=180.0,
+        metavar="DEG",
+        help="Default: 90, and at most 1.25 times the largest curvature so far.",
+    ),
+]
+Count = Annotated[int, typer.Option(min=1, metavar="N", help="How many proposals.")]
+ClampSd = Annotated[
+    float | None,
+    typer.Option(
+        "--clamp-sd-deg",
+        min=0.0,
+        metavar="DEG",
+        help=f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
+        f"{math.degrees(CLAMP_SD):.2g}. It trades off against k.",
+    ),
+]
 
 
 def learn(
@@ -76,7 +113,7 @@ def learn(
     """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
     out = output or Path(f"{recordings[0].resolve().name}-results")
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
-    settings = Settings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
+    settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting = _fitting(clamp_sd) if method == "fit" else None
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
         run = learn_recording(
@@ -85,7 +122,7 @@ def learn(
             fitting=fitting,
             observing=_observing(threads, epsilon),
             validate_on=validate_on or (),
-            detect=KeptDetections(place.partial, onebend.__version__).detect,
+            detect=DetectionCache(place.partial, onebend.__version__).detect,
             progress=progress,
         )
         began = time.perf_counter()
@@ -119,7 +156,7 @@ def validate(
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                pairs = work(detect=KeptDetections(place.partial, onebend.__version__).detect, progress=progress)
+                pairs = work(detect=DetectionCache(place.partial, onebend.__version__).detect, progress=progress)
                 summary = validation_summary(str(model), pairs, written_by=BY)
                 publish(place, validation_writer(pairs, draw(validation_figures(beam, pairs), progress), summary))
     if as_json:

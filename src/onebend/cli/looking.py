@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 from rich.console import Console
 
 from onebend.cli.common import clean_errors, print_json
+from onebend.cli.options import Json, Model, Recording
 from onebend.recording.template import write_template
 from onebend.report.overview import overview
 from onebend.results.model import read_model
 from onebend.results.summary import model_summary
-from onebend.terminal.options import Folder, Json, Model, Recording
 from onebend.terminal.screens import show_model, show_overview
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 
 
 def new(folder: Folder) -> None:

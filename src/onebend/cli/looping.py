@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
-from onebend.control.loop.feedback import ControllerSettings, controller
-from onebend.control.loop.loop import Eye
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
+from onebend.control.loop.controller import ControllerSettings, controller
 from onebend.control.loop.margins import Timing
-from onebend.control.loop.prospect import prospect
-from onebend.control.loop.tuning import Wanted
+from onebend.control.loop.robustness import simulate_range
+from onebend.control.loop.simulation import LoopCamera
+from onebend.control.loop.tuning import RequiredMargins
 from onebend.report.figures.looping import looping
 from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
-from onebend.terminal.looping import Delay, Duration, KError, LoopMaxForce, Rate, show_loop
-from onebend.terminal.options import Json, Model, Output, Overwrite
-from onebend.terminal.reaching import Goal, Gravity, Point, PushAt
+from onebend.terminal.looping import show_loop
+
+KError = Annotated[
+    float,
+    typer.Option(
+        "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
+    ),
+]
+Delay = Annotated[
+    float,
+    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
+]
+Rate = Annotated[
+    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
+]
+Duration = Annotated[
+    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
+]
+LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
 
 
 def loop(
@@ -42,13 +63,13 @@ def loop(
         settings = ControllerSettings(
             timing=Timing(fps=fps, delay=delay),
             longest_delay=max(0.1, delay),
-            wanted=Wanted(k_error=k_error),
+            wanted=RequiredMargins(k_error=k_error),
             most_force=or_unlimited(max_force),
         )
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
-        trials = prospect(control, k_error=k_error, eye=Eye(fps=fps, delay=delay), duration=duration)
+        trials = simulate_range(control, k_error=k_error, eye=LoopCamera(fps=fps, delay=delay), duration=duration)
         known = control.margins()
         summary = loop_summary(str(model), control, known, trials, written_by=BY)
         if output is not None:

@@ -6,11 +6,14 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, workplace
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, print_json, workplace
+from onebend.cli.options import Json, Overwrite
 from onebend.errors import MechanicsError
 from onebend.lab.design_file import find_design, write_design_template
 from onebend.lab.designs import Design
@@ -20,47 +23,77 @@ from onebend.lab.fabrication.mould import MouldSettings, PrintedPart
 from onebend.lab.fabrication.mould import mould as make_mould
 from onebend.lab.fabrication.page import files_of
 from onebend.lab.fabrication.sheet import Sheet, strip_page, tag_pages
-from onebend.lab.materials import Stiffness, from_shore_00, from_shore_a, silicone
+from onebend.lab.materials import ModulusEstimate, from_shore_00, from_shore_a, silicone
 from onebend.recording.folder import read_recording
 from onebend.recording.toml.entries import FAMILIES
 from onebend.report.figures.parts import design_figure, parts_figure
 from onebend.report.figures.style import png_of
-from onebend.results.folder import publish
-from onebend.results.making import DESIGN_FORMAT, MOULD_FORMAT, TAGS_FORMAT, design_csv, parts_summary, parts_writer
-from onebend.results.model import StoredModel, model_text
-from onebend.results.single import free_place, write_file
-from onebend.terminal.making import show_design, show_parts
-from onebend.terminal.options import Json, Overwrite
-from onebend.terminal.options_making import (
-    Csv,
-    DesignName,
-    DesignOf,
-    Draft,
-    Ids,
-    Kind,
-    ModelFile,
-    Modulus,
-    NewDesign,
-    NoCuts,
-    NoLabels,
-    Paper,
-    PartsOutput,
-    Picture,
-    ReplaceFiles,
-    Rim,
-    Shape,
-    SheetFile,
-    ShoreA,
-    ShoreZero,
-    Shrinkage,
-    SiliconeName,
-    StripOf,
-    TagFamily,
-    TagsAt,
-    TagSize,
-    TagsSize,
-    Wall,
+from onebend.results.fabrication import (
+    DESIGN_FORMAT,
+    MOULD_FORMAT,
+    TAGS_FORMAT,
+    design_csv,
+    parts_summary,
+    parts_writer,
 )
+from onebend.results.folder import publish
+from onebend.results.model import StoredModel, model_text
+from onebend.results.single_file import check_free, write_file
+from onebend.terminal.making import show_design, show_parts
+
+DesignName = Annotated[
+    str | None, typer.Argument(metavar="DESIGN", help="uniform, linear, quadratic, cubic, or a design's TOML file.")
+]
+DesignOf = Annotated[
+    str, typer.Argument(metavar="DESIGN", help="uniform, linear, quadratic, cubic, or a design's TOML file.")
+]
+NewDesign = Annotated[
+    Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
+]
+SiliconeName = Annotated[
+    str | None, typer.Option("--silicone", metavar="NAME", help='Cast of this product, such as "Dragon Skin 30".')
+]
+ShoreA = Annotated[
+    float | None, typer.Option("--shore-a", metavar="A", help="Cast of a silicone of this hardness, scale A.")
+]
+ShoreZero = Annotated[
+    float | None, typer.Option("--shore-zero", metavar="00", help="Cast of a silicone of this hardness, scale 00.")
+]
+Modulus = Annotated[
+    float | None, typer.Option("--modulus-kPa", min=1e-3, metavar="E", help="Cast of a material of this modulus.")
+]
+Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write s, width, EI, k and mass per metre.")]
+Picture = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Write a picture (PNG).")]
+ModelFile = Annotated[
+    Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
+]
+PartsOutput = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the parts.")]
+Kind = Annotated[Literal["open", "halves"], typer.Option("--kind", help="One open tray, or two halves.")]
+Wall = Annotated[float, typer.Option("--wall-mm", min=0.4, metavar="MM", help="Thickness of walls and floor.")]
+Draft = Annotated[float, typer.Option("--draft-deg", min=0.0, max=10.0, metavar="DEG", help="Lean of the walls.")]
+Shrinkage = Annotated[
+    float, typer.Option("--shrinkage-percent", min=0.0, max=9.9, metavar="P", help="How much the silicone shrinks.")
+]
+TagSize = Annotated[float, typer.Option("--size-mm", min=0.5, metavar="MM", help="Side of a tag's black square.")]
+TagsAt = Annotated[
+    list[float] | None,
+    typer.Option("--tag-at", min=0.0, max=1.0, metavar="S", help="Place of a tag on the beam; may be repeated."),
+]
+Shape = Annotated[Literal["stl", "3mf"], typer.Option("--as", help="Kind of file.")]
+StripOf = Annotated[
+    Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
+]
+Ids = Annotated[str | None, typer.Option("--ids", metavar="IDS", help="Such as 0-4 or 0,3,7-9.")]
+TagsSize = Annotated[
+    float | None, typer.Option("--size-mm", min=0.5, metavar="MM", help="Side of the black square; default: 12.")
+]
+TagFamily = Annotated[str | None, typer.Option("--family", metavar="FAMILY", help="Default: tag36h11.")]
+Rim = Annotated[float, typer.Option("--rim-cells", min=1.0, metavar="N", help="White around the black square.")]
+Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of the paper.")]
+NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
+NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers out.")]
+SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or an .svg a page.")]
+ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
 
 MOST_TAGS = 1000
 RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
@@ -114,7 +147,7 @@ def mould(
     """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
     with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
         if picture is not None:
-            free_place(picture, overwrite=overwrite)
+            check_free(picture, overwrite=overwrite)
         settings = MouldSettings(
             kind=kind,
             wall=1e-3 * wall,
@@ -204,7 +237,7 @@ def _of_material(
         return found.of(from_shore_a(shore_a))
     if shore_zero is not None:
         return found.of(from_shore_00(shore_zero))
-    return found if modulus is None else found.of(Stiffness(1e3 * modulus, 0.0, "given"))
+    return found if modulus is None else found.of(ModulusEstimate(1e3 * modulus, 0.0, "given"))
 
 
 def _design_files(
@@ -224,6 +257,6 @@ def _design_files(
 def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
     """Each file whole; none where one of them must not be replaced."""
     for path in files:
-        free_place(path, overwrite=overwrite)
+        check_free(path, overwrite=overwrite)
     for path, data in files.items():
         write_file(path, data, overwrite=overwrite)

@@ -3,20 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
 
+import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, print_json, progress_of, read_trusted
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, print_json, progress_of, read_trusted
+from onebend.cli.options import Json, Model, Overwrite, Quiet, Recording, Threads
 from onebend.learning.swing.damping import DampingSettings, learn_damping
-from onebend.learning.swing.free_swing import Part
+from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.results.model import model_text
-from onebend.results.single import free_place, write_file
+from onebend.results.single_file import check_free, write_file
 from onebend.results.summary import damp_summary
-from onebend.terminal.damping import FromS, MassAlong, ModelFile, ToS, show_damping
-from onebend.terminal.options import Json, Model, Overwrite, Quiet, Recording, Threads
+from onebend.terminal.damping import show_damping
+
+FromS = Annotated[
+    float | None,
+    typer.Option(
+        "--from-s", metavar="SECONDS", help="The beam swings freely from here on in the film; default: found."
+    ),
+]
+ToS = Annotated[
+    float | None, typer.Option("--to-s", metavar="SECONDS", help="And to here in the film; default: to the end.")
+]
+MassAlong = Annotated[
+    Literal["even", "width"],
+    typer.Option(
+        help="How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
+        "the width in the plane of bending varies."
+    ),
+]
+ModelFile = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
+]
 
 
 def damp(
@@ -36,7 +60,7 @@ def damp(
     with clean_errors():
         stored = read_trusted(model)
         if output is not None:
-            free_place(output, overwrite=overwrite)
+            check_free(output, overwrite=overwrite)
         files = read_recording(recording)
         check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
@@ -45,7 +69,7 @@ def damp(
                 stored.beam,
                 seen,
                 uncertain=stored.uncertain,
-                part=Part(begin, end),
+                part=FilmPart(begin, end),
                 settings=DampingSettings(mass_along=mass_along),
                 progress=progress,
             )

@@ -7,40 +7,74 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from onebend.cli.common import BY, clean_errors, or_nan, print_json, progress_of, workplace
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, or_nan, print_json, progress_of, workplace
+from onebend.cli.filming import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
+from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.errors import RecordingError
 from onebend.forecast.rehearsal import Rehearsal
 from onebend.forecast.rehearsal import rehearse as make_rehearsal
 from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.forecast.writing import REHEARSE_FORMAT, summary_of, writer_of
-from onebend.lab.named import Wish
+from onebend.lab.film_request import FilmRequest, PushName
 from onebend.results.folder import publish
-from onebend.terminal.options import Json, Overwrite, Quiet
-from onebend.terminal.options_film import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
-from onebend.terminal.options_rehearse import (
-    TURN_DEG,
-    Advices,
-    ClockSd,
-    Directions,
-    Forces,
-    GainSd,
-    Jobs,
-    PlacementSd,
-    PushesAt,
-    RehearsalFolder,
-    Rehearsed,
-    Runs,
-    RunSeed,
-    SlowPush,
-    TagPlaces,
-    TurnSd,
-)
 from onebend.terminal.rehearsals import show_rehearsal
 from onebend.workers import available_cores
+
+TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
+
+Rehearsed = Annotated[
+    str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
+]
+TagPlaces = Annotated[
+    str | None,
+    typer.Option(
+        "--tags", metavar="S,S,...", help="Where the tags sit along the beam; default: thirds, or the model's."
+    ),
+]
+SlowPush = Annotated[PushName, typer.Option("--push", help="slow: at the tip. s08, s06: slow, there.")]
+PushesAt = Annotated[
+    list[float] | None,
+    typer.Option("--push-at", metavar="S", help="Where it pushes, along the beam; once for each push."),
+]
+Forces = Annotated[
+    list[float] | None, typer.Option("--force-N", metavar="N", help="Peak; default: by --bend-deg. One, or one a push.")
+]
+Directions = Annotated[
+    list[float] | None,
+    typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
+]
+GainSd = Annotated[
+    float | None,
+    typer.Option("--gain-sd", min=0.0, max=0.5, metavar="SD", help="Of the force's scale; default: the sensor's."),
+]
+PlacementSd = Annotated[
+    float, typer.Option("--placement-mm", min=1e-3, metavar="MM", help="How well the tags are placed, one sd.")
+]
+TurnSd = Annotated[
+    float, typer.Option("--turn-deg", min=1e-3, metavar="DEG", help="How well the tags are turned, one sd.")
+]
+ClockSd = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-sd-s",
+        min=0.0,
+        metavar="S",
+        help="How well the clocks agree; 0: one clock; default: found from the data.",
+    ),
+]
+Runs = Annotated[int, typer.Option(min=0, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")]
+Jobs = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes that simulate; default: all cores.")]
+Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="How many changes to name.")]
+RehearsalFolder = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
+]
+RunSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the first run; the next ones count up.")]
 
 
 def rehearse(
@@ -73,7 +107,7 @@ def rehearse(
 ) -> None:
     """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
     with clean_errors():
-        first = Wish(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
+        first = FilmRequest(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
         first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
         setup = setup_of(
             known_beam(design),
@@ -105,7 +139,7 @@ def _carried_out(work: Callable[..., Rehearsal], output: Path | None, *, overwri
     return found
 
 
-def wishes_of(first: Wish, at: list[float], force: list[float], direction: list[float]) -> list[Wish]:
+def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
     """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
     given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
     count = max(1, *map(len, given.values()))

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Annotated, Literal
 
+import typer
 from rich.console import Console
 
 from onebend.beam.model import Beam
-from onebend.cli.common import BY, clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli import BY
+from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli.options import LEAST, Gravity, Json, Model, Output, Overwrite
 from onebend.control.goals.moving_goals import Between, Goals
 from onebend.control.goals.target_files import read_goals, read_targets
-from onebend.control.path.force_way import by_force
-from onebend.control.path.path import PathSettings, follow_goals
+from onebend.control.path.follow import PathSettings, follow_goals
+from onebend.control.path.force_interpolation import by_force
 from onebend.control.path.path_spread import path_spread
-from onebend.control.path.timing import Rates
+from onebend.control.path.timing import RateLimits
 from onebend.control.path.trajectory_files import FRAME
-from onebend.control.shape.grip import Grip, Push
+from onebend.control.shape.actuators import Grip, Pusher
 from onebend.control.shape.shape import ShapeSettings
 from onebend.control.shape.shape import shape as solve_shape
 from onebend.errors import ControlError
@@ -23,27 +28,64 @@ from onebend.report.figures.shaping import path_figure, shaping
 from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
-from onebend.terminal.options import Json, Model, Output, Overwrite
-from onebend.terminal.reaching import Gravity
-from onebend.terminal.shaping import (
-    Arm,
-    BetweenGoals,
-    FrameName,
-    GoalPoint,
-    GoalsFile,
-    Gripped,
-    HandMaxForce,
-    HandMaxMoment,
-    MaxForceRate,
-    MaxSpeed,
-    MaxTurnRate,
-    PushPlaces,
-    SampleRate,
-    TargetsFile,
-    TooFast,
-    show_path,
-    show_shape,
-)
+from onebend.terminal.shaping import show_path, show_shape
+
+TargetsFile = Annotated[
+    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
+]
+GoalsFile = Annotated[
+    Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
+]
+Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
+PushPlaces = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--push-at",
+        min=LEAST,
+        max=1.0,
+        metavar="S",
+        help="A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
+    ),
+]
+GoalPoint = Annotated[
+    float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
+]
+HandMaxForce = Annotated[
+    float | None,
+    typer.Option("--max-force-N", min=LEAST, metavar="N", help="Of every push and of the gripper; default: no bound."),
+]
+HandMaxMoment = Annotated[
+    float | None, typer.Option("--max-moment-N-m", min=LEAST, metavar="N_M", help="Of the gripper; default: no bound.")
+]
+Arm = Annotated[
+    float | None,
+    typer.Option(
+        "--arm-m", min=0.0, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
+    ),
+]
+SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
+MaxForceRate = Annotated[
+    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, metavar="N/S", help="Of every push.")
+]
+MaxSpeed = Annotated[
+    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, metavar="M/S", help="Of the gripper.")
+]
+MaxTurnRate = Annotated[
+    float | None, typer.Option("--max-turn-rate-deg-per-s", min=LEAST, metavar="DEG/S", help="Of the gripper.")
+]
+TooFast = Annotated[
+    Literal["stretch", "refuse"],
+    typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
+]
+BetweenGoals = Annotated[
+    Literal["force", "smooth", "monotone", "linear"] | None,
+    typer.Option(
+        "--between",
+        help="From goal to goal: the force goes evenly (default for one push and one point); or the point does: a "
+        "cubic spline (default otherwise), one that does not swing beyond, straight.",
+    ),
+]
+FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
 
 FAR = 0.5  # of the length, rms from the targets: no shape to be of use
 
@@ -123,7 +165,7 @@ def path(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
             )
         turning = math.radians(or_unlimited(max_turn_rate))
-        limits = Rates(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
+        limits = RateLimits(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
         settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
         weight = gravity_on(stored.beam, gravity)
         by_points: Between = "smooth" if between is None or between == "force" else between
@@ -142,12 +184,12 @@ def path(
         show_path(Console(), way, sure, output)
 
 
-def _alone(goals: Goals, pushes: tuple[Push, ...], grip: Grip | None) -> bool:
+def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
     """Whether one push leads one point."""
     return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
 
 
-def _led(beam: Beam, goals: Goals, pushes: tuple[Push, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
+def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
     if grip is not None or len(pushes) != 1:
         raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
     [one] = pushes
@@ -164,9 +206,9 @@ def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
 
 def _hands(
     grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
-) -> tuple[tuple[Push, ...], Grip | None]:
+) -> tuple[tuple[Pusher, ...], Grip | None]:
     """Without a word a push at the tip; with a grip only the pushes that are named."""
     _no_idle_limit(grip, {"--max-moment-N-m": max_moment})
     places = push_at if push_at is not None else ([] if grip else [1.0])
-    pushes = tuple(Push(place, or_unlimited(max_force)) for place in places)
+    pushes = tuple(Pusher(place, or_unlimited(max_force)) for place in places)
     return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None

@@ -26,7 +26,7 @@ Kind = Literal["mujoco", "pyelastica", "urdf", "sdf", "numpy", "parquet", "pytho
 
 
 @dataclass(frozen=True)
-class About:
+class ExportKind:
     """What a kind of file is, in words for people."""
 
     suffix: str
@@ -34,14 +34,14 @@ class About:
     use: str  # a line to try next; `{path}` is the file
 
 
-KINDS: dict[Kind, About] = {
-    "mujoco": About(".xml", "MJCF, a chain of hinges with springs", "python -m mujoco.viewer --mjcf={path}"),
-    "pyelastica": About(".py", "a Python file with make_rod() for PyElastica", "from {path} take make_rod"),
-    "urdf": About(".urdf", "URDF, the springs in <gazebo> elements", "a reader of plain URDF sees no springs"),
-    "sdf": About(".sdf", "SDF 1.9, a chain of hinges with springs", "gz sim {path}"),
-    "numpy": About(".npz", "a table along s for numpy.load", "numpy.load('{path}')['k_N_m']"),
-    "parquet": About(".parquet", "a table along s", "pandas.read_parquet('{path}')"),
-    "python": About(".py", "a Python file with shape(force, at_s), which needs no package", "python -i {path}"),
+KINDS: dict[Kind, ExportKind] = {
+    "mujoco": ExportKind(".xml", "MJCF, a chain of hinges with springs", "python -m mujoco.viewer --mjcf={path}"),
+    "pyelastica": ExportKind(".py", "a Python file with make_rod() for PyElastica", "from {path} take make_rod"),
+    "urdf": ExportKind(".urdf", "URDF, the springs in <gazebo> elements", "a reader of plain URDF sees no springs"),
+    "sdf": ExportKind(".sdf", "SDF 1.9, a chain of hinges with springs", "gz sim {path}"),
+    "numpy": ExportKind(".npz", "a table along s for numpy.load", "numpy.load('{path}')['k_N_m']"),
+    "parquet": ExportKind(".parquet", "a table along s", "pandas.read_parquet('{path}')"),
+    "python": ExportKind(".py", "a Python file with shape(force, at_s), which needs no package", "python -i {path}"),
 }
 assert set(KINDS) == set(get_args(Kind))
 
@@ -88,10 +88,10 @@ def export(
 
 
 def _table(beam: Beam, uncertain: UncertainStiffness | None, *, parquet_file: bool) -> bytes:
-    found = columns(beam, uncertain)
+    table = columns(beam, uncertain)
     memory = io.BytesIO()
     if parquet_file:
-        parquet.write_table(pa.table(found), memory)
+        parquet.write_table(pa.table(table), memory)
     else:
-        np.savez(memory, **found)  # type: ignore[arg-type]
+        np.savez(memory, **table)  # type: ignore[arg-type]
     return memory.getvalue()

@@ -20,7 +20,7 @@ from onebend.errors import ExportError
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import solved_frames
 from onebend.recording.camera.lens import project
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.records import Array, Observations
 
 CLOCK = "log"  # the timeline: the force log's seconds
@@ -33,9 +33,9 @@ _LINE = np.linspace(0.0, 1.0, 61)
 def write_rerun(
     path: Path,
     beam: Beam,
-    one: Comparison,
-    seen: Observations,
-    frames: Iterable[Frame] = (),
+    comparison: Comparison,
+    observations: Observations,
+    frames: Iterable[FilmFrame] = (),
     *,
     uncertain: UncertainStiffness | None = None,
     every: int = 1,
@@ -51,12 +51,12 @@ def write_rerun(
         ExportError: the Rerun SDK is not installed.
     """
     rr = _rerun()
-    with rr.RecordingStream("onebend", recording_id=seen.name) as stream:
+    with rr.RecordingStream("onebend", recording_id=observations.source.name) as stream:
         stream.save(str(path))
-        _log_force(rr, stream, seen)
+        _log_force(rr, stream, observations)
         _log_stiffness(rr, stream, beam, uncertain)
-        _log_markers(rr, stream, beam, one, seen)
-        times = dict(zip(seen.frame.tolist(), seen.time.tolist(), strict=True))
+        _log_markers(rr, stream, beam, comparison, observations)
+        times = dict(zip(observations.frame.tolist(), observations.time.tolist(), strict=True))
         for frame in frames:
             if frame.index % every == 0 and frame.index in times:
                 stream.set_time(CLOCK, duration=times[frame.index])
@@ -71,10 +71,10 @@ def _rerun() -> Any:
         raise ExportError('a Rerun file needs the Rerun SDK: pip install "onebend[rerun]"') from error
 
 
-def _log_force(rr: Any, stream: Any, seen: Observations) -> None:
+def _log_force(rr: Any, stream: Any, observations: Observations) -> None:
     """The whole log behind the filter where there is one, else the force of every frame."""
-    log = seen.clean_force
-    time, force = (seen.time, seen.force) if log is None else (log.time, log.force)
+    log = observations.source.clean_force
+    time, force = (observations.time, observations.force) if log is None else (log.time, log.force)
     thin = slice(None, None, max(1, len(time) // _ROWS))
     known = np.isfinite(force[thin]).all(axis=1)
     index = [rr.TimeColumn(CLOCK, duration=time[thin][known])]
@@ -95,20 +95,20 @@ def _log_stiffness(rr: Any, stream: Any, beam: Beam, uncertain: UncertainStiffne
     stream.log("stiffness", rr.LineStrips2D(lines, labels=labels), static=True)
 
 
-def _log_markers(rr: Any, stream: Any, beam: Beam, one: Comparison, seen: Observations) -> None:
+def _log_markers(rr: Any, stream: Any, beam: Beam, comparison: Comparison, observations: Observations) -> None:
     """In every compared frame: tags as seen and as simulated, the beam, and how far they are apart."""
-    compared = np.isin(seen.frame, one.frame)
-    lines = np.concatenate([solved.xy(_LINE) for solved in solved_frames(beam, seen, compared)])
-    apart = np.linalg.norm(one.measured - one.predicted, axis=-1)
-    index = [rr.TimeColumn(CLOCK, duration=one.time)]
-    for i, tag in enumerate(one.tag_id):
+    compared = np.isin(observations.frame, comparison.frame)
+    lines = np.concatenate([solved.xy(_LINE) for solved in solved_frames(beam, observations, compared)])
+    apart = np.linalg.norm(comparison.measured - comparison.predicted, axis=-1)
+    index = [rr.TimeColumn(CLOCK, duration=comparison.time)]
+    for i, tag in enumerate(comparison.tag_id):
         stream.send_columns(f"residual/tag_{tag}_mm", index, rr.Scalars.columns(scalars=1e3 * apart[:, i]))
-    for t, time in enumerate(one.time):
+    for t, time in enumerate(comparison.time):
         stream.set_time(CLOCK, duration=float(time))
-        places = lines[t], one.measured[t], one.predicted[t]
+        places = lines[t], comparison.measured[t], comparison.predicted[t]
         _log_shape(rr, stream, "plane", *(_UPWARDS_MM * xy for xy in places))
-        if seen.view is not None:
-            _log_shape(rr, stream, "camera", *(project(seen.view, xy) for xy in places))
+        if observations.source.view is not None:
+            _log_shape(rr, stream, "camera", *(project(observations.source.view, xy) for xy in places))
 
 
 def _log_shape(rr: Any, stream: Any, where: str, line: Array, measured: Array, predicted: Array) -> None:

@@ -1,4 +1,4 @@
-"""What to change before filming: each change is a setup of its own, ranked by how much of the band it would remove."""
+"""What to change before filming: each change gives another setup; they are ranked by how much they narrow the band."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
 from onebend.forecast.instruments import even_push, instruments
-from onebend.forecast.prediction import Predicted, derivatives, outcome_with, told_by
+from onebend.forecast.prediction import PredictedBand, derivatives, information_of, with_information
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import WRIST, ForceSensor
-from onebend.learning.design.candidates import Limits, reaches
+from onebend.learning.design.candidates import Limits, largest_pushes
 from onebend.learning.design.identifiability import solve_push
 from onebend.learning.design.proposals import Quality, direction_words
 from onebend.progress import Progress, Silent, track
@@ -33,8 +33,8 @@ _SENSOR_SIZES = ("white_sd", "coloured_sd", "drift", "reversal", "gain_sd", "qua
 
 
 @dataclass(frozen=True)
-class Change:
-    """One thing done otherwise, and what it would leave of the band."""
+class SetupChange:
+    """One change of the setup, and the band it would leave."""
 
     kind: str  # tag, push, second push, gain, sensor, placement, clock, camera
     text: str
@@ -50,8 +50,10 @@ class Change:
 
 
 @one_blas_thread
-def advise(setup: Setup, now: Predicted, *, count: int = 8, progress: Progress = Silent()) -> tuple[Change, ...]:
-    """The changes that remove most of the band, best first; of each kind the best two at most.
+def advise(
+    setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
+) -> tuple[SetupChange, ...]:
+    """The changes that narrow the band most, best first; at most two of each kind.
 
     Raises:
         MechanicsError: the setup's own push has no stable equilibrium.
@@ -59,22 +61,22 @@ def advise(setup: Setup, now: Predicted, *, count: int = 8, progress: Progress =
     if count < 1:
         return ()
     thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]
-    found = []
+    changes = []
     for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):
         try:
             used = instruments(changed)
-            told = told_by(changed, used, derivatives(changed, used))
+            information = information_of(changed, used, derivatives(changed, used))
         except MechanicsError:
-            continue  # stands where it was looked for, but not on its way there
-        quality = outcome_with(now, used, told).quality
-        found.append(Change(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
-    return _distinct(sorted(found, key=lambda one: -one.share))[:count]
+            continue  # stable at the sampled sizes, but not on the way there
+        quality = with_information(now, used, information).quality
+        changes.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
+    return _distinct(sorted(changes, key=lambda change: -change.share))[:count]
 
 
-Thought = tuple[str, str, Setup]
+Candidate = tuple[str, str, Setup]
 
 
-def _tags(setup: Setup) -> Iterator[Thought]:
+def _tags(setup: Setup) -> Iterator[Candidate]:
     """One more tag in the middle of each gap, and at a bare tip."""
     edges = np.concatenate([[0.0], np.sort(setup.tags)])
     places = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > GAP]
@@ -85,13 +87,13 @@ def _tags(setup: Setup) -> Iterator[Thought]:
         yield "tag", f"{len(places)} more tags, in the middle of every gap", replace(setup, tags=more)
 
 
-def _pushes(setup: Setup) -> Iterator[Thought]:
+def _pushes(setup: Setup) -> Iterator[Candidate]:
     """The first push made otherwise, and one more push."""
     first = setup.pushes[0]
     bench = replace(instruments(setup).bench, curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
     side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
-    for reach in reaches(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
+    for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
         for size in SIZES if not reach.why_not else ():
             push = replace(first, at_s=reach.at_s, direction=reach.direction, peak=size * reach.largest)
             words = push_words(push)
@@ -112,7 +114,7 @@ def sharpest(setup: Setup) -> float:
     return max(bent)
 
 
-def _instruments(setup: Setup) -> Iterator[Thought]:
+def _instruments(setup: Setup) -> Iterator[Candidate]:
     """Better sensors, tolerances and clocks."""
     sensor = setup.sensor
     if sensor.gain_sd > GAIN_SD:
@@ -137,22 +139,22 @@ def better(sensor: ForceSensor) -> ForceSensor:
     return replace(sensor, **{name: getattr(sensor, name) / BETTER for name in _SENSOR_SIZES})
 
 
-def push_words(push: Push) -> str:
+def push_words(push: PushProfile) -> str:
     """Where, which way, how hard."""
     return f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
 
 
-def _distinct(ranked: list[Change]) -> tuple[Change, ...]:
-    """Near-duplicates and what hardly helps left out."""
-    kept: list[Change] = []
-    for one in ranked:
-        alike = [k for k in kept if k.kind == one.kind]
-        near = [k for k in alike if "push" in k.kind and abs(_last(k) - _last(one)) < APART]
-        if one.share >= LEAST_SHARE and len(alike) < 2 and not near:
-            kept.append(one)
+def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
+    """Without near-duplicates and changes that hardly help."""
+    kept: list[SetupChange] = []
+    for change in ranked:
+        alike = [k for k in kept if k.kind == change.kind]
+        near = [k for k in alike if "push" in k.kind and abs(_last(k) - _last(change)) < APART]
+        if change.share >= LEAST_SHARE and len(alike) < 2 and not near:
+            kept.append(change)
     return tuple(kept)
 
 
-def _last(change: Change) -> float:
+def _last(change: SetupChange) -> float:
     """Place of the push that a change is about."""
     return change.setup.pushes[0 if change.kind == "push" else -1].at_s

@@ -33,8 +33,8 @@ def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
     k, wide = p.k, np.exp(LEVEL_SD * p.sd)
     fits, _, _ = errors_of(rehearsal.runs)
-    for i, one in enumerate(fits[:SHOWN]):
-        axes.plot(PLACES, k * np.exp(one), color=MUTED, linewidth=0.6, alpha=0.5, label=None if i else "fits")
+    for i, error in enumerate(fits[:SHOWN]):
+        axes.plot(PLACES, k * np.exp(error), color=MUTED, linewidth=0.6, alpha=0.5, label=None if i else "fits")
     axes.fill_between(PLACES, k / wide, k * wide, color=BLUE, alpha=0.2, linewidth=0.0, label="95 % band, predicted")
     if o is not None:
         obtained = np.exp(LEVEL_SD * o.sd)

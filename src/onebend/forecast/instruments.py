@@ -1,9 +1,9 @@
-"""A setup as the Fisher information wants it: what the fit would take the instruments to be before the first push.
+"""The instruments of a setup before the first push, as the fit would describe them, for the Fisher information.
 
-The force's noise is the sensor's own, in the parts that the fit knows. Every push has its own errors: of its place, of
-the force's axes, and of the force as the load begins and reverses. The clock search's doubt, where clocks are found
-from the data, follows a rule of thumb: a share of the push's time, as the force's error and what a linear relation
-misses are of its peak (within a factor of two for pushes of 4 to 13 s; docs/rehearse.md).
+The force's noise is the sensor's own, in the parts that the fit models. Every push has its own errors: of its place, of
+the force's axes, and of the force as the load begins and reverses. Where the clock offset is found from the data, its
+sd follows a rule of thumb, within a factor of two for pushes of 4 to 13 s: a share of the push's duration that is in
+proportion to the relative error of the force, with 3 % for what a linear relation misses (docs/rehearse.md).
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import LOG_BEFORE
-from onebend.learning.design.instruments import Bench, ForceDoubt
-from onebend.learning.design.instruments import Push as EvenPush
+from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.posterior import FitSettings
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD
@@ -27,15 +26,15 @@ FUNCTIONS = FitSettings.functions  # of log k
 MOST_FRAMES = 200  # of a push that prediction and fit use
 _CUTOFF = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
 _WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
-# What of an error that comes anew with the load's begin, and again with its reversal, is the same in both halves of a
-# push, their difference being seen: the beam takes one way under one force. The rests tell their part.
+# Share of the sensor's reversal error that acts as one constant error over the push. The error is drawn anew as the
+# load begins and as it reverses; the difference between both halves shows, as one force gives one shape.
 _LOAD = 0.75
 _CLOCK, _MISFIT = 0.28, 0.03  # of the push's time; of the peak
 
 
 @dataclass(frozen=True)
-class PushDoubt:
-    """What is not known of a push, anew in each of them; one sd."""
+class PushUncertainty:
+    """Errors that every push has of its own; one sd."""
 
     place: float = PLACE_SD  # m, along the beam
     direction: float = DIRECTION_SD  # rad, of the force log's axes
@@ -43,27 +42,27 @@ class PushDoubt:
 
 
 @dataclass(frozen=True)
-class Instruments:
-    """All that is used in a rehearsal, and how well it is known."""
+class RehearsalInstruments:
+    """The instruments of a rehearsal, and the errors of a push."""
 
-    bench: Bench
-    push: PushDoubt
+    bench: Instruments
+    push: PushUncertainty
 
 
-def even_push(push: Push) -> EvenPush:
+def even_push(push: PushProfile) -> PlannedPush:
     """The push as one that grows evenly from nothing, in its middle direction."""
-    return EvenPush(push.at_s, push.direction, push.peak)
+    return PlannedPush(push.at_s, push.direction, push.peak)
 
 
-def instruments(setup: Setup) -> Instruments:
-    """Bench and doubts before any push; what differs between the pushes is that of the longest."""
+def instruments(setup: Setup) -> RehearsalInstruments:
+    """Instruments and errors before any push; where pushes differ, those of the longest."""
     push = max(setup.pushes, key=_seconds)
     seconds, tags = _seconds(push), len(setup.tags)
     shared = ("along", "across", "turn") if setup.rest == "straight" else ("curvature", "along", "across", "turn")
     sd = {"curvature": [CURVATURE_SD] * 3, "turn": [setup.turn_sd] * tags}
     prior = np.concatenate([sd.get(name, [setup.placement_sd] * tags) for name in shared])
     clock = clock_sd(setup.sensor, push) if math.isnan(setup.clock_sd) else setup.clock_sd
-    bench = Bench(
+    bench = Instruments(
         length=setup.beam.length,
         tags=setup.tags,
         tag_sd=np.tile([setup.noise.white_xy, setup.noise.white_xy, setup.noise.white_angle], (tags, 1)),
@@ -88,10 +87,10 @@ def instruments(setup: Setup) -> Instruments:
         shared=shared,
         shared_slope=np.zeros((len(prior), FUNCTIONS)),
         shared_covariance=np.diag(prior**2),
-        place_sd=0.0,  # what a push is off by stands in `PushDoubt`
+        place_sd=0.0,  # what a push is off by stands in `PushUncertainty`
         direction_sd=0.0,
     )
-    return Instruments(bench, PushDoubt(load=_LOAD * setup.sensor.reversal))
+    return RehearsalInstruments(bench, PushUncertainty(load=_LOAD * setup.sensor.reversal))
 
 
 def clamp_sd(setup: Setup, own: float) -> float:
@@ -102,8 +101,8 @@ def clamp_sd(setup: Setup, own: float) -> float:
     return float(np.hypot(own, 2.0 * setup.placement_sd / reach))
 
 
-def force_doubt(sensor: ForceSensor, push: Push) -> ForceDoubt:
-    """What is left of a sensor's errors behind the low-pass."""
+def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
+    """A sensor's errors behind the low-pass filter."""
     seconds = _seconds(push)
     cutoff = _CUTOFF / seconds
     white = sensor.white_sd * np.sqrt(min(2.0 * cutoff / sensor.rate, 1.0))
@@ -121,12 +120,12 @@ def force_doubt(sensor: ForceSensor, push: Push) -> ForceDoubt:
     )
 
 
-def clock_sd(sensor: ForceSensor, push: Push) -> float:
-    """s: how well the clock search would know the offset, as the fit takes it."""
+def clock_sd(sensor: ForceSensor, push: PushProfile) -> float:
+    """s, sd of the clock offset that the clock search would give, as the fit takes it."""
     error = float(np.sqrt(2.0 * sensor.reversal**2 + sensor.drift**2 * _seconds(push) + sensor.coloured_sd**2))
     return _CLOCK * 0.5 * _seconds(push) * float(np.hypot(error / push.peak, _MISFIT))
 
 
-def _seconds(push: Push) -> float:
+def _seconds(push: PushProfile) -> float:
     begin, end = push.contact
     return end - begin

@@ -1,9 +1,9 @@
-"""How well k(s) would come out, from the Fisher information alone.
+"""How well k(s) would come out, from the Fisher information and the fit's own prior.
 
-With I the data's information on the coefficients c of log k (all nuisances marginalised) and P the precision of their
-prior, the fit gives `(I + P)^-1 (I c + n + P mu)`, n of covariance I. So the band is `(I + P)^-1 = C`, the scatter from
-one recording to the next `C I C`, and the prior's pull on this very k `C P (mu - c)`. The prior's sizes are those that
-the fit is expected to choose for this k: of the greatest expected evidence.
+Let I be the data's information on the coefficients c of log k, all nuisances marginalised. Data without noise say
+`-2 log p = x' I x - 2 x' I c` of the coefficients x. The fit's own posterior of log k (`stiffness_mixture`) under
+these data gives the band, its covariance C, and the bias, its mean less c. Noise of covariance I on `I c` moves the
+mean by C times the noise, so that the scatter from one recording to the next is `C I C`.
 """
 
 from __future__ import annotations
@@ -11,49 +11,45 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.linalg import solve_triangular
 
 from onebend.beam.profiles.uncertain import IDENTIFIED_SD
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import of_moment, respond
 from onebend.blas import one_blas_thread
-from onebend.forecast.instruments import FUNCTIONS, Instruments, even_push, instruments
+from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
-from onebend.lab.pushes import Push
 from onebend.learning.design.identifiability import (
-    STEPS,
-    Seen,
+    TagDerivatives,
     alone,
     eliminate,
     joint_information,
     mass_of,
-    see,
     solve_push,
+    tag_derivatives,
 )
 from onebend.learning.design.proposals import PLACES, Quality
-from onebend.learning.model.spline import RHO, SPREAD, TAU, Spline
+from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
+from onebend.learning.model.spline import Spline
 from onebend.recording.signals import runs
 from onebend.records import Array, BoolArray
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
 _TWO_SIDED = 2.0 * 1.959964
-_EXACT = 1e-3  # of its doubt: what is left of a nuisance that is known
+_EXACT = 1e-3  # share of its sd that is left of a nuisance that is known
 _TINY = 1e-9  # sd of what is known
-_MOST = 3.0  # sd of the scales' logs
+_DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
 @dataclass(frozen=True)
-class Predicted:
+class PredictedBand:
     """Sizes of log k at the 101 places of `PLACES`; one sd, the force's gain included where not said otherwise."""
 
     k: Array  # N m, the truth
-    sd: Array  # what the band says
-    own_sd: Array  # the same, the gain apart
-    scatter: Array  # from one recording to the next
-    pull: Array  # what the prior does to this k, always
-    tau: float  # roughness of log k that the fit would choose
-    rho: float  # steps
+    sd: Array  # of the band
+    own_sd: Array  # of the band, the gain's error left out
+    scatter: Array  # of the estimate, from one recording to the next
+    bias: Array  # of the estimate, by the prior
+    prior: Array  # (p, p) precision of the normal prior under which these data would give this band
     quality: Quality
 
     @property
@@ -64,48 +60,48 @@ class Predicted:
     @property
     def error(self) -> Array:
         """Root mean square error over recordings."""
-        return np.asarray(np.hypot(self.scatter, self.pull))
+        return np.asarray(np.hypot(self.scatter, self.bias))
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """One thing that is not known exactly, and what the band would be if it were."""
+class BudgetEntry:
+    """One nuisance, and what the band would be if it were known exactly."""
 
     name: str
     mean_width: float  # of the 95 % band of log k, with this known exactly
-    share: float  # of the band that this removes
+    share: float  # of the band's mean width that this removes
 
 
 @one_blas_thread
-def predict(setup: Setup) -> Predicted:
+def predict(setup: Setup) -> PredictedBand:
     """The band and the errors to expect.
 
     Raises:
         MechanicsError: the beam buckles or snaps through under a push.
     """
     used = instruments(setup)
-    return _outcome(setup, used, told_by(setup, used, derivatives(setup, used)))
+    return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
 
 
 @one_blas_thread
-def doubts(setup: Setup) -> tuple[Doubt, ...]:
-    """Every nuisance, the one that costs most first: the band with each known exactly, all else as it is.
+def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEntry, ...]:
+    """For every nuisance the band with it known exactly and all else as it is; the most costly first.
 
     Raises:
         MechanicsError: as `predict`.
     """
     used = instruments(setup)
-    seen = derivatives(setup, used)
-    now = _outcome(setup, used, told_by(setup, used, seen))
-    out = []
+    along_pushes = derivatives(setup, used)
+    now = predicted.quality.mean_width
+    entries = []
     for name, better in known_exactly(used).items():
-        left = outcome_with(now, better, told_by(setup, better, seen)).quality.mean_width
-        out.append(Doubt(name, left, max(1.0 - left / now.quality.mean_width, 0.0)))
-    return tuple(sorted(out, key=lambda one: -one.share))
+        width = with_information(predicted, better, information_of(setup, better, along_pushes)).quality.mean_width
+        entries.append(BudgetEntry(name, width, max(1.0 - width / now, 0.0)))
+    return tuple(sorted(entries, key=lambda entry: -entry.share))
 
 
-def known_exactly(used: Instruments) -> dict[str, Instruments]:
-    """The instruments with one thing known, all but exactly."""
+def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
+    """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
     bench, push, e = used.bench, used.push, _EXACT
     force = bench.force
     steady = replace(force.times(e), frame=force.frame)
@@ -124,104 +120,84 @@ def known_exactly(used: Instruments) -> dict[str, Instruments]:
         del out["force's gain"]
     if bench.clock_sd == 0.0:
         del out["clock"]
-    return {name: replace(used, bench=one) for name, one in out.items()} | {
-        "force's bias and slow error": Instruments(replace(bench, force=steady), replace(push, load=e * push.load)),
+    return {name: replace(used, bench=better) for name, better in out.items()} | {
+        "force's bias and slow error": RehearsalInstruments(
+            replace(bench, force=steady), replace(push, load=e * push.load)
+        ),
         "push's place": replace(used, push=replace(push, place=e * push.place)),
         "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
     }
 
 
-def derivatives(setup: Setup, used: Instruments) -> tuple[Seen, ...]:
-    """Of the tags along every push, with what is not known; behind the coefficients of log k stand a push's own."""
+def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
+    """Derivatives of the tags' poses along every push with all that is not known.
+
+    Behind the coefficients of log k stand those with the push's own place [m], direction [rad] and force [N].
+    """
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
         on_nodes = SPLINE.basis(solved.problem.grid.nodes)
-        one = see(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
-        out.append(replace(one, functions=np.concatenate([one.functions, own_derivatives(solved, one, push)], axis=-1)))
+        along_push = tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
+        own = [along_push.blocks[name] for name in ("place", "direction", "push")]  # m, rad, N x and y
+        stiffness = np.concatenate([along_push.blocks["stiffness"], *own], axis=-1)
+        out.append(replace(along_push, blocks=along_push.blocks | {"stiffness": stiffness}))
     return tuple(out)
 
 
-def own_derivatives(solved: Equilibrium, seen: Seen, push: Push) -> Array:
-    """(F, M, 3, 4) of the tags' poses with the push's place [m], the turn of its axes [rad] and its force's error [N].
-
-    A force that acts farther out by d along the tangent u is the same force with a moment d u x F beside it.
-    """
-    steps = np.append((np.arange(STEPS) + 0.5) / STEPS, 0.0)[:, None]
-    force = push.peak * steps * np.array([np.cos(push.direction), np.sin(push.direction)])
-    response = respond(solved, of_moment(solved.problem, np.asarray(push.at_s))).poses(seen.tags)
-    angle = solved.angle(np.array([push.at_s]))[:, 0]
-    lever = np.cos(angle) * force[:, 1] - np.sin(angle) * force[:, 0]
-    turned = np.stack([-force[:, 1], force[:, 0]], axis=-1)
-    along = np.einsum("tmad,td->tma", seen.force, turned)[..., None]
-    return np.concatenate([lever[:, None, None, None] * response, along, seen.force], axis=-1)
-
-
-def told_by(setup: Setup, used: Instruments, seen: tuple[Seen, ...]) -> Array:
-    """(p, p) information of all pushes together on the coefficients, tags and rest shape being the same in all."""
+def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
+    """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
     sd = np.maximum([own.place, own.direction, own.load, own.load], _TINY)
     first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
     last = np.arange(first, first + len(sd))
     order = np.concatenate([np.setdiff1d(np.arange(size), last), last])
-    parts = [joint_information(one, bench, even_push(p), chosen) for one, p in zip(seen, setup.pushes, strict=True)]
-    joint = np.sum([eliminate(one[np.ix_(order, order)], len(sd), sd**-2.0) for one in parts], axis=0)
+    joint = np.zeros((first + bench.shared_size, first + bench.shared_size))
+    for along_push, push in zip(along_pushes, setup.pushes, strict=True):
+        of_push = joint_information(along_push, bench, even_push(push), chosen)
+        joint += eliminate(of_push[np.ix_(order, order)], len(sd), sd**-2.0)
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def _outcome(setup: Setup, used: Instruments, told: Array) -> Predicted:
+def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -> PredictedBand:
+    """What the fit's prior makes of data with this information (p, p), that show the setup's k without noise."""
     k = np.asarray(setup.beam.stiffness(PLACES))
-    away = _away(k)
-    return _with_scales(k, away, told, used.bench.gain_sd, *likely_scales(told, away))
+    truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
+    posterior = stiffness_mixture(SPLINE, [Told(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS)
+    prior = equivalent_prior(posterior.covariance, information)
+    bias = np.asarray(BASIS @ (posterior.mean - truth))
+    return _band(k, bias, prior, information, used.bench.gain_sd)
 
 
-def outcome_with(now: Predicted, used: Instruments, told: Array) -> Predicted:
-    """The same beam with other information; the prior's sizes are kept, so that only the data differ."""
-    return _with_scales(now.k, _away(now.k), told, used.bench.gain_sd, now.tau, now.rho)
+def with_information(now: PredictedBand, used: RehearsalInstruments, information: Array) -> PredictedBand:
+    """The same beam with other data: the equivalent prior and the bias are kept, so that only the data differ."""
+    return _band(now.k, now.bias, now.prior, information, used.bench.gain_sd)
 
 
-def _away(k: Array) -> Array:
-    """(p,) coefficients of the prior's mean, an even k, less those of `k` (101,)."""
-    log_k = np.log(k)
-    return np.asarray(float(np.mean(log_k)) - np.linalg.lstsq(BASIS, log_k, rcond=None)[0])
+def equivalent_prior(covariance: Array, information: Array) -> Array:
+    """(p, p) precision P of a normal prior with `(I + P)^-1 = covariance`.
 
-
-def _with_scales(k: Array, away: Array, told: Array, gain_sd: float, tau: float, rho: float) -> Predicted:
-    prior = SPLINE.precision(tau, rho)
-    left = np.asarray(np.linalg.inv(told + prior))
-    own = _along(left)
-    sd = np.hypot(own, gain_sd)
-    scatter = np.hypot(_along(np.asarray(left @ told @ left)), gain_sd)
-    pull = np.asarray(BASIS @ left @ prior @ away)
-    return Predicted(k, sd, own, scatter, pull, tau, rho, quality_of(sd, own))
-
-
-def _along(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.einsum("si,ij,sj->s", BASIS, covariance, BASIS), 0.0)))
-
-
-def likely_scales(told: Array, away: Array) -> tuple[float, float]:
-    """tau and rho of the greatest expected evidence: over the noise, of data that show `away` (p,) from the level.
-
-    `2 log p = log|P| - log|I + P| - a' (P - P C P) a + tr(C I)`, under the fit's own priors of both.
+    With covariance = L L', P = L^-T (1 - L' I L) L^-1. Where the draws make the covariance larger than the data alone
+    allow, by chance, that part of P is zero.
     """
-
-    def cost(z: Array) -> float:
-        prior = SPLINE.precision(*_scales(z))
-        left = np.linalg.inv(told + prior)
-        ratio = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(told + prior)[1]
-        missed = away @ prior @ away - away @ prior @ left @ prior @ away
-        return float(0.5 * (z @ z + missed - ratio - np.trace(left @ told)))
-
-    options = {"initial_simplex": [[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]], "xatol": 0.02, "fatol": 1e-3, "maxfev": 120}
-    found = minimize(cost, np.zeros(2), method="Nelder-Mead", options=options)
-    return _scales(found.x)
+    root = np.linalg.cholesky(covariance)
+    values, vectors = np.linalg.eigh(root.T @ information @ root)
+    factor = solve_triangular(root, vectors * np.sqrt(np.maximum(1.0 - values, 0.0)), lower=True, trans="T")
+    return np.asarray(factor @ factor.T)
 
 
-def _scales(z: Array) -> tuple[float, float]:
-    tau, rho = np.array([TAU, RHO]) * np.exp(SPREAD * np.clip(z, -_MOST, _MOST))
-    return float(tau), float(rho)
+def _band(k: Array, bias: Array, prior: Array, information: Array, gain_sd: float) -> PredictedBand:
+    covariance = np.asarray(np.linalg.inv(information + prior))
+    own_sd = _sd_along(covariance)
+    sd = np.hypot(own_sd, gain_sd)
+    scatter = np.hypot(_sd_along(np.asarray(covariance @ information @ covariance)), gain_sd)
+    return PredictedBand(k, sd, own_sd, scatter, bias, prior, quality_of(sd, own_sd))
+
+
+def _sd_along(covariance: Array) -> Array:
+    """(101,) sd of log k at `PLACES`."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("si,ij,sj->s", BASIS, covariance, BASIS), 0.0)))
 
 
 def quality_of(sd: Array, own_sd: Array) -> Quality:

@@ -1,4 +1,4 @@
-"""A rehearsal: what is predicted, what simulated recordings give, what costs most, what to change."""
+"""A rehearsal: the predicted band, what simulated recordings give, the uncertainty budget, what to change."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.forecast.advice import Change, advise
-from onebend.forecast.prediction import Doubt, Predicted, doubts, predict, ranges
-from onebend.forecast.runs import Run, errors_of, simulate
+from onebend.forecast.advice import SetupChange, advise
+from onebend.forecast.prediction import BudgetEntry, PredictedBand, predict, ranges, uncertainty_budget
+from onebend.forecast.runs import SimulatedRun, errors_of, simulate
 from onebend.forecast.setup import Setup, check_bending
 from onebend.learning.design.proposals import PLACES, direction_words
 from onebend.progress import Progress, Silent
@@ -24,7 +24,7 @@ MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
 
 @dataclass(frozen=True)
 class Obtained:
-    """What the fits gave, along the 101 places of `PLACES`. R runs came out."""
+    """What the fits gave, along the 101 places of `PLACES`; R fits succeeded."""
 
     runs: int
     failed: int
@@ -35,8 +35,8 @@ class Obtained:
     sd: Array  # median, of the bands
     identified: Array  # share of the runs that call k identified here
     coverage: Array  # share of the 95 % bands that hold the truth here
-    covered: float  # the same over places that were called identified; NaN: none was
-    covered_error: float  # its standard error, whole runs being drawn; NaN with fewer than two
+    covered: float  # the same over the places that the fits call identified; NaN where there are none
+    covered_error: float  # its standard error, from run to run; NaN with fewer than two runs
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Rehearsal:
 
     setup: Setup
     seed: int
-    predicted: Predicted
-    doubts: tuple[Doubt, ...]  # what costs most first
-    advice: tuple[Change, ...]  # what helps most first
-    runs: tuple[Run, ...]
+    predicted: PredictedBand
+    budget: tuple[BudgetEntry, ...]  # the most costly nuisance first
+    advice: tuple[SetupChange, ...]  # the most helpful change first
+    runs: tuple[SimulatedRun, ...]
 
     @property
     def obtained(self) -> Obtained | None:
@@ -61,7 +61,7 @@ class Rehearsal:
         pushes = [{"at_s": x.at_s, "direction_rad": x.direction, "peak_N": x.peak} for x in s.pushes]
         asked = {"name": s.name, "length_m": s.beam.length, "tags_s": list(s.tags), "pushes": pushes}
         tolerances = {"gain_sd": s.gain_sd, "placement_sd_m": s.placement_sd, "turn_sd_rad": s.turn_sd}
-        said = {name: getattr(p, name).tolist() for name in ("k", "sd", "own_sd", "scatter", "pull", "error")}
+        said = {name: getattr(p, name).tolist() for name in ("k", "sd", "own_sd", "scatter", "bias", "error")}
         return {
             "setup": {**asked, **tolerances, "clock_sd_s": s.clock_sd, "fps": s.fps},
             "seed": self.seed,
@@ -69,15 +69,13 @@ class Rehearsal:
             "predicted": {
                 **said,
                 "identified": ranges(p.identified),
-                "tau": p.tau,
-                "rho": p.rho,
                 "band": vars(p.quality),
             },
             "obtained": None
             if o is None
             else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
-            "doubts": [vars(one) for one in self.doubts],
-            "advice": [one.as_dict() for one in self.advice],
+            "uncertainty_budget": [vars(entry) for entry in self.budget],
+            "advice": [change.as_dict() for change in self.advice],
         }
 
 
@@ -91,7 +89,7 @@ def rehearse(
     count: int = 8,
     progress: Progress = Silent(),
 ) -> Rehearsal:
-    """How well k(s) would come out of a setup: from its Fisher information, and from `runs` simulated recordings.
+    """How well k(s) would be known from a setup: by its Fisher information, and from `runs` simulated recordings.
 
     Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each
     run is kept there as it ends, and work that was interrupted goes on from it.
@@ -104,16 +102,16 @@ def rehearse(
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
     check_bending(setup)
     predicted = predict(setup)
-    costs = doubts(setup)
+    budget = uncertainty_budget(setup, predicted)
     changes = advise(setup, predicted, count=count, progress=progress)
     done = simulate(setup, range(seed, seed + runs), jobs=jobs, keep=keep, progress=progress) if runs else ()
-    return Rehearsal(setup, seed, predicted, costs, changes, done)
+    return Rehearsal(setup, seed, predicted, budget, changes, done)
 
 
-def obtained_of(runs: tuple[Run, ...]) -> Obtained | None:
-    """What the runs gave; None where none came out."""
+def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
+    """What the fits gave; None where all failed."""
     error, sd, known = errors_of(runs)
-    failures = [one.failure for one in runs if one.failure]
+    failures = [run.failure for run in runs if run.failure]
     if not len(error):
         return None
     inside = np.asarray(np.abs(error) <= LEVEL_SD * sd)
@@ -134,7 +132,7 @@ def obtained_of(runs: tuple[Run, ...]) -> Obtained | None:
 
 
 def _share(hits: Array, counts: Array) -> tuple[float, float]:
-    """Sum of hits (R,) over sum of counts (R,), and its error by linearisation, runs being independent."""
+    """Sum of hits (R,) over sum of counts (R,), and its standard error: linearised, runs are independent."""
     total = float(np.sum(counts))
     if total == 0.0:
         return nan, nan

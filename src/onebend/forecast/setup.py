@@ -1,4 +1,4 @@
-"""What is rehearsed: a beam, pushes, tags, instruments, and how well everything is put on and known."""
+"""What is rehearsed: a beam, pushes, tags and instruments, and their tolerances."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.design_file import find_design
+from onebend.lab.film_request import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, check_name, push_of
 from onebend.lab.filming.viewpoint import Camera, view_from
-from onebend.lab.named import SENSORS, SWINGING, SensorName, Wish, camera_of, check_name, push_of
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import FRANKA, ForceSensor
 from onebend.lab.tag_errors import TagNoise
-from onebend.lab.virtual import Bench, tag_poses
-from onebend.lab.virtual import Tag as LabTag
+from onebend.lab.virtual import VirtualBench, VirtualTag, tag_poses
 from onebend.recording.camera.lens import project
 from onebend.records import TURN_SD, Rest
 from onebend.results.model import FILE_NAME, read_model
@@ -33,11 +32,11 @@ FEWEST_FRAMES = 20  # of a push
 
 @dataclass(frozen=True)
 class Setup:
-    """One or more pushes of a known beam, as they would be filmed and logged. Sizes of errors are one sd."""
+    """One or more pushes of a known beam, as they would be filmed and logged. Errors are one sd."""
 
     name: str
     beam: Beam
-    pushes: tuple[Push, ...]
+    pushes: tuple[PushProfile, ...]
     tags: tuple[float, ...] = THIRDS
     sensor: ForceSensor = FRANKA
     noise: TagNoise = field(default_factory=TagNoise)
@@ -82,12 +81,12 @@ def _check_tags(tags: tuple[float, ...]) -> None:
         if not 0.0 < s <= 1.0:
             where = "beyond the tip (s = 1)" if s > 1.0 else "not on the beam: s = 0 is the clamp"
             raise RecordingError(f"a tag at s = {s:g} is {where}. Give places in (0, 1]")
-    for one, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
-        if other - one < NEAREST_TAGS:
-            raise RecordingError(f"tags at s = {one:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
+    for place, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
+        if other - place < NEAREST_TAGS:
+            raise RecordingError(f"tags at s = {place:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
 
 
-def _check_push(setup: Setup, push: Push) -> None:
+def _check_push(setup: Setup, push: PushProfile) -> None:
     first = min(setup.tags)
     if push.at_s < first - 1e-6:
         raise RecordingError(
@@ -107,15 +106,15 @@ def _check_push(setup: Setup, push: Push) -> None:
 
 
 @dataclass(frozen=True)
-class Known:
-    """A beam that is known, and the tags that it has where it was learned."""
+class KnownBeam:
+    """A known beam, and the places of its tags where it was learned from tags."""
 
     name: str
     beam: Beam
     tags: tuple[float, ...] = THIRDS
 
 
-def known_beam(name_or_path: str) -> Known:
+def known_beam(name_or_path: str) -> KnownBeam:
     """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one.
 
     Raises:
@@ -128,14 +127,14 @@ def known_beam(name_or_path: str) -> Known:
         if not np.all(k > 0.0):
             raise MechanicsError(f"{path}: k(s) is not positive everywhere, so this beam cannot be rehearsed")
         tags = stored.bench.tags if stored.bench is not None else stored.origin.marker_s if stored.origin else THIRDS
-        return Known(path.resolve().parent.name if path.suffix else path.resolve().name, stored.beam, tuple(tags))
-    found = find_design(name_or_path)
-    return Known(found.name, found.beam())
+        return KnownBeam(path.resolve().parent.name if path.suffix else path.resolve().name, stored.beam, tuple(tags))
+    design = find_design(name_or_path)
+    return KnownBeam(design.name, design.beam())
 
 
 def setup_of(
-    known: Known,
-    wishes: Sequence[Wish],
+    known: KnownBeam,
+    requests: Sequence[FilmRequest],
     *,
     tags: Sequence[float] = (),
     gain_sd: float = nan,
@@ -143,21 +142,23 @@ def setup_of(
     turn_sd: float = Setup.turn_sd,
     clock_sd: float = nan,
 ) -> Setup:
-    """The setup that is asked for; camera, frame rate and sensor are those of the first wish.
+    """The setup that is asked for; camera, frame rate and sensor are those of the first request.
 
     Raises:
         RecordingError: a number that cannot be, or a push in which the beam swings.
         MechanicsError: the beam snaps through under a push.
     """
-    first = wishes[0]
-    for wish in wishes:
-        if wish.push in SWINGING:
-            raise RecordingError(f"a {wish.push} push makes the beam swing, and is not learned from. Take a slow one")
+    first = requests[0]
+    for request in requests:
+        if request.push in SWINGING:
+            raise RecordingError(
+                f"a {request.push} push makes the beam swing, and is not learned from. Take a slow one"
+            )
     camera, fps = camera_of(first)
     sensor = SENSORS[check_name(first.sensor, SensorName, "sensor")][0]
     sensor = sensor if isnan(gain_sd) else replace(sensor, gain_sd=gain_sd)
     places = tuple(sorted(float(s) for s in tags)) or known.tags
-    pushes = tuple(push_of(wish, known.beam) for wish in wishes)
+    pushes = tuple(push_of(request, known.beam) for request in requests)
     setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, placement_sd, turn_sd, clock_sd)
     for push in pushes:
         if push.peak < 1e-9:
@@ -167,9 +168,9 @@ def setup_of(
 
 def check_bending(setup: Setup) -> None:
     """Raises `MechanicsError` where a push does not bend the beam, or bends it beyond what a tool can follow."""
-    rest = Bench(setup.beam, setup.pushes[0], tags=(LabTag(0, 1.0),))
+    rest = VirtualBench(setup.beam, setup.pushes[0], tags=(VirtualTag(0, 1.0),))
     for push in setup.pushes:
-        bench = replace(rest, push=push, tags=(LabTag(0, push.at_s),))
+        bench = replace(rest, push=push, tags=(VirtualTag(0, push.at_s),))
         angle = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))[:, 0, 2]
         turn = float(np.rad2deg(np.max(np.abs(angle - angle[0]))))
         what = f"{push.peak:.3g} N at s = {push.at_s:g} would turn the beam there by"
@@ -192,7 +193,7 @@ def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
     edge = 0.75 * TAG_SHARE * setup.beam.length  # from a tag's middle to the edge of its paper
     places = [np.zeros((1, 2))]
     for push in setup.pushes:
-        bench = Bench(setup.beam, push, tags=tuple(LabTag(i, s) for i, s in enumerate(setup.tags)))
+        bench = VirtualBench(setup.beam, push, tags=tuple(VirtualTag(i, s) for i, s in enumerate(setup.tags)))
         poses = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))
         places.append(poses[..., :2].reshape(-1, 2))
     corners = edge * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])

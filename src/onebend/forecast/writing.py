@@ -43,7 +43,7 @@ def writer_of(rehearsal: Rehearsal, *, written_by: str) -> Callable[[Path], None
     def write(folder: Path) -> None:
         write_table(folder / "rehearsal.csv", rehearsal)
         (folder / "rehearsal.png").write_bytes(png_of(rehearsal_figure(rehearsal)))
-        runs = [one.as_dict() for one in rehearsal.runs]
+        runs = [run.as_dict() for run in rehearsal.runs]
         whole = {**summary_of(rehearsal, written_by=written_by), "runs": runs}
         write_summary(folder / "summary.json", whole, files_in(folder))
 

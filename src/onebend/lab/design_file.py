@@ -14,7 +14,7 @@ from onebend.beam.profiles.piecewise import broken_line
 from onebend.beam.profiles.stiffness import Powers, Profile
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design, design_named, width_table
-from onebend.lab.materials import TYPICAL_DENSITY, Stiffness, from_shore_00, from_shore_a, silicone
+from onebend.lab.materials import TYPICAL_DENSITY, ModulusEstimate, from_shore_00, from_shore_a, silicone
 from onebend.recording.toml.schema import (
     Check,
     Mistakes,
@@ -216,7 +216,7 @@ def _width(table: Any, mistakes: Mistakes) -> Profile | None:
     return None
 
 
-def _material(table: Any, mistakes: Mistakes) -> tuple[Stiffness, float] | None:
+def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] | None:
     entry = read_table(MaterialEntry, table, ("material",), mistakes)
     if entry is None:
         return None
@@ -234,17 +234,19 @@ def _material(table: Any, mistakes: Mistakes) -> tuple[Stiffness, float] | None:
         said = f"not {' and '.join(given)}" if given else "and has none"
         mistakes.add(("material",), f"[material] needs one of silicone, shore_a, shore_00 or modulus_Pa, {said}.")
         return None
-    ways: dict[str, Callable[[], Stiffness]] = {
+    ways: dict[str, Callable[[], ModulusEstimate]] = {
         "silicone": lambda: silicone(entry.silicone).stiffness,
         "shore_a": lambda: from_shore_a(entry.shore_a),
         "shore_00": lambda: from_shore_00(entry.shore_00),
-        "modulus_Pa": lambda: Stiffness(entry.modulus, 0.0, "given"),
+        "modulus_Pa": lambda: ModulusEstimate(entry.modulus, 0.0, "given"),
     }
     try:
-        found = ways[given[0]]()
+        estimate = ways[given[0]]()
     except MechanicsError as wrong:
         mistakes.add(("material", given[0]), f"[material] {wrong}.")
         return None
-    log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else found.log_sd
+    log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else estimate.log_sd
     usual = silicone(entry.silicone).density if entry.silicone else TYPICAL_DENSITY
-    return Stiffness(found.modulus, log_sd, found.source), entry.density if math.isfinite(entry.density) else usual
+    return ModulusEstimate(estimate.modulus, log_sd, estimate.source), entry.density if math.isfinite(
+        entry.density
+    ) else usual

@@ -20,7 +20,7 @@ from onebend.beam.profiles.section import Material, Rectangle, SectionPart, Sect
 from onebend.beam.profiles.stiffness import Powers, Profile, Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import MechanicsError
-from onebend.lab.materials import TYPICAL_DENSITY, Stiffness, from_shore_a
+from onebend.lab.materials import TYPICAL_DENSITY, ModulusEstimate, from_shore_a
 from onebend.records import Array, Remark
 
 PLACES = 2001  # where a width is checked
@@ -104,7 +104,7 @@ class Design:
         count = len(spline.c)
         return UncertainStiffness(knots, np.asarray(spline.c), np.zeros((count, count)), self.modulus_log_sd)
 
-    def of(self, stiffness: Stiffness, density: float | None = None) -> Design:
+    def of(self, stiffness: ModulusEstimate, density: float | None = None) -> Design:
         """The same shape cast of another material."""
         return replace(
             self,

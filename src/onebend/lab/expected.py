@@ -30,7 +30,7 @@ MOST_FORCE, GROWTH = 8.0, 1.15  # times the small-angle one, and from try to try
 
 
 @dataclass(frozen=True)
-class Bend:
+class TipBend:
     """The tip turned by a tool that presses squarely on the beam at its tip."""
 
     turn: float  # rad, of the tip
@@ -54,7 +54,7 @@ class Expected:
     """Figures of one design. All forces and the stiffness scale with the modulus; shapes do not depend on it."""
 
     design: Design
-    bends: tuple[Bend, ...]
+    bends: tuple[TipBend, ...]
     compliance: float  # m/N, of the tip to a small force across
     buckling: float  # N, on the tip along the beam
     frequency: tuple[float, ...]  # Hz, the two slowest vibrations in the plane of bending
@@ -103,7 +103,7 @@ def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected
     )
 
 
-def bend(design: Design, turn: float) -> Bend:
+def bend(design: Design, turn: float) -> TipBend:
     """The force at the tip, square to the beam there, that turns the tip by `turn` [rad].
 
     Raises:
@@ -125,7 +125,7 @@ def bend(design: Design, turn: float) -> Bend:
     solved = equilibrium(beam, follow_push((0.0, force)), resolution=FINE)
     nodes = solved.problem.grid.nodes
     strain = 0.5 * np.asarray(design.width(nodes)) * np.abs(solved.q[0]) / design.length
-    return Bend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))
+    return TipBend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))
 
 
 def tip_compliance(beam: Beam) -> float:

@@ -35,15 +35,15 @@ def stretched(
     scale = max(float(np.max(np.abs(moment))), 1e-12)
     text = f"no shape of the beam with an axial stiffness of {axial_stiffness:g} N was found. Give a larger one"
     for _ in range(MOST):
-        left = shoot(beam, force, at_s, edges, axial_stiffness, moment)[-1][:, 3]
-        worst = float(np.max(np.abs(left)))
+        residual = shoot(beam, force, at_s, edges, axial_stiffness, moment)[-1][:, 3]
+        worst = float(np.max(np.abs(residual)))
         if worst < 1e-11 * scale:
             break
         if not worst < FARTHEST * scale:
             raise MechanicsError(text)
         h = 1e-5 * scale
         more = shoot(beam, force, at_s, edges, axial_stiffness, moment + h)[-1][:, 3]
-        moment = moment - left * h / (more - left)
+        moment = moment - residual * h / (more - residual)
     else:
         raise MechanicsError(text)
     path = np.stack(shoot(beam, force, at_s, edges, axial_stiffness, moment), axis=1)[:, np.searchsorted(edges, s)]

@@ -22,7 +22,7 @@ BALL_RADIUS, TRAVEL = 1.19e-3, 2.54e-3  # m, the indenter of type 00 and its way
 
 
 @dataclass(frozen=True)
-class Stiffness:
+class ModulusEstimate:
     """A modulus and how sure it is."""
 
     modulus: float  # E at small strain, Pa
@@ -42,13 +42,13 @@ class Silicone:
     maker: str
 
     @property
-    def stiffness(self) -> Stiffness:
+    def stiffness(self) -> ModulusEstimate:
         """E from the stress at 100 % stretch where the maker gives it, else from the hardness."""
         if math.isfinite(self.stress_100):
             return from_stress_100(self.stress_100, f"{self.name}, stress at 100 % stretch by {self.maker}")
         by = from_shore_a if self.scale == "A" else from_shore_00
-        found = by(self.shore)
-        return Stiffness(found.modulus, found.log_sd, f"{self.name}: {found.source}")
+        estimate = by(self.shore)
+        return ModulusEstimate(estimate.modulus, estimate.log_sd, f"{self.name}: {estimate.source}")
 
 
 def _silicone(name: str, shore: float, scale: str, psi: float, density: float, maker: str = "Smooth-On") -> Silicone:
@@ -85,7 +85,7 @@ def silicone(name: str) -> Silicone:
     return SILICONES[known[name.lower()]]
 
 
-def from_shore_a(shore: float) -> Stiffness:
+def from_shore_a(shore: float) -> ModulusEstimate:
     """E from a Shore A hardness: A. N. Gent, Rubber Chem. Technol. 31 (1958) 896, a rigid flat punch on a half-space.
 
     Its derivation holds from 20 to 80; it is taken from 5 to 95 with a wider band.
@@ -97,10 +97,10 @@ def from_shore_a(shore: float) -> Stiffness:
     modulus = 0.0981e6 * (56.0 + 7.62336 * shore) / (0.137505 * (254.0 - 2.54 * shore))
     per_point = 7.62336 / (56.0 + 7.62336 * shore) + 1.0 / (100.0 - shore)
     fit = GENT_FIT if GENT_RANGE[0] <= shore <= GENT_RANGE[1] else BEYOND_GENT
-    return Stiffness(modulus, math.hypot(fit, per_point * HARDNESS_SD), f"Shore A {shore:g} by Gent (1958)")
+    return ModulusEstimate(modulus, math.hypot(fit, per_point * HARDNESS_SD), f"Shore A {shore:g} by Gent (1958)")
 
 
-def from_shore_00(shore: float) -> Stiffness:
+def from_shore_00(shore: float) -> ModulusEstimate:
     """E from a Shore 00 hardness: Hertz (1882), the ball and spring of ASTM D2240 on an incompressible half-space.
 
     The ball sinks in by more than Hertz's small depth, so that this is good to a factor of about 1.6 only.
@@ -112,12 +112,12 @@ def from_shore_00(shore: float) -> Stiffness:
     force, depth = 0.203 + 0.00908 * shore, TRAVEL * (1.0 - shore / 100.0)
     modulus = force / (16.0 / 9.0 * math.sqrt(BALL_RADIUS) * depth**1.5)
     per_point = 0.00908 / force + 1.5 / (100.0 - shore)
-    return Stiffness(
+    return ModulusEstimate(
         modulus, math.hypot(HERTZ_FIT, per_point * HARDNESS_SD), f"Shore 00-{shore:g} by Hertz and ASTM D2240"
     )
 
 
-def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> Stiffness:
+def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> ModulusEstimate:
     """E at small strain from the nominal stress at 100 % stretch ("100 % modulus") [Pa] of a neo-Hookean rubber.
 
     `stress = E / 3 (stretch - stretch^-2)` at stretch 2, hence E = 12/7 of it (Treloar 1975).
@@ -127,7 +127,7 @@ def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> S
     """
     if not (math.isfinite(stress) and stress > 0.0):
         raise MechanicsError(f"a stress at 100 % stretch must be positive, got {stress} Pa")
-    return Stiffness(12.0 / 7.0 * stress, STRESS_FIT, source)
+    return ModulusEstimate(12.0 / 7.0 * stress, STRESS_FIT, source)
 
 
 def _check(shore: float, allowed: tuple[float, float], scale: str) -> None:

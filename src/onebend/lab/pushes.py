@@ -11,7 +11,7 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class Push:
+class PushProfile:
     """The force on the beam over a film that begins at 0 s."""
 
     peak: float  # N

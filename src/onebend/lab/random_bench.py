@@ -10,14 +10,14 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Table
+from onebend.lab.film_request import SENSORS, SensorName
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.scene import Backdrop, Scene
 from onebend.lab.filming.viewpoint import Camera
-from onebend.lab.named import SENSORS, SensorName
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import Kind, force_that_bends, random_stiffness
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.truths import Kind, force_that_bends, random_stiffness
-from onebend.lab.virtual import Bench, Clock, Said, Tag
+from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, VirtualTag
 from onebend.records import Array
 
 PLACES = np.linspace(0.0, 1.0, 401)
@@ -26,7 +26,7 @@ SLENDERNESS = 11.0  # lengths over mean widths
 
 
 @dataclass(frozen=True)
-class Chance:
+class BenchRanges:
     """What may be drawn."""
 
     kinds: tuple[Kind, ...] = ("smooth", "smooth", "smooth", "stepped", "joint")
@@ -38,7 +38,7 @@ class Chance:
     calibrated: float = 0.7  # share of films
 
 
-def random_bench(rng: np.random.Generator, chance: Chance = Chance(), *, name: str = "drawn") -> Filming:
+def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), *, name: str = "drawn") -> Filming:
     """A slow push of an unknown beam. Tolerances that are told are those that were drawn from.
 
     The force's gain is told with its sd, as the maker of a sensor would. The same state of `rng` gives the same bench.
@@ -48,15 +48,15 @@ def random_bench(rng: np.random.Generator, chance: Chance = Chance(), *, name: s
     placement = float(rng.uniform(2e-4, 6e-4))
     tags = random_tags(rng, placement)
     offset = float(rng.uniform(20.0, 400.0))
-    bench = Bench(
+    bench = VirtualBench(
         beam=beam,
         push=random_push(rng, beam, chance),
         tags=tags,
         base=(*rng.normal(0.0, placement, 2).tolist(), float(rng.normal(0.0, np.radians(1.0)))),
         sensor=sensor,
         fps=float(rng.choice(chance.fps)),
-        clock=Clock(offset, round(offset + float(rng.uniform(-1.0, 1.0)), 2), 2.0),
-        said=Said(placement_sd=round(placement, 5), gain_sd=gain_sd),
+        clock=VirtualClock(offset, round(offset + float(rng.uniform(-1.0, 1.0)), 2), 2.0),
+        declared=DeclaredValues(placement_sd=round(placement, 5), gain_sd=gain_sd),
         name=name,
     )
     return Filming(
@@ -74,7 +74,7 @@ def random_bench(rng: np.random.Generator, chance: Chance = Chance(), *, name: s
     )
 
 
-def random_beam(rng: np.random.Generator, chance: Chance) -> tuple[Beam, Table]:
+def random_beam(rng: np.random.Generator, chance: BenchRanges) -> tuple[Beam, Table]:
     """A beam, and its width [m] as drawn: that of a flat bar of one material with this k(s)."""
     length = round(float(rng.uniform(0.12, 0.30)), 3)
     kind = chance.kinds[int(rng.integers(len(chance.kinds)))]
@@ -86,13 +86,13 @@ def random_beam(rng: np.random.Generator, chance: Chance) -> tuple[Beam, Table]:
     return Beam(length, stiffness, mass_per_length=Scaled(DENSITY * DEPTH, width)), width
 
 
-def random_push(rng: np.random.Generator, beam: Beam, chance: Chance) -> Push:
+def random_push(rng: np.random.Generator, beam: Beam, chance: BenchRanges) -> PushProfile:
     """Slow, across the beam from either side; it turns the pushed place by 45 to 80 degrees."""
     at_s = float(rng.choice(chance.pushed_at))
     seconds, side = float(rng.uniform(*chance.seconds)), float(rng.choice([-1.0, 1.0]))
     direction = side * float(rng.uniform(1.45, 1.95))
     peak = force_that_bends(beam, float(np.radians(rng.uniform(45.0, 80.0))), direction, at_s)
-    return Push(
+    return PushProfile(
         peak,
         direction=direction,
         turn=side * float(rng.uniform(0.0, 0.6)),
@@ -105,14 +105,14 @@ def random_push(rng: np.random.Generator, beam: Beam, chance: Chance) -> Push:
     )
 
 
-def random_tags(rng: np.random.Generator, placement: float) -> tuple[Tag, ...]:
+def random_tags(rng: np.random.Generator, placement: float) -> tuple[VirtualTag, ...]:
     """Three to five tags, the last at the tip, put on by hand with a ruler."""
     count = int(rng.integers(3, 6))
     first = int(rng.integers(1, 20))
     errors: Array = rng.normal(0.0, placement, (count, 2))
     turns = rng.normal(0.0, np.radians(0.7), count)
     return tuple(
-        Tag(first + i, round((i + 1) / count, 6), float(errors[i, 0]), float(errors[i, 1]), float(turns[i]))
+        VirtualTag(first + i, round((i + 1) / count, 6), float(errors[i, 0]), float(errors[i, 1]), float(turns[i]))
         for i in range(count)
     )
 
@@ -137,7 +137,7 @@ def random_sensor(rng: np.random.Generator, name: SensorName) -> tuple[ForceSens
     return drawn, called, 0.1
 
 
-def random_camera(rng: np.random.Generator, chance: Chance) -> Camera:
+def random_camera(rng: np.random.Generator, chance: BenchRanges) -> Camera:
     """From straight above to 12 degrees tilted, lenses from a phone's to a cheap wide one's."""
     width, height = chance.sides[int(rng.integers(len(chance.sides)))]
     k1 = float(rng.uniform(-0.15, 0.08))
@@ -154,7 +154,7 @@ def random_camera(rng: np.random.Generator, chance: Chance) -> Camera:
     )
 
 
-def random_scene(rng: np.random.Generator, bench: Bench) -> Scene:
+def random_scene(rng: np.random.Generator, bench: VirtualBench) -> Scene:
     """Table, light, tool, hand and noise."""
     begin, end = bench.push.contact
     backdrops = get_args(Backdrop)

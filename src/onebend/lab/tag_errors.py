@@ -32,11 +32,11 @@ def filmed(noise: TagNoise, pose: Array, step: float, rng: np.random.Generator) 
     white = np.array([noise.white_xy, noise.white_xy, noise.white_angle])
     slow = np.array([noise.slow_xy, noise.slow_xy, noise.slow_angle])
     far = np.array([noise.outlier_xy, noise.outlier_xy, noise.outlier_angle])
-    seen = pose + white * rng.standard_normal(pose.shape)
+    measured = pose + white * rng.standard_normal(pose.shape)
     pairs = [coloured(count, step, noise.slow_time, rng) for _ in range((3 * tags + 1) // 2)]
-    seen = seen + slow * np.concatenate(pairs, axis=1)[:, : 3 * tags].reshape(count, tags, 3)
+    measured = measured + slow * np.concatenate(pairs, axis=1)[:, : 3 * tags].reshape(count, tags, 3)
     wrong = rng.random((count, tags)) < noise.outliers
-    seen = seen + wrong[..., None] * far * rng.standard_normal(pose.shape)
-    seen[rng.random((count, tags)) < noise.missing] = np.nan
+    measured = measured + wrong[..., None] * far * rng.standard_normal(pose.shape)
+    measured[rng.random((count, tags)) < noise.missing] = np.nan
     sd = noise.stated * np.sqrt(white**2 + slow**2)
-    return seen, np.tile(np.diag(sd**2), (count, tags, 1, 1))
+    return measured, np.tile(np.diag(sd**2), (count, tags, 1, 1))

@@ -17,10 +17,10 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.extensible import stretched
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import RESOLUTION
 from onebend.lab.sensors import ForceSensor, log_of
 from onebend.lab.tag_errors import TagNoise, filmed
-from onebend.lab.truths import RESOLUTION
 from onebend.recording.observe import ObserveSettings, assemble
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, PushEntry, Recording, TagEntry, TagsEntry
@@ -32,7 +32,7 @@ DENSE = 1e-3  # s, step of the true force that a sensor sees
 
 
 @dataclass(frozen=True)
-class Tag:
+class VirtualTag:
     """A tag on the beam: its written place, and how far it really sits from there."""
 
     id: int
@@ -43,16 +43,16 @@ class Tag:
 
 
 @dataclass(frozen=True)
-class Clock:
+class VirtualClock:
     """`log time = film time + offset`, and what the user wrote down of it."""
 
     offset: float = 250.0  # s
-    said: float = 250.0  # s
-    uncertainty: float = 2.0  # s, largest error of `said`
+    declared: float = 250.0  # s
+    uncertainty: float = 2.0  # s, largest error of `declared`
 
 
 @dataclass(frozen=True)
-class Said:
+class DeclaredValues:
     """What recording.toml says where that is not the truth; NaN: the truth."""
 
     length: float = nan  # m
@@ -66,27 +66,27 @@ class Said:
 
 
 @dataclass(frozen=True)
-class Bench:
+class VirtualBench:
     """One recording to be made: the beam, the push, the tags, the instruments, and what is said of them."""
 
     beam: Beam
-    push: Push
-    tags: tuple[Tag, ...] = (Tag(1, 1.0 / 3.0), Tag(2, 2.0 / 3.0), Tag(3, 1.0))
+    push: PushProfile
+    tags: tuple[VirtualTag, ...] = (VirtualTag(1, 1.0 / 3.0), VirtualTag(2, 2.0 / 3.0), VirtualTag(3, 1.0))
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: the base tag's pose in the clamp's frame
     sensor: ForceSensor = field(default_factory=ForceSensor)
     camera: TagNoise = field(default_factory=TagNoise)
     fps: float = 15.0
-    clock: Clock = field(default_factory=Clock)
-    said: Said = field(default_factory=Said)
+    clock: VirtualClock = field(default_factory=VirtualClock)
+    declared: DeclaredValues = field(default_factory=DeclaredValues)
     axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the model of the fit does not know
     name: str = "virtual"
 
 
 @dataclass(frozen=True)
-class Virtual:
+class VirtualRecording:
     """A virtual recording, and its truth."""
 
-    bench: Bench
+    bench: VirtualBench
     recording: Recording
     markers: Markers
     log: ForceLog
@@ -94,7 +94,7 @@ class Virtual:
     pose: Array  # (T, m, 3) m, m, rad: the true tags in the clamp's frame
 
 
-def virtual_recording(bench: Bench, *, seed: int) -> Virtual:
+def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other.
 
     Raises:
@@ -107,23 +107,23 @@ def virtual_recording(bench: Bench, *, seed: int) -> Virtual:
     time = np.arange(0.0, bench.push.duration, 1.0 / bench.fps)
     force = bench.push.force(time)
     pose = tag_poses(bench, force)
-    seen, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
+    poses, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
     markers = Markers(
         time=time,
         tag_id=np.array([tag.id for tag in bench.tags], dtype=np.int64),
         s=np.array([tag.s for tag in bench.tags]),
-        xy=seen[..., :2],
-        angle=seen[..., 2],
+        xy=poses[..., :2],
+        angle=poses[..., 2],
         covariance=covariance,
         base_angle=np.zeros(len(time)),
         view=None,
     )
     dense = np.arange(-LOG_BEFORE, bench.push.duration + LOG_BEFORE, DENSE)
     log = log_of(bench.sensor, dense, bench.push.force(dense), sensor_rng, offset=bench.clock.offset)
-    return Virtual(bench, written(bench), markers, log, force, pose)
+    return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose)
 
 
-def observe_virtual(virtual: Virtual, settings: ObserveSettings = ObserveSettings()) -> Observations:
+def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = ObserveSettings()) -> Observations:
     """The real way from markers and log to observations: clocks, contact, zero, filter, frame.
 
     Raises:
@@ -132,7 +132,7 @@ def observe_virtual(virtual: Virtual, settings: ObserveSettings = ObserveSetting
     return assemble(virtual.recording, virtual.markers, virtual.log, None, settings)
 
 
-def tag_poses(bench: Bench, force: Array) -> Array:
+def tag_poses(bench: VirtualBench, force: Array) -> Array:
     """(T, m, 3) the tags in the clamp's frame under forces (T, 2). A tag rides on the beam where it really sits."""
     beam, at_s = bench.beam, bench.push.at_s
     s = np.clip(tag_places(bench), 0.0, 1.0)
@@ -143,15 +143,15 @@ def tag_poses(bench: Bench, force: Array) -> Array:
     xy, angle = solved.xy(s), solved.angle(s)
     if np.isfinite(bench.axial_stiffness):
         xy, angle = stretched(beam, force, at_s, s, bench.axial_stiffness, solved)
-    return riding(bench, xy, angle)
+    return tag_poses_on(bench, xy, angle)
 
 
-def tag_places(bench: Bench) -> Array:
+def tag_places(bench: VirtualBench) -> Array:
     """(m,) where the tags really sit; below 0 or above 1 where one sticks out over an end."""
     return np.array([tag.s + tag.along / bench.beam.length for tag in bench.tags])
 
 
-def riding(bench: Bench, xy: Array, angle: Array) -> Array:
+def tag_poses_on(bench: VirtualBench, xy: Array, angle: Array) -> Array:
     """(T, m, 3) the tags, from the beam's positions (T, m, 2) and angles (T, m) at their places, clipped to 0..1."""
     real = tag_places(bench)
     beyond = bench.beam.length * (real - np.clip(real, 0.0, 1.0))  # a tag may stick out over the tip
@@ -171,22 +171,27 @@ def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
     return np.concatenate([back, pose[..., 2:] - turn], axis=-1)
 
 
-def written(bench: Bench) -> Recording:
+def declared_recording(bench: VirtualBench) -> Recording:
     """What recording.toml would say."""
-    said, clock, at = bench.said, bench.clock, Path("virtual") / bench.name
+    declared, clock, at = bench.declared, bench.clock, Path("virtual") / bench.name
     return Recording(
         folder=at,
         name=bench.name,
-        beam=BeamEntry(length=bench.beam.length if isnan(said.length) else said.length, rest=said.rest),
+        beam=BeamEntry(length=bench.beam.length if isnan(declared.length) else declared.length, rest=declared.rest),
         tags=TagsEntry(
             size=0.012,
-            placement_sd=said.placement_sd,
+            placement_sd=declared.placement_sd,
             on_base=(TagEntry(id=0, s=0.0),),
             on_beam=tuple(TagEntry(id=tag.id, s=tag.s) for tag in bench.tags),
         ),
         camera=None,
-        video=VideoEntry(file=at / "video.mp4", start=clock.said, start_uncertainty=clock.uncertainty),
-        force=ForceEntry(file=at / "force.csv", rotation=said.axes, rotation_sd=said.axes_sd, gain_sd=said.gain_sd),
-        push=PushEntry(at=bench.push.at_s if isnan(said.push_s) else said.push_s, at_sd=said.place_sd),
+        video=VideoEntry(file=at / "video.mp4", start=clock.declared, start_uncertainty=clock.uncertainty),
+        force=ForceEntry(
+            file=at / "force.csv",
+            rotation=declared.axes,
+            rotation_sd=declared.axes_sd,
+            gain_sd=declared.gain_sd,
+        ),
+        push=PushEntry(at=bench.push.at_s if isnan(declared.push_s) else declared.push_s, at_sd=declared.place_sd),
         gravity=None,
     )

@@ -61,14 +61,14 @@ def _effect(critic: Criticism) -> str:
 def symptom_words(finding: Finding, posterior: Posterior) -> str:
     """Which coordinate of which tag, and how much."""
     suspect = finding.score.suspect
-    whose = f"{suspect.recording}: " if len(posterior.films) > 1 else ""
+    whose = f"{suspect.recording}: " if len(posterior.recordings) > 1 else ""
     return f"{whose}tag {suspect.tag} {suspect.name}, {_millimetres(finding.score.size)} RMS that follows the load"
 
 
 def cause_words(finding: Finding, posterior: Posterior) -> _Words:
     """What it would be, and what to do about it."""
     suspect, value = finding.score.suspect, finding.score.value
-    whose = f"{suspect.recording}: " if suspect.recording and len(posterior.films) > 1 else ""
+    whose = f"{suspect.recording}: " if suspect.recording and len(posterior.recordings) > 1 else ""
     if suspect.kind == "mechanics":
         what, do = _MECHANICS[suspect.name](value, posterior)
     elif suspect.kind == "prior":
@@ -85,14 +85,14 @@ def unseen_words(posterior: Posterior) -> str:
     for one in posterior.criticism.findings:
         value = one.score.value
         if one.score.suspect.name == "push place" and np.all(np.isfinite(value)) and np.all(value != 0.0):
-            share = _SLIP / posterior.films[0].observations.length / abs(float(value[0]))
+            share = _SLIP / posterior.recordings[0].observations.length / abs(float(value[0]))
             seen = -ALARM_WRITTEN * float(one.score.sd[0])  # about 3 sd
             change = 100.0 * float(np.expm1(share * one.shift))
-            said = _millimetres(max(f.observations.place_sd for f in posterior.films))
+            said = _millimetres(max(f.observations.stated.place_sd for f in posterior.recordings))
             return (
                 f"A push {_millimetres(_SLIP)} from where at_s says it acts would change k(s) by up to {change:.2g} % "
                 f"({share * one.sds:.1f} sd). The band allows for {said} (at_sd_m); more would be noticed only if it "
-                f"were off by more than about {_millimetres(seen * posterior.films[0].observations.length)}"
+                f"were off by more than about {_millimetres(seen * posterior.recordings[0].observations.length)}"
             )
     return ""
 
@@ -101,7 +101,7 @@ def supposed_words(finding: Finding, posterior: Posterior) -> str:
     """What was tested."""
     if finding.score.suspect.kind == "trend":
         suspect = finding.score.suspect
-        whose = f"{suspect.recording}: " if len(posterior.films) > 1 else ""
+        whose = f"{suspect.recording}: " if len(posterior.recordings) > 1 else ""
         return f"{whose}tag {suspect.tag} {suspect.name} follows the load in a way that the model does not"
     if not np.all(np.isfinite(finding.score.value)):
         return f"{finding.score.suspect.name}: nothing in the data tells"
@@ -121,14 +121,14 @@ def _shear(value: Array, _: Posterior) -> _Words:
 
 
 def _length(value: Array, posterior: Posterior) -> _Words:
-    said = posterior.films[0].observations.length
+    said = posterior.recordings[0].observations.length
     side = "longer" if value[0] > 0.0 else "shorter"
     words = f"the beam is about {_millimetres(said * abs(value[0]))} {side} than the {1000 * said:.4g} mm written down"
     return words, "Measure length_m from the clamp's edge to the tip, the tags' s, and the size of the tags' squares"
 
 
 def _place(value: Array, posterior: Posterior) -> _Words:
-    said = float(np.median(posterior.films[0].push_s))
+    said = float(np.median(posterior.recordings[0].push_s))
     where = f"at about s = {said + value[0]:.3g}, " if 0.0 < said + value[0] < _OUT else ""
     words = f"the push acts {where}not at {said:.3g}"
     return words, "Check [push] at_s; if it is not known, state at_sd_m, and the fit finds it within that"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.outcome import Comparison, Explained
 from onebend.learning.posterior import Posterior
@@ -16,27 +16,27 @@ PLACES = np.linspace(0.0, 1.0, 121)  # of the centre line
 
 def explained(posterior: Posterior) -> tuple[Explained, ...]:
     """Every recording of a fit, in the frames that it used."""
-    parts = zip(posterior.films, posterior.slow, fitted_rms(posterior), strict=True)
-    return tuple(_one(posterior, film, prediction, rms) for film, prediction, rms in parts)
+    parts = zip(posterior.recordings, posterior.slow, fitted_rms(posterior), strict=True)
+    return tuple(_one(posterior, recording, prediction, rms) for recording, prediction, rms in parts)
 
 
-def _one(posterior: Posterior, film: Film, found: Prediction, rms: Array) -> Explained:
-    seen, x, at = film.observations, posterior.mean, posterior.at
-    used = slice(0, int(np.sum(film.frames)))  # beyond them stands the beam at rest
-    scale, origin = 1.0 + at.get(x, "scale", film.number), at.get(x, "origin", film.number)
+def _one(posterior: Posterior, recording: FitData, prediction: Prediction, rms: Array) -> Explained:
+    observations, x, layout = recording.observations, posterior.mean, posterior.layout
+    used = slice(0, int(np.sum(recording.frames)))  # beyond them stands the beam at rest
+    scale, origin = 1.0 + layout.get(x, "scale", recording.number), layout.get(x, "origin", recording.number)
     comparison = Comparison(
-        name=seen.name,
-        frame=seen.frame[film.frames],
-        time=seen.time[film.frames],
-        tag_id=seen.tag_id,
-        marker_s=seen.marker_s,
-        measured=film.measured[used, :, :2],
-        predicted=found.pose[used, :, :2],
-        force=found.force[used],
-        push_s=film.push_s[used],
-        stable=found.solved.stable[used],
+        name=observations.source.name,
+        frame=observations.frame[recording.frames],
+        time=observations.time[recording.frames],
+        tag_id=observations.tag_id,
+        marker_s=observations.marker_s,
+        measured=recording.measured[used, :, :2],
+        predicted=prediction.pose[used, :, :2],
+        force=prediction.force[used],
+        push_s=recording.push_s[used],
+        stable=prediction.solved.stable[used],
         rms=rms,
-        sensor_rms=np.full(len(seen.tag_id), np.nan),
-        static=seen.static,
+        sensor_rms=np.full(len(observations.tag_id), np.nan),
+        static=observations.static,
     )
-    return Explained(comparison, scale * found.solved.xy(PLACES)[used] + origin, film.force[used])
+    return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, recording.force[used])

@@ -12,7 +12,7 @@ from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.force_error import ForceError, force_error, ramp
 from onebend.learning.model.frames import push_places, usable_frames
-from onebend.learning.model.parameters import Priors, layout, scale_sd
+from onebend.learning.model.parameters import Priors, make_layout, scale_sd
 from onebend.learning.model.spline import Spline
 from onebend.records import Array, BoolArray, Observations
 
@@ -41,7 +41,7 @@ def replay(
         o.length,
         o.marker_s,
         start,
-        mass=o.mass if np.isfinite(o.mass) else 0.0,
+        mass=o.stated.mass if np.isfinite(o.stated.mass) else 0.0,
         gain_sd=gain_sd,
         settings=settings_for(o, settings),
     )
@@ -54,13 +54,16 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
     """Settings with what a recording says of placement, rest, camera, clock and force noise."""
     o = observations
     known = replace(
-        settings, placement_sd=o.placement_sd, rest_unknown=o.rest == "unknown", priors=_priors(o, settings)
+        settings,
+        placement_sd=o.stated.placement_sd,
+        rest_unknown=o.stated.rest == "unknown",
+        priors=_priors(o, settings),
     )
-    if o.view is not None:
+    if o.source.view is not None:
         sd = scale_sd(o, settings.priors)
         known = replace(known, calibrated=sd == 0.0, priors=replace(known.priors, scale=sd))
     largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0
-    if largest == 0.0 or not (np.any(o.force_sd > 0.0) or o.clean_force is not None):
+    if largest == 0.0 or not (np.any(o.force_sd > 0.0) or o.source.clean_force is not None):
         return known  # nothing is said of the force's noise
     error = force_error(o, o.time[usable_frames(o)])
     memory, longer = _memory(error, 1.0), _memory(error, _LONGER)
@@ -78,7 +81,7 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     """What the fit takes as known before the data."""
-    at = layout(Spline(settings.functions), [o], [0], settings.priors)
+    at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
     sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
     shared = {"curvature": "curvature", "placement": "along", "mounting": "turn"}
     sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in shared.items()}
@@ -113,7 +116,7 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
     put back.
     """
     o, places = observations, push_places(observations)
-    logged = o.force - ramp(o.clean_force, o.time)
+    logged = o.force - ramp(o.source.clean_force, o.time)
     film = [
         LiveFrame(
             time=float(o.time[t]),
@@ -127,12 +130,12 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
         )
         for t in _playable(o)
     ]
-    if o.clean_force is None or not film:
+    if o.source.clean_force is None or not film:
         return film
     tags = len(o.marker_s)
     nothing = np.full((tags, 2), np.nan), np.full(tags, np.nan), np.full((tags, 3, 3), np.nan)
-    time = o.clean_force.time
-    force = o.clean_force.force - ramp(o.clean_force, time)
+    time = o.source.clean_force.time
+    force = o.source.clean_force.force - ramp(o.source.clean_force, time)
     known = np.all(np.isfinite(force), axis=1)
     gap = max(_REST_STEP, float(np.median(np.diff(o.time))))
 

@@ -33,7 +33,7 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     """
     frames = [_some(o) for o in recordings]
     if mass_is_open(recordings):
-        names = ", ".join(o.name for o in recordings if weighs(o))
+        names = ", ".join(o.source.name for o in recordings if weighs(o))
         raise LearningError(f"{names}: {NEEDS_MASS}, or guess it first, with `with_mass`")
     if sets_no_scale(recordings):
         return Uniform(1.0)  # as good as any
@@ -72,8 +72,8 @@ def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
     usable, still = np.flatnonzero(usable_frames(o)).astype(np.int64), nothing_moves(o)
     if len(usable) == 0 or still:
         raise LearningError(
-            f"{o.name}: {still or 'no frame has a load, a force and a tag'}, so nothing can be learned from it. Film a "
-            "push (or a beam that its weight bends), with the tags in view, and let the force log cover it"
+            f"{o.source.name}: {still or 'no frame has a load, a force and a tag'}, so nothing can be learned from it. "
+            "Film a push (or a beam that its weight bends), with the tags in view, and let the force log cover it"
         )
     return evenly_spread(usable, most, len(o.time))
 
@@ -93,14 +93,14 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
 def _largest_load(o: Observations, some: BoolArray) -> float:
     """N, force and weight of the frames."""
     loads = np.linalg.norm(o.force[some], axis=1)
-    if o.known is not None:
-        moment = np.sum(np.abs(o.known.moment[some]), axis=1) / o.length
-        loads = loads + np.sum(np.linalg.norm(o.known.force[some], axis=-1), axis=1) + moment
+    if o.known_loads is not None:
+        moment = np.sum(np.abs(o.known_loads.moment[some]), axis=1) / o.length
+        loads = loads + np.sum(np.linalg.norm(o.known_loads.force[some], axis=-1), axis=1) + moment
     if weighs(o):
-        loads = loads + np.nan_to_num(o.mass) * np.linalg.norm(o.gravity[some], axis=1)
+        loads = loads + np.nan_to_num(o.stated.mass) * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
 
 
 def _mass(recordings: Sequence[Observations]) -> Profile:
-    known = [o for o in recordings if np.isfinite(o.mass)]
+    known = [o for o in recordings if np.isfinite(o.stated.mass)]
     return mass_profile(known[0]) if known else Uniform(0.0)

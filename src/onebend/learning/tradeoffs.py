@@ -58,12 +58,12 @@ def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tu
 def correlations(posterior: Posterior) -> tuple[list[str], Array]:
     """Names (N,) and correlations (N, N) of the quantities; the level of k(s) comes first."""
     names, rows = [LEVEL], [_level(posterior)]
-    for block in posterior.at.blocks:
+    for block in posterior.layout.blocks:
         if block.start < 0 or block.name == "stiffness":
             continue
-        these = quantities(block, posterior.films)
+        these = quantities(block, posterior.recordings)
         names += these.labels
-        rows += list(_wide(these.weights, block, posterior.at.size))
+        rows += list(_wide(these.weights, block, posterior.layout.size))
     functionals = np.stack(rows)
     covariance = functionals @ posterior.covariance @ functionals.T
     sd = np.sqrt(np.diag(covariance))
@@ -74,9 +74,9 @@ def _level(posterior: Posterior) -> Array:
     """(P,) weights of the mean of log k, over the identified places if there are any."""
     s = np.linspace(0.0, 1.0, _PLACES)
     identified = posterior.band(s).identified
-    basis = posterior.at.spline.basis(s[identified] if np.any(identified) else s)
-    out = np.zeros(posterior.at.size)
-    out[posterior.at.index["stiffness", -1].where] = np.mean(basis, axis=0)
+    basis = posterior.layout.spline.basis(s[identified] if np.any(identified) else s)
+    out = np.zeros(posterior.layout.size)
+    out[posterior.layout.index["stiffness", -1].where] = np.mean(basis, axis=0)
     return out
 
 

@@ -42,16 +42,16 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     frames = usable_frames(observations)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
-        raise LearningError(f"{observations.name}: {why}; nothing to compare")
+        raise LearningError(f"{observations.source.name}: {why}; nothing to compare")
     if weighs(observations) and not has_mass(beam):
-        raise LearningError(f"{observations.name}: {NEEDS_MASS}")
+        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
     solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
     predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
     stable = np.concatenate([one.stable for one in solved])
     measured = observations.xy[frames]
     return Comparison(
-        name=observations.name,
+        name=observations.source.name,
         frame=observations.frame[frames],
         time=observations.time[frames],
         tag_id=observations.tag_id,

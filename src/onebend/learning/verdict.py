@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.learning.criticism_messages import criticism_remarks
-from onebend.learning.inference.misfit import film_rms
+from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Observations, Remark
@@ -22,7 +22,9 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
 
     NaN for a tag that was never seen. Unlike the RMS of a `Comparison`, errors of the force log are taken off here.
     """
-    return tuple(film_rms(film, fitted) for film, fitted in zip(posterior.films, posterior.slow, strict=True))
+    return tuple(
+        recording_rms(recording, fitted) for recording, fitted in zip(posterior.recordings, posterior.slow, strict=True)
+    )
 
 
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
@@ -45,8 +47,8 @@ def _search(posterior: Posterior) -> list[Remark]:
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:
-    usual = max(_usual_clamp(film.observations) for film in posterior.films)
-    sd = max((float(b.prior_sd[0]) for b in posterior.at.blocks if b.name == "clamp"), default=usual)
+    usual = max(_usual_clamp(film.observations) for film in posterior.recordings)
+    sd = max((float(b.prior_sd[0]) for b in posterior.layout.blocks if b.name == "clamp"), default=usual)
     if sd <= 1.001 * usual:
         return []
     text = (
@@ -58,15 +60,15 @@ def _clamp(posterior: Posterior) -> list[Remark]:
 
 def _usual_clamp(one: Observations) -> float:
     """rad, the clamp's sd where nobody says more of it; of poses, what their recording says."""
-    return clamp_sd(one if one.static else replace(one, clamp_sd=np.nan), Priors())
+    return clamp_sd(one if one.static else replace(one, stated=replace(one.stated, clamp_sd=np.nan)), Priors())
 
 
 def _nuisances(posterior: Posterior) -> list[Remark]:
     """Those far from their priors that the tests of the model, which know what data must do to them, let pass."""
     told = {(f.score.suspect.name, f.score.suspect.tag) for f in posterior.criticism.striking}
-    ids = posterior.films[0].observations.tag_id.tolist()
+    ids = posterior.recordings[0].observations.tag_id.tolist()
     out = []
-    for block in posterior.at.blocks:
+    for block in posterior.layout.blocks:
         if block.start < 0 or block.name in ("stiffness", "force"):
             continue
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
@@ -83,9 +85,9 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
 
 def _noise(posterior: Posterior) -> list[Remark]:
     out = []
-    for seen, noise in zip(posterior.films, posterior.optimum.scales.films, strict=True):
+    for seen, noise in zip(posterior.recordings, posterior.optimum.hyperparameters.noise, strict=True):
         if noise.marker > _LOUD:
-            whose = _whose(posterior, seen.observations.name)
+            whose = _whose(posterior, seen.observations.source.name)
             text = (
                 f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
                 f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
@@ -99,4 +101,4 @@ def _noise(posterior: Posterior) -> list[Remark]:
 
 def _whose(posterior: Posterior, name: str) -> str:
     """The recording that a remark is on, where there are several."""
-    return f"{name}: " if len(posterior.films) > 1 else ""
+    return f"{name}: " if len(posterior.recordings) > 1 else ""

@@ -10,7 +10,7 @@ import numpy as np
 from onebend.records import Array, BoolArray, Markers, Remark
 
 MOUNTING_SD = math.radians(2.0)  # of the base tag against the beam, put on by hand
-BLOCKS = 5  # of the rest, to see how its mean scatters
+BLOCKS = 5  # of the rest; the scatter of their means is part of its covariance
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class RestShape:
 def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
     """Robust mean of the poses over the frames `still`.
 
-    Its covariance is that of one frame over their number, plus the scatter of the means of five blocks, which holds
-    what does not average out from frame to frame (light, vibration). Errors that stay the same are not in it.
+    The covariance is that of one frame over the number of frames, plus the scatter of the means of five blocks. The
+    second part holds slow changes (light, vibration), which do not average out. Constant errors are in neither.
     """
     poses = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)[still]
     m = len(markers.tag_id)
@@ -36,13 +36,13 @@ def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
     covariance = np.full((m, 3, 3), np.nan)
     for i in range(m):
         parts = slice(0, 3 if turns[i] else 2)
-        mine = poses[seen[:, i], i, parts]
-        if not len(mine):
+        tag_poses = poses[seen[:, i], i, parts]
+        if not len(tag_poses):
             continue
-        mean[i, parts] = np.median(mine, axis=0)
-        covariance[i] = markers.covariance[still][seen[:, i], i].mean(axis=0) / len(mine)
-        if len(mine) >= 3 * BLOCKS:
-            blocks = np.stack([np.median(part, axis=0) for part in np.array_split(mine, BLOCKS)])
+        mean[i, parts] = np.median(tag_poses, axis=0)
+        covariance[i] = markers.covariance[still][seen[:, i], i].mean(axis=0) / len(tag_poses)
+        if len(tag_poses) >= 3 * BLOCKS:
+            blocks = np.stack([np.median(part, axis=0) for part in np.array_split(tag_poses, BLOCKS)])
             covariance[i][parts, parts] += np.diag(blocks.var(axis=0, ddof=1) / BLOCKS)
     return RestShape(mean[:, :2], mean[:, 2], covariance)
 
@@ -50,8 +50,8 @@ def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
 def beam_turn(rest: RestShape, placement_sd: float) -> float:
     """Angle of the undeformed beam against the base tag, rad.
 
-    Least squares over the line through the origin: each marker lies on it up to its covariance and placement
-    tolerance; the base tag's own direction counts as one more datum of `MOUNTING_SD`. Gauss-Newton in the angle.
+    Least squares of a line through the origin, by Gauss-Newton. The residual of a marker has the variance of its place
+    and of the placement tolerance. The prior: the angle is 0 with the sd `MOUNTING_SD`.
     """
     known = np.isfinite(rest.xy).all(axis=1)
     turn = 0.0

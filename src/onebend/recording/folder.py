@@ -72,12 +72,12 @@ def read_recording(folder: Path | str) -> Recording:
     if isinstance(sections["camera"], UncalibratedEntry):
         sections["camera"] = None
     beam = with_paths(beam, "beam", folder, mistakes)
-    found = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
-    check_together(found, data, mistakes)
+    entries = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
+    check_together(entries, data, mistakes)
     if not mistakes.found:
         for name in BAGS:
-            if found[name] is not None:
-                check_bag(name, found[name], data[name], mistakes)
+            if entries[name] is not None:
+                check_bag(name, entries[name], data[name], mistakes)
     if mistakes.found or beam is None or tags is None:
         raise RecordingError(str(mistakes))
     rec = Recording(
@@ -87,12 +87,12 @@ def read_recording(folder: Path | str) -> Recording:
         tags=tags,
         remarks=(
             *remarks_on(tags, data),
-            *entry_remarks(beam, found["camera"]),
-            *spread_remarks(beam, found, scale_sd),
-            *unit_remarks(beam, tags, found),
+            *entry_remarks(beam, entries["camera"]),
+            *spread_remarks(beam, entries, scale_sd),
+            *unit_remarks(beam, tags, entries),
         ),
         scale_sd=scale_sd,
-        **found,
+        **entries,
     )
     return with_bags(rec, data)
 
@@ -151,14 +151,14 @@ def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | 
             rows = []
         read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
         lists[group] = tuple(tag for tag in read if tag is not None)
-    seen: set[int] = set()
+    known_ids: set[int] = set()
     for group, tags in lists.items():
         for i, tag in enumerate(tags):
-            if tag.id in seen:
+            if tag.id in known_ids:
                 mistakes.add(
                     ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
                 )
-            seen.add(tag.id)
+            known_ids.add(tag.id)
     if pictures and "size_m" not in table:
         mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
     return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
@@ -174,11 +174,11 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
             continue
         path = folder / written
         wants_folder = field_name in ("folder", "definitions")
-        there = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
-        if not there:
+        exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
+        if not exists:
             what = "folder" if wants_folder else "file"
-            near = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
-            hint = f"Did you mean {near[0]}?" if near else "Put it there, or correct the name."
+            similar = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
+            hint = f"Did you mean {similar[0]}?" if similar else "Put it there, or correct the name."
             mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {path}. {hint}")
         entry = replace(entry, **{field_name: path})
     if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
@@ -186,10 +186,10 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     return entry
 
 
-def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
-    """What no table can say alone."""
-    push, gravity = found["push"], found["gravity"]
-    if push is not None and push.column and found["force"] is not None and found["force"].topic:
+def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
+    """Mistakes between tables, or between keys of one table."""
+    push, gravity = entries["push"], entries["gravity"]
+    if push is not None and push.column and entries["force"] is not None and entries["force"].topic:
         mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
     if push is not None and math.isnan(push.at) == (push.column == ""):
         mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
@@ -202,11 +202,13 @@ def check_together(found: dict[str, Any], data: dict[str, Any], mistakes: Mistak
 
 
 def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
-    """What was assumed because the file does not say it."""
+    """Remarks on values that are assumed because the file does not state them."""
     remarks = []
     if "placement_sd_m" not in data["tags"] and "poses" not in data:
-        said = f"{1000 * tags.placement_sd:g} mm"
-        remarks.append(Remark("note", f"recording.toml does not say how exactly the tags were placed: {said} assumed."))
+        assumed = f"{1000 * tags.placement_sd:g} mm"
+        remarks.append(
+            Remark("note", f"recording.toml does not say how exactly the tags were placed: {assumed} assumed.")
+        )
     film = data.get("video", data.get("markers"))
     if film is not None and "start_s" not in film and "force" in data:
         what = "the video starts" if "video" in data else "the tracks start"

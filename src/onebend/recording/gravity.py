@@ -1,4 +1,4 @@
-"""Gravity in the beam's frame: the direction in the room, and how the base is turned, constant or logged."""
+"""Gravity in the beam's frame, from its direction in the room and the angle of the base, constant or logged."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from onebend.recording.clock.offset_prior import ROUGHLY, reach_of
 from onebend.recording.toml.entries import GravityEntry
 from onebend.records import Array, ClockOffset, Markers
 
-MILLISECONDS = 100.0  # times the film's length: a log that lasts longer is likely to be in another unit
+MILLISECONDS = 100.0  # times the film's length: a longer log is probably in another unit
 
 
 @dataclass(frozen=True)
 class BaseLog:
-    """How the base was turned, on the force log's clock."""
+    """The angle of the base, on the force log's clock."""
 
     time: Array  # (N,) s
     angle: Array  # (N,) rad, the beam's x axis in the room
@@ -54,43 +54,45 @@ def read_base_log(path: Path) -> BaseLog:
     return BaseLog(np.array(time), np.unwrap(angle))
 
 
-def base_clock(markers: Markers, log: BaseLog, said: float, uncertainty: float, *, margin: float = 2.0) -> ClockOffset:
-    """The offset that lays the base tag's turn in the film over the logged one (least squares, one constant free).
+def base_clock(
+    markers: Markers, log: BaseLog, stated: float, uncertainty: float, *, margin: float = 2.0
+) -> ClockOffset:
+    """The offset at which the base tag's angle in the film fits the logged angle (least squares, one constant free).
 
     `sd` counts the residuals as correlated over a second, as from a log that is sampled sparsely.
     """
-    if not math.isfinite(said) or not math.isfinite(uncertainty):
-        said = float(log.time[0] - markers.time[0]) if not math.isfinite(said) else said
+    if not math.isfinite(stated) or not math.isfinite(uncertainty):
+        stated = float(log.time[0] - markers.time[0]) if not math.isfinite(stated) else stated
         uncertainty = float(np.ptp(log.time))
-    unsettled = ClockOffset(offset=said, sd=uncertainty, said=said, found=False)
+    unsettled = ClockOffset(offset=stated, sd=uncertainty, stated=stated, found=False)
     if np.ptp(markers.base_angle) < math.radians(1.0):
         return unsettled
-    seen = np.isfinite(markers.base_angle)
-    time, angle = markers.time[seen], markers.base_angle[seen]
+    measured = np.isfinite(markers.base_angle)
+    time, angle = markers.time[measured], markers.base_angle[measured]
 
     def misfit(offset: float) -> float:
-        at = time + offset
-        inside = (at >= log.time[0]) & (at <= log.time[-1])
-        if inside.sum() < 0.5 * len(at):
+        log_time = time + offset
+        inside = (log_time >= log.time[0]) & (log_time <= log.time[-1])
+        if inside.sum() < 0.5 * len(log_time):
             return math.inf
-        return float(np.var(np.interp(at[inside], log.time, log.angle) - angle[inside]))
+        return float(np.var(np.interp(log_time[inside], log.time, log.angle) - angle[inside]))
 
     farthest = reach_of(uncertainty, margin)
-    reach, centre, width = farthest, said, 0.02
+    reach, centre, width = farthest, stated, 0.02
     for width in (0.02, 0.002):
         tries = np.arange(centre - reach, centre + reach + width / 2, width)
-        cost = np.array([misfit(each) for each in tries])
+        cost = np.array([misfit(trial) for trial in tries])
         best = int(np.argmin(cost))
         centre, reach = float(tries[best]), 0.05
     if not math.isfinite(cost[best]) or cost[best] > 0.05 * float(np.var(angle)):
         return unsettled
-    near = slice(max(best - 10, 0), best + 11)
-    curve = float(np.polyfit(tries[near] - centre, cost[near], 2)[0])
+    around = slice(max(best - 10, 0), best + 11)
+    curve = float(np.polyfit(tries[around] - centre, cost[around], 2)[0])
     independent = max(float(np.ptp(time)), 2.0)
     sd = max(math.sqrt(cost[best] / (independent * curve)) if curve > 0 else uncertainty, width)
-    if uncertainty < ROUGHLY and (sd > 0.5 * uncertainty or abs(centre - said) > farthest):
+    if uncertainty < ROUGHLY and (sd > 0.5 * uncertainty or abs(centre - stated) > farthest):
         return unsettled  # what is written is known better
-    return ClockOffset(offset=centre, sd=sd, said=said, found=True)
+    return ClockOffset(offset=centre, sd=sd, stated=stated, found=True)
 
 
 def gravity_in_frame(entry: GravityEntry | None, log: BaseLog | None, markers: Markers, time: Array) -> Array:

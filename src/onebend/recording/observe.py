@@ -1,4 +1,4 @@
-"""From a recording on disk to observations: the paper's section IV-C, on one screen."""
+"""From a recording on disk to observations (the paper's section IV-C)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from onebend.recording.folder import read_recording
 from onebend.recording.force.cleaning import ForceSettings
 from onebend.recording.force.contact import Contact, ContactSettings, find_contact
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
-from onebend.recording.mass_table import beam_mass
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.photos import photo_observations
+from onebend.recording.stated import stated_in
 from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording, TagsEntry
@@ -38,6 +38,7 @@ from onebend.records import (
     Markers,
     Observations,
     Remark,
+    Source,
 )
 
 FEWEST_FRAMES = 10
@@ -57,7 +58,7 @@ class ObserveSettings:
 
 
 class Detect(Protocol):
-    """What finds the tags: `detect_tags`, or something around it that keeps what was found."""
+    """A function that finds the tags: `detect_tags`, or one with a cache around it."""
 
     def __call__(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
@@ -72,7 +73,7 @@ def observe(
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> Observations:
-    """All that a recording says, on the force log's clock and in the beam's frame.
+    """The observations of a recording, on the force log's clock and in the beam's frame.
 
     `detections` are tags found earlier in the same video; without them the video is searched by `detect`, once the
     other files are known to be good.
@@ -100,8 +101,8 @@ def observe(
 
 
 @dataclass(frozen=True)
-class _Acting:
-    """What acts on the beam in every frame, on the log's clock."""
+class _LoadsAtFrames:
+    """The loads on the beam in every frame, on the log's clock."""
 
     time: Array  # (T,) s
     gravity: Array  # (T, 2) m/s^2
@@ -126,15 +127,24 @@ def assemble(
     fit = match_clocks(rec, reading, log, base, settings.clock)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     gravity = gravity_in_frame(rec.gravity, base, markers, markers.time + fit.clock.offset)
-    seen, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
+    in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     acting = _acting(rec, markers, log, contact, fit, gravity, settings=settings)
-    angled, refuse = with_angles(seen), settings.check_force
-    bare = rest if angled is seen else rest_shape(angled, contact.still)
-    odd = check_direction(rec, angled, bare, acting.force, acting.push_s, acting.loaded, refuse=refuse)
-    kept, drop_remarks = usable(markers, acting.force)
+    angled, refuse = with_angles(in_frame), settings.check_force
+    bare = rest if angled is in_frame else rest_shape(angled, contact.still)
+    implausible = check_direction(rec, angled, bare, acting.force, acting.push_s, acting.loaded, refuse=refuse)
+    usable_frames, drop_remarks = usable(markers, acting.force)
     of_log = ((), ()) if acting.clean is None else (contact.remarks, acting.clean.remarks)
-    said = (*rec.remarks, *markers.remarks, *fit.remarks, *of_log[0], *frame_remarks, *of_log[1], *odd, *drop_remarks)
-    return _observations(rec, seen, rest, acting, kept, said)
+    remarks = (
+        *rec.remarks,
+        *markers.remarks,
+        *fit.remarks,
+        *of_log[0],
+        *frame_remarks,
+        *of_log[1],
+        *implausible,
+        *drop_remarks,
+    )
+    return _observations(rec, in_frame, rest, acting, usable_frames, remarks)
 
 
 def _acting(
@@ -146,62 +156,50 @@ def _acting(
     gravity: Array,
     *,
     settings: ObserveSettings,
-) -> _Acting:
+) -> _LoadsAtFrames:
     """Weight, and the log, cleaned, at the frames' times."""
-    at, clean = markers.time + fit.clock.offset, None
+    time, clean = markers.time + fit.clock.offset, None
     if log is not None:
         clean = cleaned(rec, markers, log, contact, fit, settings.force)
-    force, push_s = pair(rec, clean, at, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
-    loaded = contact.loaded if clean is not None else np.zeros(len(at), dtype=bool)
-    return _Acting(at, gravity, force, push_s, loaded, clean, fit.clock)
+    force, push_s = pair(rec, clean, time, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
+    loaded = contact.loaded if clean is not None else np.zeros(len(time), dtype=bool)
+    return _LoadsAtFrames(time, gravity, force, push_s, loaded, clean, fit.clock)
 
 
 def _observations(
     rec: Recording,
-    seen: Markers,
+    markers: Markers,
     rest: RestShape,
-    acting: _Acting,
-    kept: BoolArray,
+    acting: _LoadsAtFrames,
+    usable_frames: BoolArray,
     remarks: tuple[Remark, ...],
 ) -> Observations:
-    """The frames `kept` (T,) of what was read, in one record."""
-    mass, line = beam_mass(rec)
+    """The frames `usable_frames` (T,) of what was read, in one record."""
     return Observations(
-        name=rec.name,
+        source=Source(
+            name=rec.name,
+            video=rec.video.file if rec.video else None,
+            video_topic=rec.video.topic if rec.video else "",
+            view=markers.view,
+            clock=acting.clock,
+            clean_force=acting.clean,
+            remarks=remarks,
+        ),
+        stated=stated_in(rec),
         length=rec.beam.length,
-        time=acting.time[kept],
-        frame=np.flatnonzero(kept).astype(np.int64),
-        tag_id=seen.tag_id,
-        marker_s=seen.s,
-        xy=seen.xy[kept],
-        angle=seen.angle[kept],
-        covariance=seen.covariance[kept],
-        force=acting.force[kept],
+        time=acting.time[usable_frames],
+        frame=np.flatnonzero(usable_frames).astype(np.int64),
+        tag_id=markers.tag_id,
+        marker_s=markers.s,
+        xy=markers.xy[usable_frames],
+        angle=markers.angle[usable_frames],
+        covariance=markers.covariance[usable_frames],
+        force=acting.force[usable_frames],
         force_sd=np.zeros(2) if acting.clean is None else acting.clean.noise_sd,
-        push_s=acting.push_s[kept],
-        loaded=acting.loaded[kept],
+        push_s=acting.push_s[usable_frames],
+        loaded=acting.loaded[usable_frames],
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
-        gravity=acting.gravity[kept],
-        mass=mass,
-        placement_sd=rec.tags.placement_sd,
-        turn_sd=rec.tags.turn_sd,
-        clamp_sd=rec.clamp_sd,
-        curvature_sd=rec.beam.curvature_sd,
-        scale_sd=rec.scale_sd,
-        rest=rec.beam.rest,
-        clock=acting.clock,
-        clean_force=acting.clean,
-        gain_sd=0.0 if rec.force is None else float(np.nan_to_num(rec.force.gain_sd)),
-        load_error_sd=np.nan if rec.force is None else rec.force.bias_sd,
-        view=seen.view,
-        place_sd=rec.place_sd,
-        direction_sd=rec.direction_sd,
-        video=rec.video.file if rec.video else None,
-        video_topic=rec.video.topic if rec.video else "",
-        mass_line=line,
-        mass_along=rec.beam.mass_along,
-        stiffness_along=rec.beam.stiffness_along,
-        remarks=remarks,
+        gravity=acting.gravity[usable_frames],
     )

@@ -1,4 +1,4 @@
-"""Markers and force on one clock: the steps between two readings of one push and its pairs."""
+"""Markers and force on one clock: reading the log, matching the clocks, cleaning, pairing, checking."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from onebend.recording.force.contact import Contact
 from onebend.recording.force.force_log import FEWEST_ROWS, read_force_log
 from onebend.recording.force.implausible_force import size_remarks
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
-from onebend.recording.plausible import read_force
+from onebend.recording.implausible_axes import read_force
 from onebend.recording.signals import at_times, bandwidth, step
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import VideoEntry
@@ -51,22 +51,22 @@ def match_clocks(
     Raises:
         ObservationError: film and log do not overlap, or nothing says when the film starts.
     """
-    said, uncertainty = rec.start
+    stated, uncertainty = rec.start
     if log is None and base is None:
-        start = said if math.isfinite(said) else 0.0
-        return ClockFit(ClockOffset(offset=start, sd=uncertainty, said=said, found=False), None)
+        start = stated if math.isfinite(stated) else 0.0
+        return ClockFit(ClockOffset(offset=start, sd=uncertainty, stated=stated, found=False), None)
     fit = None
     if log is not None and rec.force is not None:
         check_pace(rec, markers, log)
         turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
-        fit = fit_clock(markers, turned, said, uncertainty, push_s=push_place(rec, log), settings=settings)
-    exact = uncertainty == 0.0 and math.isfinite(said)
+        fit = fit_clock(markers, turned, stated, uncertainty, push_s=push_place(rec, log), settings=settings)
+    exact = uncertainty == 0.0 and math.isfinite(stated)
     if exact and fit is None:
-        fit = ClockFit(ClockOffset(offset=said, sd=0.0, said=said, found=True), None)
+        fit = ClockFit(ClockOffset(offset=stated, sd=0.0, stated=stated, found=True), None)
     if base is not None and (fit is None or not fit.clock.found):
-        seen = base_clock(markers, base, said, uncertainty, margin=settings.margin)
-        if seen.found or fit is None:
-            fit = ClockFit(seen, None)
+        base_offset = base_clock(markers, base, stated, uncertainty, margin=settings.margin)
+        if base_offset.found or fit is None:
+            fit = ClockFit(base_offset, None)
     assert fit is not None
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
@@ -80,10 +80,10 @@ def match_clocks(
 
 def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
     """Raise where the log has too few rows during the film: its times are in another unit, or it is too sparse."""
-    film, apart = float(np.ptp(markers.time)), step(log.time)
-    if apart * FEWEST_ROWS > film:
+    film, spacing = float(np.ptp(markers.time)), step(log.time)
+    if spacing * FEWEST_ROWS > film:
         raise ObservationError(
-            f"{rec.name}: the force log has a row every {apart:.3g} s, fewer than {FEWEST_ROWS} during the film of "
+            f"{rec.name}: the force log has a row every {spacing:.3g} s, fewer than {FEWEST_ROWS} during the film of "
             f"{film:.3g} s. Times must be in seconds: for milliseconds write "
             'time_unit = "ms" in [force]. Or log more often.'
         )
@@ -113,38 +113,38 @@ def cleaned(
         noise=fit.noise,
         settings=settings,
     )
-    odd = size_remarks(clean.force, rec.beam.mass)
-    return replace(clean, remarks=(*clean.remarks, *odd)) if odd else clean
+    implausible = size_remarks(clean.force, rec.beam.mass)
+    return replace(clean, remarks=(*clean.remarks, *implausible)) if implausible else clean
 
 
 def pair(
     rec: Recording,
     clean: CleanForce | None,
-    at: Array,
+    time: Array,
     *,
     pairing: Literal["interpolate", "nearest"],
     epsilon: float,
     settings: ForceSettings,
 ) -> tuple[Array, Array]:
-    """(T, 2) N force and (T,) place of the push at the times `at` [s, log's clock]; NaN where the log is silent.
+    """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
 
     "nearest" is the paper's way: the nearest row of the log, if within `epsilon` [s]. Without a log the force is
     zero and its place unknown.
     """
-    count = len(at)
+    count = len(time)
     if clean is None:
         return np.zeros((count, 2)), np.full(count, np.nan)
     if pairing == "nearest":
-        after = np.clip(np.searchsorted(clean.time, at), 1, len(clean.time) - 1)
-        row = np.where(at - clean.time[after - 1] < clean.time[after] - at, after - 1, after)
-        close = np.abs(clean.time[row] - at) <= epsilon
+        after = np.clip(np.searchsorted(clean.time, time), 1, len(clean.time) - 1)
+        row = np.where(time - clean.time[after - 1] < clean.time[after] - time, after - 1, after)
+        close = np.abs(clean.time[row] - time) <= epsilon
         force = np.where(close[:, None], clean.force[row], np.nan)
         place = clean.push_s[row] if clean.push_s is not None else None
     else:
-        force = force_at(clean, at, settings=settings)
+        force = force_at(clean, time, settings=settings)
         limit = gap_limit(clean.time, clean.cutoff, settings)
         place = (
-            None if clean.push_s is None else at_times(clean.time, clean.push_s[:, None], at, longest_gap=limit)[:, 0]
+            None if clean.push_s is None else at_times(clean.time, clean.push_s[:, None], time, longest_gap=limit)[:, 0]
         )
     if place is None:
         place = np.full(count, rec.push.at if rec.push else math.nan)
@@ -152,23 +152,27 @@ def pair(
 
 
 def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
-    """(T,) frames with a force and at least one marker, and what was left out.
+    """(T,) frames with a force and at least one marker, and remarks on the others.
 
     Raises:
         ObservationError: no frame is left.
     """
-    forced: BoolArray = np.isfinite(force).min(axis=1)
-    seen: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
+    has_force: BoolArray = np.isfinite(force).min(axis=1)
+    has_marker: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
     remarks = []
-    if not forced.all():
-        text = f"{int(np.sum(~forced))} of {len(forced)} frames lie outside the force log or in its gaps; left out."
+    if not has_force.all():
+        text = (
+            f"{int(np.sum(~has_force))} of {len(has_force)} frames lie outside the force log or in its gaps; left out."
+        )
         remarks.append(Remark("note", text))
-    if not seen.all():
-        remarks.append(Remark("note", f"{int(np.sum(~seen))} of {len(seen)} frames show no marker; left out."))
-    kept: BoolArray = np.asarray(forced & seen)
-    if not kept.any():
+    if not has_marker.all():
+        remarks.append(
+            Remark("note", f"{int(np.sum(~has_marker))} of {len(has_marker)} frames show no marker; left out.")
+        )
+    good: BoolArray = np.asarray(has_force & has_marker)
+    if not good.any():
         raise ObservationError("No frame has both a marker and a force. Check the film, the log and start_s.")
-    return kept, tuple(remarks)
+    return good, tuple(remarks)
 
 
 def check_direction(
@@ -181,20 +185,20 @@ def check_direction(
     """
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
-    if reading is None or not (reading.impossible or reading.better or reading.askew):
+    if reading is None or not (reading.impossible or reading.better or reading.rotated):
         return ()
     if reading.better == "opposite":
         text = "The force looks as if it had the opposite sign. Give acts_on in [force] the other value, beam or robot."
     elif reading.better:
         how = reading.better if reading.better.startswith("turned") else f"with {reading.better}"
         text = f"The force fits the bending far better {how}. Check columns, rotation_deg in [force]."
-    elif reading.askew:
+    elif reading.rotated:
         fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
         text = (
             f"The force fits the bending far better turned by {math.degrees(reading.turn):.0f} deg. Check columns and "
             f"rotation_deg in [force] (about {fits:.0f} would fit)."
         )
-    elif reading.hopeless:
+    elif reading.inexplicable:
         text = "The force does not follow the bending, however its axes are read. Check that the log is of this push."
     else:
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
@@ -206,7 +210,7 @@ def check_direction(
 
 
 def _or_the_clocks(video: VideoEntry, markers: Markers) -> str:
-    """What else looks like a force that contradicts the bending."""
+    """Other mistakes that look like a force that contradicts the bending."""
     seconds = float(markers.time[-1] - markers.time[0])
     rate = (len(markers.time) - 1) / seconds
     film = f"Or the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"

@@ -1,4 +1,4 @@
-"""Photos of the tags, one a static pose --> Observations. Times in the files are not looked at."""
+"""Photos of the tags to observations, one static pose a photo. Times in the files are not used."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from onebend.recording.toml.entries import Recording
 from onebend.recording.tracks.chords import chord_angles
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads
 from onebend.recording.tracks.pose_tables import PosePoints, static
-from onebend.recording.video import Frame, Picture
+from onebend.recording.video import FilmFrame, Picture
 from onebend.records import BoolArray, Detections, Markers, Observations, Remark
 
 
 def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
-    """All that a folder of photos and its table of loads say.
+    """Observations from a folder of photos and a table of loads.
 
     Raises:
         RecordingError: a picture or the table cannot be used.
@@ -30,8 +30,8 @@ def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Obse
     """
     assert rec.photos is not None
     loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
-    seen = detect_in_photos(rec, loads.names, progress)
-    markers = measured(seen, rec)
+    detections = detect_in_photos(rec, loads.names, progress)
+    markers = measured(detections, rec)
     rough = chord_angles(markers.xy, markers.s)
     turns = np.round(np.nan_to_num(rough - markers.angle) / (2 * np.pi))  # from photo to photo an angle may jump
     markers = replace(markers, angle=markers.angle + 2 * np.pi * turns)
@@ -56,22 +56,24 @@ def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress 
     corners, sizes, remarks = [], [], []
     for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
         picture = read_photo(rec, name)
-        block = track_block([Frame(i, float(i), picture)], ids, finder)
-        there = np.isfinite(block.corners[0]).all(axis=(1, 2))
+        block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
+        found = np.isfinite(block.corners[0]).all(axis=(1, 2))
         if block.doubles:
             raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
-        if not there[:base].any():
+        if not found[:base].any():
             raise ObservationError(
                 f"{name}: no base tag (id {', '.join(map(str, ids[:base]))}) is found in it. Check [tags] in "
                 "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide."
             )
-        hidden = [str(tag) for tag, shown in zip(ids[base:], there[base:].tolist(), strict=True) if not shown]
+        hidden = [str(tag) for tag, shown in zip(ids[base:], found[base:].tolist(), strict=True) if not shown]
         remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []
         corners.append(block.corners[0])
         sizes.append(picture.shape)
     if len(set(sizes)) > 1:
-        odd = next(name for name, size in zip(names, sizes, strict=True) if size != sizes[0])
-        raise ObservationError(f"{odd} is not as large as {names[0]}. Take all pictures at one size, without zooming.")
+        other_size = next(name for name, size in zip(names, sizes, strict=True) if size != sizes[0])
+        raise ObservationError(
+            f"{other_size} is not as large as {names[0]}. Take all pictures at one size, without zooming."
+        )
     height, width = sizes[0]
     time = np.arange(len(names), dtype=float)
     return Detections(time, np.array(ids), np.stack(corners), width, height, tuple(remarks))
@@ -85,9 +87,9 @@ def read_photo(rec: Recording, name: str) -> Picture:
     assert rec.photos is not None
     path = rec.photos.folder / name
     if not path.is_file():
-        there = ", ".join(sorted(item.name for item in rec.photos.folder.iterdir())[:5]) or "nothing"
+        files = ", ".join(sorted(item.name for item in rec.photos.folder.iterdir())[:5]) or "nothing"
         raise RecordingError(
-            f"{rec.photos.loads}: the pose {name} has no picture {path}. The folder holds {there}. Write the file's "
+            f"{rec.photos.loads}: the pose {name} has no picture {path}. The folder holds {files}. Write the file's "
             "name, with its ending, in the column pose."
         )
     try:
@@ -97,31 +99,34 @@ def read_photo(rec: Recording, name: str) -> Picture:
         raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
 
 
-def measured(seen: Detections, rec: Recording) -> Markers:
-    """The tags' poses: one plane for all pictures, or where the camera was moved one for each."""
+def measured(detections: Detections, rec: Recording) -> Markers:
+    """The tags' poses: one plane for all pictures, or one plane each where the camera was moved."""
     assert rec.photos is not None
     if not rec.photos.camera_moves:
-        return measure_markers(seen, rec)
-    each = []
-    for i in range(len(seen.time)):
-        one = replace(seen, time=seen.time[i : i + 1], corners=seen.corners[i : i + 1], remarks=())
-        each.append(measure_markers(one, rec))
+        return measure_markers(detections, rec)
+    per_photo = []
+    for i in range(len(detections.time)):
+        photo = replace(detections, time=detections.time[i : i + 1], corners=detections.corners[i : i + 1], remarks=())
+        per_photo.append(measure_markers(photo, rec))
     return replace(
-        each[0],
-        time=seen.time,
-        xy=np.concatenate([one.xy for one in each]),
-        angle=np.concatenate([one.angle for one in each]),
-        covariance=np.concatenate([one.covariance for one in each]),
-        base_angle=np.zeros(len(each)),
-        remarks=(*seen.remarks, *{remark.text: remark for one in each for remark in one.remarks}.values()),
+        per_photo[0],
+        time=detections.time,
+        xy=np.concatenate([photo.xy for photo in per_photo]),
+        angle=np.concatenate([photo.angle for photo in per_photo]),
+        covariance=np.concatenate([photo.covariance for photo in per_photo]),
+        base_angle=np.zeros(len(per_photo)),
+        remarks=(
+            *detections.remarks,
+            *{remark.text: remark for photo in per_photo for remark in photo.remarks}.values(),
+        ),
     )
 
 
 def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:
-    """The markers with x along the bare beam where a picture shows that, else along the base tag; and how sure that
-    direction is, rad (NaN: as usual)."""
+    """The markers with x along the bare beam where a picture shows it, else along the base tag; and one sd of that
+    direction, rad (NaN: not stated)."""
     assert rec.photos is not None
-    said = rec.photos.clamp_sd
+    stated = rec.photos.clamp_sd
     bare: BoolArray = np.asarray(~np.any(loads.force != 0.0, axis=1))
     if loads.others is not None:
         bare &= ~np.any(loads.others.force != 0.0, axis=(1, 2)) & ~np.any(loads.others.moment != 0.0, axis=1)
@@ -129,10 +134,10 @@ def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[M
     if bare.any():
         turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
         reach = rec.beam.length * float(np.linalg.norm(markers.s))
-        seen = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD  # as for a film that shows its rest
-        return turned, said if math.isfinite(said) else seen, remarks
-    sure = said if math.isfinite(said) else MOUNTING_SD
-    text = (
-        f"No picture shows the bare beam: x is along the base tag, which may be turned by {math.degrees(sure):.2g} deg"
-    )
-    return markers, sure, (Remark("note", f"{text} (sd)."),)
+        # As for a film that shows the beam at rest.
+        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD
+        return turned, stated if math.isfinite(stated) else from_rest, remarks
+    clamp_sd = stated if math.isfinite(stated) else MOUNTING_SD
+    turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
+    text = f"No picture shows the bare beam: x is along the base tag, which may be turned by {turn}."
+    return markers, clamp_sd, (Remark("note", text),)

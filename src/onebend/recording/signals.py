@@ -10,11 +10,11 @@ from scipy.signal import butter, sosfiltfilt
 from onebend.records import Array, BoolArray, IntArray
 
 MAD_TO_SD = 1.4826  # of a normal distribution
-LONG_GAP = 0.25  # s: what moves in a longer one is not guessed
-APART = 10.0  # periods of the cut-off: what lies farther apart is filtered on its own
-SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples, beside a gap that say how it is entered and left
+LONG_GAP = 0.25  # s: motion within a longer gap is not interpolated
+SEPARATE = 10.0  # periods of the cut-off: stretches farther apart are filtered separately
+SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples at least, beside a gap that give the level and slope there
 BRIDGE = 15  # points of a bridge over a gap
-FINE = 3.0  # steps of the last digit: noise that is larger shows
+FINE = 3.0  # steps of the last digit: larger noise is visible
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
 
@@ -25,12 +25,12 @@ def step(time: Array) -> float:
 
 def bridged(time: Array, values: Array) -> Array:
     """`values` (T, c) with NaN replaced by linear interpolation in time; a column without two numbers becomes zero."""
-    out = np.array(values, dtype=float)
-    for column in out.T:
+    filled = np.array(values, dtype=float)
+    for column in filled.T:
         good = np.isfinite(column)
         if not good.all():
             column[~good] = np.interp(time[~good], time[good], column[good]) if good.sum() > 1 else 0.0
-    return out
+    return filled
 
 
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
@@ -54,8 +54,8 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     high = frequency > 0.4 * frequency[-1]
     # The power of noise is exponentially distributed for one column: its median is ln 2 of the mean.
     noise *= float(np.median(power[high] / noise[high])) / np.log(2)
-    near = min(11, len(power) // 2)
-    counts = uniform_filter1d(power, near, mode="nearest") > 5 * uniform_filter1d(noise, near, mode="nearest")
+    window = min(11, len(power) // 2)
+    counts = uniform_filter1d(power, window, mode="nearest") > 5 * uniform_filter1d(noise, window, mode="nearest")
     total = np.cumsum(np.where(counts, np.maximum(power - noise, 0.0), 0.0))
     if not total[-1] > 0:
         return float("nan")
@@ -63,11 +63,11 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
 
 
 def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
-    """(N - 1, c) `velocity` between the instants `grid`, straight in time where `values` (T, c) at `time` lack for
-    longer than `LONG_GAP`; a column that is seen nowhere for two instants stays as it is."""
-    out = velocity.copy()
-    for column, seen in zip(out.T, np.isfinite(values).T, strict=True):
-        known = time[seen]
+    """(N - 1, c) `velocity` between the instants `grid`, interpolated linearly over gaps longer than `LONG_GAP` in the
+    `values` (T, c) at `time`. A column with fewer than two values stays as it is."""
+    straightened = velocity.copy()
+    for column, measured in zip(straightened.T, np.isfinite(values).T, strict=True):
+        known = time[measured]
         if len(known) < 2:
             continue
         after = np.searchsorted(known, grid[1:] - 0.5 * (grid[1] - grid[0]))
@@ -75,28 +75,28 @@ def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
         good = gap <= LONG_GAP
         if good.any() and not good.all():
             column[~good] = np.interp(np.flatnonzero(~good), np.flatnonzero(good), column[good])
-    return out
+    return straightened
 
 
 def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
-    """(N,) True in every row where a column is away from its running median by `threshold` robust local sd (Hampel).
+    """(N,) True where a column deviates from its running median by more than `threshold` robust local sd (Hampel).
 
     The local scale is the running median of the absolute deviation over ten times the window, never below half of the
     whole signal's: a quiet stretch does not make ordinary samples outliers. A signal without noise has no outliers.
     """
     size = 2 * half_width + 1
-    found = np.zeros(len(values), dtype=bool)
+    is_outlier = np.zeros(len(values), dtype=bool)
     if len(values) < size:
-        return found
+        return is_outlier
     for column in values.T:
-        away = np.abs(column - median_filter(column, size, mode="nearest"))
-        whole = MAD_TO_SD * float(np.median(away))
+        deviation = np.abs(column - median_filter(column, size, mode="nearest"))
+        overall = MAD_TO_SD * float(np.median(deviation))
         stride = max(1, size // 3)
-        coarse = MAD_TO_SD * median_filter(away[::stride], max(3, 10 * size // stride), mode="nearest")
-        scale = np.maximum(np.repeat(coarse, stride)[: len(away)], 0.5 * whole)
-        if whole > 0:
-            found |= away > threshold * scale
-    return found
+        coarse = MAD_TO_SD * median_filter(deviation[::stride], max(3, 10 * size // stride), mode="nearest")
+        scale = np.maximum(np.repeat(coarse, stride)[: len(deviation)], 0.5 * overall)
+        if overall > 0:
+            is_outlier |= deviation > threshold * scale
+    return is_outlier
 
 
 def within_noise(column: Array) -> bool:
@@ -111,35 +111,35 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
     """Zero-phase Butterworth low-pass (half power twice, so -6 dB, at `cutoff` [Hz]) of (N, c) `values` at `time`.
 
     Irregular samples are put on an even grid by linear interpolation, filtered, and read at their own times again.
-    A gap longer than `longest_gap` [s] is bridged by a cubic that leaves and meets the samples as these run there:
-    were its sides filtered apart, the ends of each would be levelled, and jump against each other. Stretches apart by
-    more than `APART` periods of the cut-off are filtered separately; one too short to filter becomes its mean.
+    A gap longer than `longest_gap` [s] is bridged by a cubic with the level and slope of the samples at its two ends;
+    filtering the two sides separately would flatten their ends, so that they no longer fit each other. Stretches more
+    than `SEPARATE` periods of the cut-off apart are filtered separately; one too short to filter becomes its mean.
     """
-    out = np.array(values, dtype=float)
+    filtered = np.array(values, dtype=float)
     if not np.isfinite(cutoff):
-        return out
+        return filtered
     dt = step(time)
     if cutoff >= 0.45 / dt:
-        return out
+        return filtered
     sos = butter(FILTER_ORDER, 2 * cutoff * dt, output="sos")
-    apart = max(longest_gap, APART / cutoff)
-    for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > apart)):
+    farthest = max(longest_gap, SEPARATE / cutoff)
+    for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > farthest)):
         t, bridge = bridged_gaps(time[rows], values[rows], longest_gap, SIDE / cutoff)
         grid = t[0] + dt * np.arange(int(np.floor((t[-1] - t[0]) / dt + 0.5)) + 1)
         if len(grid) < 16:
-            out[rows] = np.mean(values[rows], axis=0)
+            filtered[rows] = np.mean(values[rows], axis=0)
             continue
         even = np.stack([np.interp(grid, t, column) for column in bridge.T], axis=1)
         pad = min(len(grid) - 1, int(2.0 / (cutoff * dt)))
         # Even reflection: at a rest the noise of the very last sample must not become the level beyond it.
         smooth = sosfiltfilt(sos, even, axis=0, padtype="even", padlen=pad)
-        out[rows] = np.stack([np.interp(time[rows], grid, column) for column in smooth.T], axis=1)
-    return out
+        filtered[rows] = np.stack([np.interp(time[rows], grid, column) for column in smooth.T], axis=1)
+    return filtered
 
 
-def bridged_gaps(time: Array, values: Array, longest_gap: float, side: float) -> tuple[Array, Array]:
+def bridged_gaps(time: Array, values: Array, longest_gap: float, reach: float) -> tuple[Array, Array]:
     """`time` (N,) and `values` (N, c) with a cubic in every gap longer than `longest_gap` [s]; its ends and slopes are
-    those of the lines through the `side` [s] before and behind it."""
+    those of the lines through the `reach` [s] before and behind it."""
     gaps = np.flatnonzero(np.diff(time) > longest_gap)
     if not len(gaps):
         return time, values
@@ -150,8 +150,8 @@ def bridged_gaps(time: Array, values: Array, longest_gap: float, side: float) ->
         ends = [
             line_at(time[near], values[near], at)
             for near, at in (
-                (left[time[left] >= time[gap] - side], time[gap]),
-                (right[time[right] <= time[gap + 1] + side], time[gap + 1]),
+                (left[time[left] >= time[gap] - reach], time[gap]),
+                (right[time[right] <= time[gap + 1] + reach], time[gap + 1]),
             )
         ]
         inside = np.linspace(time[gap], time[gap + 1], BRIDGE + 2)[1:-1]
@@ -163,7 +163,7 @@ def bridged_gaps(time: Array, values: Array, longest_gap: float, side: float) ->
 
 
 def line_at(time: Array, values: Array, at: float) -> tuple[Array, Array]:
-    """(c,) value and slope at `at` of the line through `values` (N, c); their mean, level, where a line says little."""
+    """(c,) value and slope at `at` of the line through `values` (N, c); of few values the mean, with slope zero."""
     if len(time) < FEWEST_ON_LINE:
         return np.asarray(values.mean(axis=0)), np.zeros(values.shape[1])
     basis = np.stack([np.ones_like(time), time - at], axis=1)
@@ -178,12 +178,12 @@ def low_pass_power(frequency: Array, cutoff: float) -> Array:
 
 def at_times(time: Array, values: Array, at: Array, *, longest_gap: float) -> Array:
     """(T, c) `values` interpolated at `at`; NaN outside `time` and inside gaps longer than `longest_gap` [s]."""
-    out = np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+    interpolated = np.stack([np.interp(at, time, column) for column in values.T], axis=1)
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     outside = (at < time[0]) | (at > time[-1])
     on_sample = (at == time[after]) | (at == time[after - 1])
-    out[outside | ((time[after] - time[after - 1] > longest_gap) & ~on_sample)] = np.nan
-    return out
+    interpolated[outside | ((time[after] - time[after - 1] > longest_gap) & ~on_sample)] = np.nan
+    return interpolated
 
 
 def runs(mask: BoolArray) -> IntArray:

@@ -1,4 +1,4 @@
-"""Tables of numbers on disk, CSV or Parquet: named columns, empty cells as NaN, and the row of every mistake."""
+"""Tables of numbers on disk, CSV or Parquet: named columns, empty cells as NaN; errors name the row."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
 
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
-UNKNOWN = "unknown"  # a cell for something that acts, nobody knows how strongly
+UNKNOWN = "unknown"  # a cell of a load that acts with unknown strength
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ def read_columns(
 
 
 def _refuse_others(path: Path, cells: dict[str, list[object]], known: Sequence[str], kind: str) -> None:
-    """A number under a name that nobody reads is more likely misnamed, or in another unit, than meant to be ignored."""
+    """An error where a column that is not known holds numbers: it is probably misnamed, or in another unit."""
     for name in (name for name in cells if name not in known):
         if any(_is_number(cell) for cell in cells[name]):
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]}? " if near else ""
+            similar = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"did you mean {similar[0]}? " if similar else ""
             raise RecordingError(
                 f"{path}: the {kind} has numbers in a column {name}, which is not known: {hint}Known are "
                 f"{', '.join(known)}, in these units. Rename it, or take it out."
@@ -123,19 +123,19 @@ def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
 
 
 def _numbers(path: Path, name: str, cells: list[object], rows: IntArray, unknown: bool) -> Array:
-    out = np.full(len(cells), np.nan)
+    numbers = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
             continue
         if unknown and isinstance(cell, str) and cell.strip().lower() == UNKNOWN:
-            out[i] = np.inf
+            numbers[i] = np.inf
             continue
         try:
-            out[i] = float(cell)  # type: ignore[arg-type]
+            numbers[i] = float(cell)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             raise RecordingError(
                 f"{path}, row {rows[i]}: {name} is {cell!r}, not a number. Correct it, or leave the cell empty."
             ) from None
-        if np.isinf(out[i]):
+        if np.isinf(numbers[i]):
             raise RecordingError(f"{path}, row {rows[i]}: {name} is infinite. Leave the cell empty where unknown.")
-    return out
+    return numbers

@@ -1,4 +1,4 @@
-"""Are the tags turned on the beam as recording.toml says? A wrong turn_deg is off by a quarter turn or more."""
+"""Whether the tags are turned on the beam as recording.toml says; a wrong turn_deg is off by a quarter turn or more."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from onebend.errors import ObservationError
 from onebend.recording.toml.entries import Recording
 from onebend.records import Array, Markers
 
-OFF = np.deg2rad(60.0)  # of a tag against the beam there: no bend between two tags looks like that in most frames
-NEAREST = 0.05  # of the beam: tags nearer to each other tell no direction
+OFF = np.deg2rad(60.0)  # between a tag and the beam there: bending does not make that in most frames
+NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
 
 
 def check_turns(markers: Markers, recording: Recording) -> None:
-    """An error where a tag stands across the beam, or against it, in most frames.
+    """An error where a tag points across the beam, or backwards, in most frames.
 
     The beam's direction at a tag is that of the chords to its neighbours; the base tag stands at the clamp.
     """
@@ -22,23 +22,23 @@ def check_turns(markers: Markers, recording: Recording) -> None:
     ids = [recording.tags.on_base[0].id, *markers.tag_id[order].tolist()]
     places = np.concatenate([np.zeros((len(markers.time), 1, 2)), markers.xy[:, order]], axis=1)
     s = np.concatenate([[0.0], markers.s[order]])
-    seen = np.isfinite(places).all(axis=(1, 2))
-    if not seen.any() or len(s) < 2 or np.any(np.diff(s) < NEAREST):
+    complete = np.isfinite(places).all(axis=(1, 2))
+    if not complete.any() or len(s) < 2 or np.any(np.diff(s) < NEAREST):
         return
-    shown = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[seen]
-    off = np.angle(np.exp(1j * (shown - directions(places[seen]))))
+    tag_angle = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[complete]
+    off = np.angle(np.exp(1j * (tag_angle - directions(places[complete]))))
     wrong = np.median(np.cos(off), axis=0) < np.cos(OFF)
     if not wrong.any():
         return
     written = {tag.id: tag.turn for tag in (*recording.tags.on_base, *recording.tags.on_beam)}
-    said = []
+    wrong_tags = []
     for i in np.flatnonzero(wrong):
         quarter = 90 * round(float(np.rad2deg(np.angle(np.mean(np.exp(1j * off[:, i]))))) / 90)
         fits = 180 - (180 - round(float(np.rad2deg(written[ids[i]]))) - quarter) % 360
-        said.append(f"tag {ids[i]} (turn_deg = {np.rad2deg(written[ids[i]]):.4g}; {fits} would fit)")
+        wrong_tags.append(f"tag {ids[i]} (turn_deg = {np.rad2deg(written[ids[i]]):.4g}; {fits} would fit)")
     raise ObservationError(
         f"{recording.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
-        f"{', '.join(said)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction."
+        f"{', '.join(wrong_tags)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction."
     )
 
 

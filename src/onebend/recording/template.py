@@ -79,5 +79,5 @@ def table(header: str, record: type, **values: str) -> str:
 
 def optional(why: str, lines: str) -> str:
     """A whole table commented out."""
-    kept = [line if line.startswith("#") else f"# {line}" for line in lines.splitlines()]
-    return "\n".join([f"# {why}", *kept]) + "\n"
+    commented = [line if line.startswith("#") else f"# {line}" for line in lines.splitlines()]
+    return "\n".join([f"# {why}", *commented]) + "\n"

@@ -1,4 +1,4 @@
-"""Frames of a video with their times: the luma plane as it was encoded, and the container's own clock."""
+"""Frames of a video with their times: the encoded luma plane, and the container's own clock."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from onebend.records import Array, Remark
 Picture = NDArray[np.uint8]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
-RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between what is said and what is found is remarked
+RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between stated and measured rate gets a remark
 SOUND_TOLERANCE = 0.5  # s, how much longer than the film other streams of the file may last
 
 
 @dataclass(frozen=True)
-class Frame:
+class FilmFrame:
     """One frame of a video."""
 
     index: int
@@ -34,7 +34,7 @@ class Frame:
     luma: Picture  # (H, W), as a person sees it (rotation of the camera taken off)
 
 
-def read_frames(video: VideoEntry) -> Iterator[Frame]:
+def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
     """Every frame in order, one at a time.
 
     The times are the presentation times of the container, or those of the CSV file that `recording.toml` names, or in a
@@ -47,7 +47,7 @@ def read_frames(video: VideoEntry) -> Iterator[Frame]:
     """
     if video.topic:
         for index, (time, message) in enumerate(bag_frames(video)):
-            yield Frame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
+            yield FilmFrame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
         return
     given = None if video.frame_times == "container" else read_times(video.frame_times)
     index, first, last = -1, 0.0, -math.inf
@@ -71,7 +71,7 @@ def read_frames(video: VideoEntry) -> Iterator[Frame]:
                 f"{video.file}: the time of frame {index} ({time:.6f} s) does not rise. Write it anew."
             )
         last = time
-        yield Frame(index, time, luma_of(frame))
+        yield FilmFrame(index, time, luma_of(frame))
     if given is not None and index + 1 < len(given):
         raise RecordingError(
             f"{video.frame_times}: {len(given)} times for {index + 1} frames. Give one row for each frame."
@@ -96,7 +96,7 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
 
 
 def frame_count(video: VideoEntry) -> int | None:
-    """How many frames the container says it holds; None where it does not say. For progress only."""
+    """The number of frames that the container states; None where it states none. For progress only."""
     if video.topic:
         return bag_film(video)[1].count
     with opened(video.file) as container:
@@ -104,21 +104,19 @@ def frame_count(video: VideoEntry) -> int | None:
 
 
 def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
-    """Remarks where the written frame rate is not the one found, and where a bag lacks frames."""
+    """Remarks where the stated frame rate is not the measured one, and where a bag lacks frames."""
     return (*wrong_rate(video, time), *(missing_remarks(time, "images of the bag") if video.topic else ()))
 
 
 def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
-    """A remark where the written frame rate is not the one found."""
+    """A remark where the stated frame rate is not the measured one."""
     if math.isnan(video.fps) or len(time) < 2:
         return ()
-    found = 1 / float(np.median(np.diff(time)))
-    if abs(found / video.fps - 1) <= RATE_TOLERANCE:
+    measured = 1 / float(np.median(np.diff(time)))
+    if abs(measured / video.fps - 1) <= RATE_TOLERANCE:
         return ()
-    said = (
-        f"recording.toml says {video.fps:g} frames/s, the video's own times say {found:.4g}; the video's own were used."
-    )
-    return (Remark("warning", said),)
+    text = f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used."
+    return (Remark("warning", text),)
 
 
 def read_times(path: Path) -> Array:
@@ -165,11 +163,11 @@ def opened(path: Path) -> Iterator[av.container.InputContainer]:
 
 
 def decoded(path: Path) -> Iterator[av.VideoFrame]:
-    """Frames of the first video stream; an error where the file is damaged or ends before it says it does."""
+    """Frames of the first video stream; an error where the file is damaged or shorter than it states."""
     with opened(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
-        count, last, lasts, interval = 0, math.nan, 0.0, 0.0
+        count, last, duration, interval = 0, math.nan, 0.0, 0.0
         frames = container.decode(stream)
         while True:
             try:
@@ -182,29 +180,29 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
                 raise damaged(path, count, "the frame is damaged")
             if frame.time is not None:
                 interval = frame.time - last if count else 0.0
-                lasts = float(frame.duration * frame.time_base) if frame.duration and frame.time_base else interval
+                duration = float(frame.duration * frame.time_base) if frame.duration and frame.time_base else interval
                 last = frame.time
             count += 1
             yield frame
         if count == 0:
             raise RecordingError(f"{path} holds no frame. Copy it again from the camera.")
-        said = length_said(container, stream)
-        slack = 1.5 * max(lasts, interval) + (SOUND_TOLERANCE if len(container.streams) > 1 else 0.0)
-        if last + lasts < said - slack and not 0 < stream.frames <= count:
-            raise damaged(path, count, f"it ends at {last + lasts:.2f} s and says it lasts {said:.2f} s")
+        stated = stated_length(container, stream)
+        slack = 1.5 * max(duration, interval) + (SOUND_TOLERANCE if len(container.streams) > 1 else 0.0)
+        if last + duration < stated - slack and not 0 < stream.frames <= count:
+            raise damaged(path, count, f"it ends at {last + duration:.2f} s and says it lasts {stated:.2f} s")
 
 
-def length_said(container: av.container.InputContainer, stream: av.VideoStream) -> float:
-    """How long the file says the film lasts, s; infinity below zero where it does not say.
+def stated_length(container: av.container.InputContainer, stream: av.VideoStream) -> float:
+    """The length of the film that the file states, s; minus infinity where it states none.
 
-    The shorter of what stream and container say: a film cut without encoding anew still carries its first length.
+    The shorter one of stream and container: a film that was cut without new encoding may still carry its first length.
     """
-    said = []
+    lengths = []
     if stream.duration is not None and stream.time_base is not None:
-        said.append(float(stream.duration * stream.time_base))
+        lengths.append(float(stream.duration * stream.time_base))
     if container.duration is not None and container.format.name != "mpegts":
-        said.append(container.duration / av.time_base)
-    return min(said, default=-math.inf)
+        lengths.append(container.duration / av.time_base)
+    return min(lengths, default=-math.inf)
 
 
 def damaged(path: Path, count: int, why: str | None) -> RecordingError:

@@ -1,4 +1,4 @@
-"""How sure the fit is, in words and rows: where k(s) is identified, the nuisances, and what trades off with what."""
+"""The fit's uncertainty in words and rows: where k(s) is identified, the nuisances, and which parameters trade off."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SHOWN = {
 
 @dataclass(frozen=True)
 class NuisanceRow:
-    """One nuisance as people read it."""
+    """One nuisance, as shown."""
 
     name: str
     value: str
@@ -50,20 +50,22 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
-    """Sentences on where the data are blind; empty where they are not. One alone where all of k(s) is in doubt."""
+    """Sentences on where the data do not show k(s); one sentence only where all of k(s) is in doubt."""
     if uncertain.doubts:
         return [f"NOT TO BE TRUSTED: {'; '.join(uncertain.doubts)}. No place of k(s) counts as identified."]
-    found = identified_ranges(uncertain)
+    ranges = identified_ranges(uncertain)
     whose = "this recording says" if recordings == 1 else "these recordings say"
-    if not found:
+    if not ranges:
         return [f"At no place {whose} enough: k(s) is not known to a factor of {FACTOR:.1f} (95 %) anywhere."]
     rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
     words = []
-    if found[0][0] > 0.0:
-        words.append(f"Nearer to the clamp than s = {np.ceil(100 * found[0][0]) / 100:.2f} {whose} {rest}")
-    words += [f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(found)]
-    if found[-1][1] < 1.0:
-        words.append(f"Beyond s = {found[-1][1]:.2f} {whose} {rest}")
+    if ranges[0][0] > 0.0:
+        words.append(f"Nearer to the clamp than s = {np.ceil(100 * ranges[0][0]) / 100:.2f} {whose} {rest}")
+    words += [
+        f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(ranges)
+    ]
+    if ranges[-1][1] < 1.0:
+        words.append(f"Beyond s = {ranges[-1][1]:.2f} {whose} {rest}")
     return words
 
 
@@ -83,20 +85,19 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
 
 
 def load_error_words(load_error: tuple[float, float]) -> list[str]:
-    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); nothing of a small
-    one."""
+    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); empty if small."""
     size, share = load_error
     if share < SMALL_SHARE:
         return []
     return [
         f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
-        "another amount while it grows than while it falls, which no rest shows: the fit has taken that off, and what "
-        "is left of it is in the band. Push harder, or more than once, for a narrower one."
+        "another amount while it grows than while it falls, which no rest shows. The fit corrects for it; the "
+        "uncertainty that remains is in the band. Push harder, or more than once, for a narrower band."
     ]
 
 
 def stop_words(posterior: Posterior) -> str:
-    """Whether and why the search ended."""
+    """Whether the fit converged, and why it stopped."""
     end = "converged" if posterior.optimum.converged else "did not converge"
     return f"{end} after {posterior.optimum.steps} steps: {posterior.optimum.stopped}"
 
@@ -121,8 +122,8 @@ def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
 
 
 @dataclass(frozen=True)
-class SupposedRow:
-    """One test of the fit's own model as people read it."""
+class ModelTestRow:
+    """One test of the fit's model, as shown."""
 
     what: str
     odds: str  # how often chance alone does as much
@@ -131,25 +132,25 @@ class SupposedRow:
     alarm: bool
 
 
-def supposed_rows(posterior: Posterior, most: int = 8) -> list[SupposedRow]:
-    """The most striking tests; none where the fit misses hopelessly: they are of small changes."""
-    if any(one.hopeless for one in posterior.misses):
+def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
+    """The tests with the smallest p-values; none where the fit is hopeless, as the tests are of small changes."""
+    if any(misfit.hopeless for misfit in posterior.misses):
         return []
     critic = posterior.criticism
     return [
-        SupposedRow(
-            what=supposed_words(one, posterior),
-            odds=_odds(one.score.log10_p),
-            size=millimetres(one.score.size),
-            shift=f"{100.0 * float(np.expm1(one.shift)):.2g} %",
-            alarm=one in critic.alarms,
+        ModelTestRow(
+            what=supposed_words(finding, posterior),
+            odds=_odds(finding.score.log10_p),
+            size=millimetres(finding.score.size),
+            shift=f"{100.0 * float(np.expm1(finding.shift)):.2g} %",
+            alarm=finding in critic.alarms,
         )
-        for one in critic.findings[:most]
+        for finding in critic.findings[:most]
     ]
 
 
 def alarm_words(posterior: Posterior) -> str:
-    """From where on a test counts: of so many, some look odd by chance."""
+    """The threshold of the tests: among so many, some look odd by chance."""
     critic = posterior.criticism
     written = max(critic.alarm, ALARM_WRITTEN)
     return (
@@ -162,17 +163,17 @@ def alarm_words(posterior: Posterior) -> str:
 def tradeoff_words(posterior: Posterior) -> list[str]:
     """The strongest pairs, one sentence each; first what the level of k(s) itself depends on."""
     level = with_level(posterior)
-    words = [f"{_pair(one)}" for one in level]
-    return words + [_pair(one) for one in tradeoffs(posterior) if one not in level]
+    words = [f"{_pair(pair)}" for pair in level]
+    return words + [_pair(pair) for pair in tradeoffs(posterior) if pair not in level]
 
 
-def _pair(one: Tradeoff) -> str:
-    how = "rise and fall together" if one.correlation > 0.0 else "go against each other"
-    return f"{one.first} and {one.second} {how} (correlation {one.correlation:+.2f})"
+def _pair(pair: Tradeoff) -> str:
+    how = "rise and fall together" if pair.correlation > 0.0 else "go against each other"
+    return f"{pair.first} and {pair.second} {how} (correlation {pair.correlation:+.2f})"
 
 
 def _odds(log10_p: float) -> str:
-    """A probability as people say it, to two digits; beyond a billion it only counts that it is small."""
+    """A probability as "1 in N", to two digits, down to one in a billion."""
     count = 10.0 ** min(-log10_p, 9.0)
     whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
     return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")

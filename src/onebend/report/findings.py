@@ -1,4 +1,4 @@
-"""What a report is written from. A run of the pipeline is one; so is anything with these fields."""
+"""What a report is written from: a run of the pipeline, or anything with the same fields."""
 
 from __future__ import annotations
 
@@ -49,36 +49,40 @@ class Findings(Protocol):
 
 def name_of(findings: Findings) -> str:
     """The recordings that were learned from, in one line."""
-    return " + ".join(one.name for one in findings.recordings)
+    return " + ".join(recording.source.name for recording in findings.recordings)
 
 
 POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
 MANY, SLIGHT = 5.0, 0.03  # times what the force's noise explains, of a marker's own motion: a validation has failed
 
 
-def poor_fit(one: Comparison, *, other: bool = False) -> list[Remark]:
+def poor_fit(comparison: Comparison, *, other: bool = False) -> list[Remark]:
     """A warning where the simulated beam misses a marker by a large part of what the marker moves; `other`: it was not
     learned from."""
-    motion = _motion(one)
-    worst = int(np.argmax(np.nan_to_num(np.divide(one.rms, motion, out=np.zeros_like(motion), where=motion > 0.0))))
-    if not one.rms[worst] > POOR * motion[worst]:
+    motion = _motion(comparison)
+    worst = int(
+        np.argmax(np.nan_to_num(np.divide(comparison.rms, motion, out=np.zeros_like(motion), where=motion > 0.0)))
+    )
+    if not comparison.rms[worst] > POOR * motion[worst]:
         return []
     check = "the force, its clock, the tags' size and places, and that the push was slow"
-    if one.static:
+    if comparison.static:
         check = "the loads' and the points' units, the directions of axes and gravity, and the clamp's angle"
     if other:
         check = f"that this is the beam that was learned, {check}"
     text = (
-        f"the simulated beam misses M{worst + 1} by {1000 * one.rms[worst]:.3g} mm RMS where it moves by "
+        f"the simulated beam misses M{worst + 1} by {1000 * comparison.rms[worst]:.3g} mm RMS where it moves by "
         f"{1000 * motion[worst]:.3g} mm: this is no good fit. Check {check}"
     )
     return [Remark("warning", text)]
 
 
-def another_beam(one: Comparison) -> list[Remark]:
+def another_beam(comparison: Comparison) -> list[Remark]:
     """A warning where a recording that was not learned from is missed by far more than its force's noise explains."""
-    ratio = np.divide(one.rms, one.sensor_rms, out=np.zeros_like(one.rms), where=one.sensor_rms > 0.0)
-    ratio = np.where(one.rms > SLIGHT * _motion(one), ratio, 0.0)
+    ratio = np.divide(
+        comparison.rms, comparison.sensor_rms, out=np.zeros_like(comparison.rms), where=comparison.sensor_rms > 0.0
+    )
+    ratio = np.where(comparison.rms > SLIGHT * _motion(comparison), ratio, 0.0)
     worst = int(np.argmax(ratio))
     if not ratio[worst] > MANY:
         return []
@@ -89,11 +93,11 @@ def another_beam(one: Comparison) -> list[Remark]:
     return [Remark("warning", text)]
 
 
-def _motion(one: Comparison) -> Array:
+def _motion(comparison: Comparison) -> Array:
     """(m,) m, how far each marker moves."""
-    motion = np.linalg.norm(np.fmax.reduce(one.measured) - np.fmin.reduce(one.measured), axis=-1)
-    if one.static:  # poses may be few, or alike: counted from the straight beam
-        motion = np.maximum(motion, np.nanmax(np.abs(one.measured[..., 1])))
+    motion = np.linalg.norm(np.fmax.reduce(comparison.measured) - np.fmin.reduce(comparison.measured), axis=-1)
+    if comparison.static:  # poses may be few, or alike: counted from the straight beam
+        motion = np.maximum(motion, np.nanmax(np.abs(comparison.measured[..., 1])))
     return np.asarray(motion)
 
 
@@ -101,16 +105,20 @@ def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
     """Every remark once, with the name of the recording it belongs to; warnings first."""
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
-    for one, seen in zip(findings.trainings, findings.recordings, strict=True):
-        groups.append((one.name, [*seen.remarks, *one.remarks, *poor_fit(one)]))
-    for one, seen in zip(findings.validations, findings.validation_observations, strict=True):
-        groups.append((one.name, pair_remarks(one, seen)))
+    for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
+        groups.append((comparison.name, [*recording.source.remarks, *comparison.remarks, *poor_fit(comparison)]))
+    for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
+        groups.append((comparison.name, pair_remarks(comparison, recording)))
     for whose, remarks in groups:
         for remark in remarks:
             found.setdefault((whose, remark.text), (whose, remark))
     return sorted(found.values(), key=lambda pair: pair[1].level != "warning")
 
 
-def pair_remarks(one: Comparison, seen: Observations) -> list[Remark]:
+def pair_remarks(comparison: Comparison, observations: Observations) -> list[Remark]:
     """What is to be known of one validation."""
-    return [*seen.remarks, *one.remarks, *(poor_fit(one, other=True) or another_beam(one))]
+    return [
+        *observations.source.remarks,
+        *comparison.remarks,
+        *(poor_fit(comparison, other=True) or another_beam(comparison)),
+    ]

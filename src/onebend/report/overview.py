@@ -23,7 +23,7 @@ from onebend.report.wording import significant
 
 @dataclass(frozen=True)
 class Overview:
-    """What was understood, row by row, and what looked odd."""
+    """What was read from the files, row by row, and what looked odd."""
 
     name: str
     rows: tuple[tuple[str, str], ...]
@@ -36,8 +36,8 @@ class Overview:
 
 
 @dataclass(frozen=True)
-class Film:
-    """What a look at the container and the first frame tells."""
+class FilmInfo:
+    """What the container and the first frame show."""
 
     width: int
     height: int
@@ -58,15 +58,15 @@ def overview(folder: Path | str) -> Overview:
     return Overview(recording.name, tuple(rows), remarks)
 
 
-def first_look(video: VideoEntry) -> Film:
+def first_look(video: VideoEntry) -> FilmInfo:
     """Size, and what the container says of its length."""
     height, width = next(read_frames(video)).luma.shape
     if video.topic:
         frames, seconds = bag_span(video)
-        return Film(width, height, frames, seconds)
+        return FilmInfo(width, height, frames, seconds)
     with opened(video.file) as container:
         seconds = container.duration / 1e6 if container.duration else float("nan")
-    return Film(width, height, frame_count(video), seconds)
+    return FilmInfo(width, height, frame_count(video), seconds)
 
 
 def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
@@ -82,7 +82,7 @@ def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
     ]
 
 
-def _film_rows(recording: Recording, film: Film | None) -> list[tuple[str, str]]:
+def _film_rows(recording: Recording, film: FilmInfo | None) -> list[tuple[str, str]]:
     if recording.poses is not None or recording.photos is not None:
         return _pose_rows(recording)
     if recording.markers is not None:
@@ -144,7 +144,7 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     ]  # fmt: skip
 
 
-def _oddities(recording: Recording, film: Film | None, log: ForceLog | None) -> list[Remark]:
+def _oddities(recording: Recording, film: FilmInfo | None, log: ForceLog | None) -> list[Remark]:
     found = []
     camera, video = recording.camera, recording.video
     if camera is not None and film is not None and (camera.width, camera.height) != (film.width, film.height):

@@ -68,12 +68,12 @@ def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
     return [*rows, ("together", sum(seconds.values()))]
 
 
-def worst_marker(one: Comparison) -> str:
+def worst_marker(comparison: Comparison) -> str:
     """The largest RMS of a comparison, with the marker it belongs to."""
-    if not np.isfinite(one.rms).any():
+    if not np.isfinite(comparison.rms).any():
         return UNKNOWN
-    i = int(np.nanargmax(one.rms))
-    return f"{millimetres(one.rms[i])} mm (M{i + 1})"
+    i = int(np.nanargmax(comparison.rms))
+    return f"{millimetres(comparison.rms[i])} mm (M{i + 1})"
 
 
 def clock_words(clock: ClockOffset) -> str:
@@ -82,21 +82,25 @@ def clock_words(clock: ClockOffset) -> str:
         return f"{clock.offset:.3f} s as written in recording.toml, which calls it exact"
     if not clock.found:
         return f"{clock.offset:.3f} s as written in recording.toml; the data could not settle it"
-    away = 1000.0 * (clock.offset - clock.said)
-    said = f", {away:+.0f} ms from the written {clock.said:.3f} s" if np.isfinite(clock.said) else ""
+    away = 1000.0 * (clock.offset - clock.stated)
+    said = f", {away:+.0f} ms from the written {clock.stated:.3f} s" if np.isfinite(clock.stated) else ""
     return f"{clock.offset:.3f} s ± {1000.0 * clock.sd:.1f} ms (sd){said}; the sensor's own lag is inside"
 
 
-def inputs(seen: Observations) -> list[tuple[str, str]]:
+def inputs(observations: Observations) -> list[tuple[str, str]]:
     """What was done to the force log and to the clocks, row by row."""
-    rows = [] if seen.clean_force is None else _force_rows(seen.clean_force)
-    if seen.clock is not None:
-        rows.append(("log time less video time", clock_words(seen.clock)))
-    if seen.view is not None:
-        how = "calibrated" if seen.view.calibrated else "not calibrated: lens and focal length inferred from the tags"
-        rows.append(("camera", f"{how}; corners to {seen.view.corner_sd:.2f} px (sd)"))
-    found = 100.0 * np.isfinite(seen.xy[..., 0]).mean(axis=0)
-    tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(seen.tag_id))
+    rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
+    if observations.source.clock is not None:
+        rows.append(("log time less video time", clock_words(observations.source.clock)))
+    if observations.source.view is not None:
+        how = (
+            "calibrated"
+            if observations.source.view.calibrated
+            else "not calibrated: lens and focal length inferred from the tags"
+        )
+        rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
+    found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
+    tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
     return [*rows, ("frames in which a tag was found", tags)]
 
 
@@ -118,19 +122,19 @@ def _pair(values: Iterable[float], unit: str) -> str:
 
 
 def assumptions(findings: Findings) -> list[str]:
-    """What the result rests on, in plain words."""
-    seen = findings.recordings[0]
-    rest = "straight when nothing pushes it" if seen.rest == "straight" else "of unknown shape at rest"
-    weight = "its weight acts in the plane of bending and is simulated" if np.any(seen.gravity != 0.0) else (
+    """The assumptions behind the result."""
+    recording = findings.recordings[0]
+    rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
+    weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
         "gravity acts across the plane of bending, so its weight does not bend it"
     )  # fmt: skip
     return [
         f"The beam is planar, neither stretches nor shears, is clamped at s = 0, and is {rest}; {weight}.",
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
-        f"Each tag sits at its written s to {millimetres(seen.placement_sd)} mm (sd).",
-        "What the force sensor reads at rest is taken off; a scale error, which it has only under load, is not seen, "
-        "and goes into k.",
+        f"Each tag sits at its written s to {millimetres(recording.stated.placement_sd)} mm (sd).",
+        "The force sensor's reading at rest is subtracted. Its scale error shows only under load; it is not seen, and "
+        "goes into k.",
     ]
 
 

@@ -1,7 +1,7 @@
-"""The results folder: complete or not there, and never at the price of somebody's files.
+"""The results folder: either complete or absent, and no other file is ever lost.
 
-Work in progress lives in a sibling, `OUT.partial`. What a run writes is finished there and then moved into place as a
-whole. `summary.json` lists the files a run wrote: those are ours, all others are strangers and are never touched.
+Work in progress is in the folder `OUT.partial` beside it. A run finishes its files there and then moves them into place
+all at once. `summary.json` lists the files that a run wrote; all other files are foreign and are never touched.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ FIXED_NAMES = (
 
 
 @dataclass(frozen=True)
-class Workplace:
-    """Where a run will put its results, and where it works until then."""
+class OutputFolder:
+    """Where a run puts its results, and where it works until then."""
 
     out: Path
     kind: str  # the `format` of the summary: results of one kind never replace those of another
@@ -42,12 +42,12 @@ class Workplace:
         return self.out.with_name(self.out.name + ".partial")
 
 
-def prepare(out: Path, *, kind: str, overwrite: bool) -> Workplace:
+def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
     """Check that results may go to `out` and make its workplace, before any heavy work.
 
     Raises `ResultsError` where the folder is taken, is a recording, or cannot be made.
     """
-    place = Workplace(Path(os.path.abspath(out)), kind, overwrite)  # noqa: PTH100 (links in the path are kept)
+    place = OutputFolder(Path(os.path.abspath(out)), kind, overwrite)  # noqa: PTH100 (links in the path are kept)
     _check_free(place)
     try:
         place.partial.mkdir(parents=True, exist_ok=True)
@@ -56,7 +56,7 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> Workplace:
     return place
 
 
-def publish(place: Workplace, write: Callable[[Path], None]) -> None:
+def publish(place: OutputFolder, write: Callable[[Path], None]) -> None:
     """Let `write` fill a fresh folder, then put it in place as a whole and remove the workplace.
 
     Raises `ResultsError` where writing or moving fails; what was there before stands as it was.
@@ -71,7 +71,7 @@ def publish(place: Workplace, write: Callable[[Path], None]) -> None:
         _check_free(place)
         if not place.out.exists():
             fresh.rename(place.out)
-        elif strangers(place.out, place.kind):
+        elif foreign_files(place.out, place.kind):
             _replace_files(fresh, place)
         else:
             _swap(fresh, place)
@@ -83,8 +83,8 @@ def publish(place: Workplace, write: Callable[[Path], None]) -> None:
     shutil.rmtree(place.partial, ignore_errors=True)
 
 
-def abandon(place: Workplace) -> bool:
-    """After work that ended early: keep what is complete in the workplace, drop the rest. Whether anything is kept."""
+def abandon(place: OutputFolder) -> bool:
+    """After work that ended early: keep its finished parts in `OUT.partial`, drop the rest. True if any are kept."""
     for half in ("unfinished", "*.tmp"):
         for path in place.partial.glob(half):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -106,8 +106,8 @@ def own_files(folder: Path, kind: str) -> set[str]:
     return {name for name in names if _is_inside(name) and (folder / name).is_file()}
 
 
-def strangers(folder: Path, kind: str) -> set[str]:
-    """The files in `folder` that are not ours."""
+def foreign_files(folder: Path, kind: str) -> set[str]:
+    """The files in `folder` that no run of this kind wrote."""
     there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
     return there - own_files(folder, kind)
 
@@ -123,7 +123,7 @@ def _is_inside(name: str) -> bool:
     return not path.is_absolute() and ".." not in path.parts and "\\" not in name and ":" not in name
 
 
-def _check_free(place: Workplace) -> None:
+def _check_free(place: OutputFolder) -> None:
     out = place.out
     if (out / "recording.toml").exists():
         raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
@@ -133,7 +133,7 @@ def _check_free(place: Workplace) -> None:
         raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
 
 
-def _check_folder(place: Workplace) -> None:
+def _check_folder(place: OutputFolder) -> None:
     out = place.out
     if not any(out.iterdir()):
         return
@@ -149,7 +149,7 @@ def _check_folder(place: Workplace) -> None:
         )
 
 
-def _swap(fresh: Path, place: Workplace) -> None:
+def _swap(fresh: Path, place: OutputFolder) -> None:
     """Old results out, new ones in; the old ones are deleted only when the new ones stand."""
     old = place.partial / "replaced"
     shutil.rmtree(old, ignore_errors=True)
@@ -161,11 +161,11 @@ def _swap(fresh: Path, place: Workplace) -> None:
         raise
 
 
-def _replace_files(fresh: Path, place: Workplace) -> None:
-    """File by file, where strangers share the folder. The summary goes in last: its list is the folder's truth."""
+def _replace_files(fresh: Path, place: OutputFolder) -> None:
+    """File by file, where the folder also holds foreign files. The summary goes in last: it lists what is complete."""
     out = place.out
     new, old = files_in(fresh), own_files(out, place.kind)
-    clash = sorted(set(new) & strangers(out, place.kind))
+    clash = sorted(set(new) & foreign_files(out, place.kind))
     if clash:
         raise ResultsError(
             f"{out / clash[0]}: did not come from an earlier run, so it is not replaced. Choose another -o"

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from onebend.control.loop.feedback import Controller
+from onebend.control.loop.controller import Controller
 from onebend.control.loop.margins import Margins
-from onebend.control.loop.prospect import SETTLED, Trial
+from onebend.control.loop.robustness import SETTLED, LoopTrial
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv
@@ -19,7 +19,7 @@ LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "f
 
 
 def loop_summary(
-    model: str, control: Controller, known: Margins, trials: tuple[Trial, ...], *, written_by: str
+    model: str, control: Controller, known: Margins, trials: tuple[LoopTrial, ...], *, written_by: str
 ) -> dict[str, Any]:
     """What `onebend loop --json` prints and `summary.json` holds (there with `files`); SI; null is infinite."""
     timing = control.settings.timing
@@ -44,12 +44,12 @@ def loop_summary(
         },
         "rehearsals": [
             {
-                "k_factor": one.factor,
-                "stands": one.run is not None,
-                "steady_m": _finite(one.steady),
-                "settled_s": _finite(one.settled(SETTLED)),
+                "k_factor": trial.factor,
+                "stands": trial.run is not None,
+                "steady_m": _finite(trial.steady),
+                "settled_s": _finite(trial.settled(SETTLED)),
             }
-            for one in trials
+            for trial in trials
         ],
     }
 
@@ -58,18 +58,18 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def write_loop(path: Path, trials: tuple[Trial, ...]) -> None:
+def write_loop(path: Path, trials: tuple[LoopTrial, ...]) -> None:
     """One row a moment of every rehearsal."""
     rows = (
-        (one.factor, time, *one.run.xy[i], *one.run.asked[i], *one.run.force[i], one.run.error[i])
-        for one in trials
-        if one.run is not None
-        for i, time in enumerate(one.run.time)
+        (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
+        for trial in trials
+        if trial.run is not None
+        for i, time in enumerate(trial.run.time)
     )
     write_csv(path, LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))
 
 
-def loop_writer(trials: tuple[Trial, ...], picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def loop_writer(trials: tuple[LoopTrial, ...], picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder."""
 
     def write(folder: Path) -> None:

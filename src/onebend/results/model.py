@@ -14,7 +14,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.learning.design.instruments import Bench
+from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.frames import marker_rms
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
@@ -29,7 +29,7 @@ KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench
 
 @dataclass(frozen=True)
 class Origin:
-    """How a model came about. Informative: nothing is computed from it."""
+    """Where a model comes from. For people: nothing is computed from it."""
 
     recording: str  # several: with " + " between them
     method: str
@@ -48,22 +48,22 @@ class StoredModel:
     beam: Beam
     origin: Origin | None
     uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
-    bench: Bench | None = None  # what the recordings were made with, where the band is known
+    bench: Instruments | None = None  # what the recordings were made with, where the band is known
     damping: Damping | None = None  # where a free swing was filmed
 
 
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
     """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
-    pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in trainings])
-    rms = marker_rms(np.concatenate([one.measured - one.predicted for one in trainings]))
+    pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in trainings])
+    rms = marker_rms(np.concatenate([comparison.measured - comparison.predicted for comparison in trainings]))
     if posterior is not None:
-        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.at.spline.count)
+        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.layout.spline.count)
     else:
         assert learned is not None
         trial = learned.trials[learned.chosen]
         made = (learned.method, learned.family, trial.n, trial.m)
     return Origin(
-        " + ".join(one.name for one in trainings),
+        " + ".join(comparison.name for comparison in trainings),
         *made,
         marker_s=tuple(float(s) for s in trainings[0].marker_s),
         push_s=float(pushed.max()) if pushed.size else None,
@@ -78,7 +78,7 @@ def save_model(
     written_by: str,
     origin: Origin | None = None,
     uncertain: UncertainStiffness | None = None,
-    bench: Bench | None = None,
+    bench: Instruments | None = None,
 ) -> None:
     """Write `beam` to `path`, so that `load_model` gives back an equal one.
 
@@ -199,11 +199,11 @@ def _origin(file: Path, data: Any) -> Origin | None:
     return Origin(**values)
 
 
-def _bench(file: Path, data: Any) -> Bench | None:
+def _bench(file: Path, data: Any) -> Instruments | None:
     if data is None:
         return None
     try:
-        return Bench.from_dict(data)
+        return Instruments.from_dict(data)
     except LearningError as error:
         raise ResultsError(f"{file}: key 'bench' {error}. {_ADVICE}") from error
 
@@ -236,16 +236,16 @@ def _uncertain(file: Path, data: Any, beam: Beam) -> UncertainStiffness | None:
         return None
     s = np.linspace(0.0, 1.0, 21)
     try:
-        found = UncertainStiffness.from_dict(data)
-        spread = np.linalg.eigvalsh(found.covariance)
-        if spread[0] < -1e-9 * spread[-1] or not np.allclose(found.covariance, found.covariance.T):
+        uncertain = UncertainStiffness.from_dict(data)
+        spread = np.linalg.eigvalsh(uncertain.covariance)
+        if spread[0] < -1e-9 * spread[-1] or not np.allclose(uncertain.covariance, uncertain.covariance.T):
             raise MechanicsError("its covariance is none")
-        fits = np.allclose(found.band(s).k, beam.stiffness(s), rtol=1e-9)
+        fits = np.allclose(uncertain.band(s).k, beam.stiffness(s), rtol=1e-9)
     except (MechanicsError, KeyError, TypeError, ValueError, IndexError) as error:
         raise ResultsError(f"{file}: key 'uncertain' describes no stiffness ({error!r}). {_ADVICE}") from error
     if not fits:
         raise ResultsError(f"{file}: key 'uncertain' is not the band of the beam's stiffness. {_ADVICE}")
-    return found
+    return uncertain
 
 
 def _check_profile(where: str, profile: Profile) -> None:

@@ -18,28 +18,28 @@ REACH_FORMAT = "onebend-reach-1"
 PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
 
 
-def reach_summary(model: str, found: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
+def reach_summary(model: str, result: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
     """What `onebend reach --json` prints and `summary.json` holds (there with `files`); SI and radians."""
-    nearest = found.nearest
+    nearest = result.nearest
     return {
         "format": REACH_FORMAT,
         "written_by": written_by,
         "model": model,
-        "method": found.settings.method,
-        "push_s": found.push_s,
-        "point_s": found.point_s,
-        "goal_m": found.goal[:2].tolist(),
-        "goal_angle_rad": float(found.goal[2]) if len(found.goal) == 3 else None,
-        "converged": found.converged,
-        "reason": found.reason,
-        "force_N": found.force.tolist(),
-        "force_size_N": float(np.hypot(*found.force)),
-        "moment_N_m": found.moment,
-        "reached_m": found.reached[:2].tolist(),
-        "reached_angle_rad": float(found.reached[2]),
-        "error_m": found.error,
-        "stable": found.stable,
-        "iterations": found.iterations,
+        "method": result.settings.method,
+        "push_s": result.push_s,
+        "point_s": result.point_s,
+        "goal_m": result.goal[:2].tolist(),
+        "goal_angle_rad": float(result.goal[2]) if len(result.goal) == 3 else None,
+        "converged": result.converged,
+        "reason": result.reason,
+        "force_N": result.force.tolist(),
+        "force_size_N": float(np.hypot(*result.force)),
+        "moment_N_m": result.moment,
+        "reached_m": result.reached[:2].tolist(),
+        "reached_angle_rad": float(result.reached[2]),
+        "error_m": result.error,
+        "stable": result.stable,
+        "iterations": result.iterations,
         "nearest": None if nearest is None else {
             "point_m": nearest.point.tolist(),
             "force_N": nearest.force.tolist(),
@@ -56,18 +56,18 @@ def reach_summary(model: str, found: Reach, error: PredictedError | None, *, wri
     }  # fmt: skip
 
 
-def write_path(path: Path, found: Reach) -> None:
+def write_path(path: Path, result: Reach) -> None:
     """One row a step from rest: the load, and where it holds the point; each an equilibrium on one branch."""
-    pairs = zip(found.path, found.path_points, strict=True)
+    pairs = zip(result.path, result.path_points, strict=True)
     rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))
     write_csv(path, PATH_COLUMNS, rows)
 
 
-def reach_writer(found: Reach, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def reach_writer(result: Reach, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder."""
 
     def write(folder: Path) -> None:
-        write_path(folder / "path.csv", found)
+        write_path(folder / "path.csv", result)
         (folder / "reach.png").write_bytes(picture)
         write_summary(folder / "summary.json", summary, files_in(folder))
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from onebend.control.path.path import Path as Way
+from onebend.control.path.follow import FollowedPath
 from onebend.control.path.path_spread import PathSpread
 from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
-from onebend.control.shape.shape import Shaped
+from onebend.control.shape.shape import ShapeResult
 from onebend.results.folder import files_in
 from onebend.results.summary import write_summary
 from onebend.results.tables import write_csv
@@ -33,58 +33,58 @@ TARGET_ROWS = (
 SHAPE_ROWS = ("s", "x_m", "y_m", "angle_rad")
 
 
-def shape_summary(model: str, found: Shaped, *, written_by: str) -> dict[str, Any]:
+def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[str, Any]:
     """What `onebend shape --json` prints and `summary.json` holds (there with `files`); SI and radians."""
-    hands, spread = found.stand.hands, found.spread
-    held = hands.grip is not None
+    actuators, spread = result.state.actuators, result.spread
+    held = actuators.grip is not None
     return {
         "format": SHAPE_FORMAT,
         "written_by": written_by,
         "model": model,
-        "push_s": [one.at_s for one in hands.pushes],
-        "force_N": found.forces,
-        "gripper_pose": dict(zip(("x_m", "y_m", "angle_rad"), found.pose, strict=True)) if held else None,
-        "gripper_wrench": found.wrench,
-        "rms_m": found.rms,
-        "target_error_m": found.xy_error,
-        "target_error_rad": found.angle_error,
+        "push_s": [pusher.at_s for pusher in actuators.pushes],
+        "force_N": result.forces,
+        "gripper_pose": dict(zip(("x_m", "y_m", "angle_rad"), result.pose, strict=True)) if held else None,
+        "gripper_wrench": result.wrench,
+        "rms_m": result.rms,
+        "target_error_m": result.xy_error,
+        "target_error_rad": result.angle_error,
         "predicted_sd_m": None if spread is None else spread.xy,
         "predicted_sd_rad": None if spread is None else spread.angle,
         "predicted_sd_wrench": None if spread is None else spread.wrench,
-        "margin": found.margin,
-        "load_left": found.load_left,
-        "limits": found.limits,
-        "open_freedoms": found.open_freedoms,
-        "converged": found.converged,
-        "starts": found.starts,
-        "warnings": found.warnings,
+        "margin": result.margin,
+        "load_left": result.load_left,
+        "limits": result.limits,
+        "open_freedoms": result.open_freedoms,
+        "converged": result.converged,
+        "starts": result.starts,
+        "warnings": result.warnings,
     }
 
 
-def shape_writer(found: Shaped, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def shape_writer(result: ShapeResult, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a shape."""
 
     def write(folder: Path) -> None:
-        targets, spread, blank = found.targets, found.spread, np.full(len(found.targets.s), np.nan)
+        targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
         sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
-        here = (*found.xy(targets.s).T, found.angle(targets.s))
+        here = (*result.xy(targets.s).T, result.angle(targets.s))
         _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
         s = np.linspace(0.0, 1.0, 201)
-        _rows(folder / "shape.csv", SHAPE_ROWS, (s, *found.xy(s).T, found.angle(s)))
+        _rows(folder / "shape.csv", SHAPE_ROWS, (s, *result.xy(s).T, result.angle(s)))
         (folder / "shape.png").write_bytes(picture)
         write_summary(folder / "summary.json", summary, files_in(folder))
 
     return write
 
 
-def path_summary(model: str, way: Way, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
+def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
     """What `onebend path --json` prints and `summary.json` holds; the samples themselves are in `path.csv`."""
     return {
         "format": PATH_FORMAT,
         "written_by": written_by,
         "model": model,
-        "push_s": [one.at_s for one in way.hands.pushes],
-        "grip": way.hands.grip is not None,
+        "push_s": [pusher.at_s for pusher in way.actuators.pushes],
+        "grip": way.actuators.grip is not None,
         "samples": len(way.time),
         "duration_s": float(way.time[-1]),
         "stretch": way.stretch,
@@ -97,7 +97,7 @@ def path_summary(model: str, way: Way, sure: PathSpread | None, *, written_by: s
     }
 
 
-def path_writer(way: Way, picture: bytes, summary: Mapping[str, Any], *, frame: str) -> Callable[[Path], None]:
+def path_writer(way: FollowedPath, picture: bytes, summary: Mapping[str, Any], *, frame: str) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a ROS 2 bag, a picture."""
 
     def write(folder: Path) -> None:

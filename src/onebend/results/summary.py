@@ -1,4 +1,4 @@
-"""`summary.json`: the figures a script wants, in SI; `null` where a number is not known or not finite."""
+"""`summary.json`: the numbers for scripts, in SI units; `null` where a number is unknown or not finite."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
     return {
         "format": LEARN_FORMAT,
         "written_by": written_by,
-        "recordings": [one.name for one in findings.recordings],
+        "recordings": [recording.source.name for recording in findings.recordings],
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
         "stiffness": _stiffness(findings.beam, None if posterior is None else posterior.stiffness),
         "fit": None if posterior is None else _fit(posterior),
         "regression": None if learned is None else _regression(learned),
-        "training": [comparison_summary(one) for one in findings.trainings],
-        "validation": [comparison_summary(one) for one in findings.validations],
-        "observed": [_observed(one) for one in findings.recordings],
+        "training": [comparison_summary(comparison) for comparison in findings.trainings],
+        "validation": [comparison_summary(comparison) for comparison in findings.validations],
+        "observed": [_observed(recording) for recording in findings.recordings],
         "remarks": [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)],
         "stage_seconds": dict(findings.stage_seconds),
         "video_seconds": findings.video_seconds,
@@ -54,9 +54,9 @@ def validation_summary(
 ) -> dict[str, Any]:
     """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
     rows = []
-    for one, seen in pairs:
-        remarks = [remark.as_dict() for remark in pair_remarks(one, seen)]
-        rows.append(comparison_summary(one) | {"remarks": remarks})
+    for comparison, recording in pairs:
+        remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
+        rows.append(comparison_summary(comparison) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
 
 
@@ -89,17 +89,17 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
     }
 
 
-def comparison_summary(one: Comparison) -> dict[str, Any]:
+def comparison_summary(comparison: Comparison) -> dict[str, Any]:
     """One recording's row of Tables IV to VI."""
     return {
-        "recording": one.name,
-        "frames": len(one.frame),
-        "tag": one.tag_id,
-        "s": one.marker_s,
-        "rms_m": one.rms,
-        "sensor_rms_m": one.sensor_rms,
-        "all_stable": bool(np.all(one.stable)),
-        "remarks": [remark.as_dict() for remark in one.remarks],
+        "recording": comparison.name,
+        "frames": len(comparison.frame),
+        "tag": comparison.tag_id,
+        "s": comparison.marker_s,
+        "rms_m": comparison.rms,
+        "sensor_rms_m": comparison.sensor_rms,
+        "all_stable": bool(np.all(comparison.stable)),
+        "remarks": [remark.as_dict() for remark in comparison.remarks],
     }
 
 
@@ -116,10 +116,10 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "doubts": uncertain.doubts,
         "identified": identified_ranges(uncertain),
         "gain_sd": uncertain.gain_sd,
-        "nuisances": [asdict(one) for one in posterior.nuisances()],
-        "tradeoffs": [asdict(one) for one in tradeoffs(posterior)],
-        "tradeoffs_with_level": [asdict(one) for one in with_level(posterior)],
-        "scales": asdict(optimum.scales),
+        "nuisances": [asdict(nuisance) for nuisance in posterior.nuisances()],
+        "tradeoffs": [asdict(pair) for pair in tradeoffs(posterior)],
+        "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
+        "scales": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,
@@ -141,13 +141,13 @@ def _regression(learned: Learned) -> dict[str, Any]:
     }
 
 
-def _observed(seen: Observations) -> dict[str, Any]:
+def _observed(observations: Observations) -> dict[str, Any]:
     """What one recording said."""
     return {
-        "recording": seen.name,
-        "frames": {"all": len(seen.time), "loaded": int(seen.loaded.sum())},
-        "force": _force(seen),
-        "clock": _clock(seen),
+        "recording": observations.source.name,
+        "frames": {"all": len(observations.time), "loaded": int(observations.loaded.sum())},
+        "force": _force(observations),
+        "clock": _clock(observations),
     }
 
 
@@ -177,7 +177,7 @@ def _stiffness(beam: Beam, uncertain: UncertainStiffness | None) -> dict[str, An
 
 
 def _force(observed: Observations) -> dict[str, Any] | None:
-    clean = observed.clean_force
+    clean = observed.source.clean_force
     if clean is None:
         return None
     return {
@@ -191,7 +191,7 @@ def _force(observed: Observations) -> dict[str, Any] | None:
 
 
 def _clock(observed: Observations) -> dict[str, Any] | None:
-    clock = observed.clock
+    clock = observed.source.clock
     if clock is None:
         return None
-    return {"offset_s": clock.offset, "sd_s": clock.sd, "said_s": clock.said, "found": clock.found}
+    return {"offset_s": clock.offset, "sd_s": clock.sd, "stated_s": clock.stated, "found": clock.found}

@@ -69,25 +69,46 @@ def write_markers(path: Path, comparisons: Sequence[Comparison]) -> None:
     """One row a recording, frame and tag: measured, predicted and residual (measured less predicted) positions."""
     header = "recording,time_s,frame,tag,s,x_m,y_m,predicted_x_m,predicted_y_m,residual_x_m,residual_y_m"
     forces = ["force_x_N", "force_y_N", "push_s", "stable"]
-    write_csv(path, [*header.split(","), *forces], (row for one in comparisons for row in _marker_rows(one)))
+    write_csv(
+        path, [*header.split(","), *forces], (row for comparison in comparisons for row in _marker_rows(comparison))
+    )
 
 
-def _marker_rows(one: Comparison) -> Iterable[list[Any]]:
-    residual = one.measured - one.predicted
-    for t, frame in enumerate(one.frame):
-        load = [*map(_number, one.force[t]), _number(one.push_s[t]), "yes" if one.stable[t] else "no"]
-        for i, tag in enumerate(one.tag_id):
-            places = (*one.measured[t, i], *one.predicted[t, i], *residual[t, i])
-            yield [one.name, f"{one.time[t]:.6f}", frame, tag, _number(one.marker_s[i]), *map(_number, places), *load]
+def _marker_rows(comparison: Comparison) -> Iterable[list[Any]]:
+    residual = comparison.measured - comparison.predicted
+    for t, frame in enumerate(comparison.frame):
+        load = [
+            *map(_number, comparison.force[t]),
+            _number(comparison.push_s[t]),
+            "yes" if comparison.stable[t] else "no",
+        ]
+        for i, tag in enumerate(comparison.tag_id):
+            places = (*comparison.measured[t, i], *comparison.predicted[t, i], *residual[t, i])
+            yield [
+                comparison.name,
+                f"{comparison.time[t]:.6f}",
+                frame,
+                tag,
+                _number(comparison.marker_s[i]),
+                *map(_number, places),
+                *load,
+            ]
 
 
 def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
     """Tables IV to VI: one row a recording and tag, with the part that the force's noise alone explains."""
     header = ["recording", "frames", "tag", "s", "rms_m", "sensor_rms_m"]
     rows = (
-        [one.name, len(one.frame), tag, _number(one.marker_s[i]), _number(one.rms[i]), _number(one.sensor_rms[i])]
-        for one in comparisons
-        for i, tag in enumerate(one.tag_id)
+        [
+            comparison.name,
+            len(comparison.frame),
+            tag,
+            _number(comparison.marker_s[i]),
+            _number(comparison.rms[i]),
+            _number(comparison.sensor_rms[i]),
+        ]
+        for comparison in comparisons
+        for i, tag in enumerate(comparison.tag_id)
     )
     write_csv(path, header, rows)
 

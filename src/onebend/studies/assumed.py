@@ -1,22 +1,22 @@
-"""Where the paper is silent, and what stands in for it."""
+"""What the paper does not say, and what is assumed instead."""
 
 from __future__ import annotations
 
 from math import degrees
 
 from onebend.studies.manipulation import TASKS
-from onebend.studies.outcome import Outcome
-from onebend.studies.setting import COLOURED, REVERSAL, STRATEGIES
+from onebend.studies.outcome import StudyOutcome
+from onebend.studies.settings import COLOURED, REVERSAL, STRATEGIES
 
 
-def assumed(found: Outcome) -> list[str]:
+def assumed(outcome: StudyOutcome) -> list[str]:
     """Sentences on beams, films, pushes, sensor, goals and method."""
-    design, fps = found.beams[0].design, found.setting.fps
-    bends = ", ".join(f"{degrees(one.bend):.0f} deg ({one.says})" for one in STRATEGIES)
+    design, fps = outcome.beams[0].design, outcome.setting.fps
+    bends = ", ".join(f"{degrees(strategy.bend):.0f} deg ({strategy.says})" for strategy in STRATEGIES)
     turns = " and ".join(f"{degrees(task.turn):.0f} deg ({task.name})" for task in TASKS)
     camera = (
         "filmed from above with 1280 by 720 pixels"
-        if found.setting.video
+        if outcome.setting.video
         else "whose poses come with a camera's noise, without a picture"
     )
     return [
@@ -28,21 +28,21 @@ def assumed(found: Outcome) -> list[str]:
         f"Pushes: at their peaks the pushed place turns by {bends}. The fast push takes 2.5 times less time than the "
         "slow one. The paper prints neither forces nor times.",
         "Force: a Franka's own estimate, noisy and biased (Section VI-B), 80 rows/s, with its white noise, bias, lag "
-        f"and lost rows, and {slow_error(found)}.",
-        f"One robot logs all twelve pushes, so its scale is one: {found.gain:.3f} here, drawn once. No force log "
+        f"and lost rows, and {slow_error(outcome)}.",
+        f"One robot logs all twelve pushes, so its scale is one: {outcome.gain:.3f} here, drawn once. No force log "
         "reveals it: k(s) comes out as much too large, and errors of k(s) are counted without it. A force is applied "
         "as the same robot reads it.",
         f"Goals of the tasks: places that the true beams can take, their points turned by {turns}. The paper prints "
         "none.",
-        "The text of the paper at hand has no rows for Tables I, III and VI; nothing stands in for them.",
+        "The text of the paper at hand has no rows for Tables I, III and VI; they stay empty.",
         "Both methods see the same observations: clock, tare, filter and scale of the picture are onebend's, not the "
         "paper's nearest rows and millimetres per pixel.",
     ]
 
 
-def slow_error(found: Outcome) -> str:
+def slow_error(outcome: StudyOutcome) -> str:
     """What the slow errors of the force are."""
-    if found.setting.sensor == "franka":
+    if outcome.setting.sensor == "franka":
         return "the slow errors that were measured on such a robot at 3 to 7 N"
     return (
         f"slow errors of {1e3 * COLOURED:.0f} mN (coloured) and {1e3 * REVERSAL:.0f} mN (after each turn of the load), "

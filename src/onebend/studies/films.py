@@ -1,4 +1,4 @@
-"""The twelve recordings: filmed, and looked at. What is there is kept."""
+"""The twelve recordings, filmed and observed. Those that exist already are used again."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.records import Observations
-from onebend.results.observed import load_observations, save_observations
-from onebend.studies.setting import BEAMS, STRATEGIES, Setting, Strategy, filming, name_of, seed_of
+from onebend.results.observations_file import load_observations, save_observations
+from onebend.studies.settings import BEAMS, STRATEGIES, Strategy, StudySettings, filmed_push, name_of, seed_of
 
 RECORDINGS, OBSERVED = "recordings", "observed"
 
@@ -22,7 +22,7 @@ class FilmJob:
     """One recording to be made."""
 
     work: Path
-    setting: Setting
+    setting: StudySettings
     beam: str
     strategy: Strategy
 
@@ -38,31 +38,31 @@ class FilmJob:
 
     @property
     def observed(self) -> Path:
-        """Where goes what it says."""
+        """Where its observations go."""
         return self.work / OBSERVED / f"{self.name}.parquet"
 
     def load(self) -> Observations:
-        """What it says."""
+        """Its observations."""
         return load_observations(self.observed)
 
 
-def film_jobs(work: Path, setting: Setting) -> list[FilmJob]:
+def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
     """All twelve, each beam's training push first."""
     return [FilmJob(work, setting, beam, strategy) for beam in BEAMS for strategy in STRATEGIES]
 
 
 def make_recording(job: FilmJob) -> FilmJob:
-    """Film and look for the tags, unless that was done; every file is whole or not there.
+    """Film and find the tags, unless that was done; a file is either complete or absent.
 
     Raises:
         RecordingError, ObservationError: as for a real recording.
     """
     if job.observed.exists():
         return job
-    seen = _filmed(job) if job.setting.video else _without_video(job)
+    observations = _filmed(job) if job.setting.video else _without_video(job)
     job.observed.parent.mkdir(parents=True, exist_ok=True)
     unfinished = job.observed.with_suffix(".tmp")
-    save_observations(unfinished, seen)
+    save_observations(unfinished, observations)
     unfinished.replace(job.observed)
     return job
 
@@ -73,11 +73,11 @@ def _filmed(job: FilmJob) -> Observations:
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.parent.mkdir(parents=True, exist_ok=True)
         seed = seed_of(job.setting, job.beam, job.strategy)
-        film(filming(job.setting, job.beam, job.strategy), unfinished, seed=seed)
+        film(filmed_push(job.setting, job.beam, job.strategy), unfinished, seed=seed)
         unfinished.rename(job.folder)
     return observe(read_recording(job.folder), settings=ObserveSettings(threads=1))
 
 
 def _without_video(job: FilmJob) -> Observations:
-    bench = filming(job.setting, job.beam, job.strategy).bench
+    bench = filmed_push(job.setting, job.beam, job.strategy).bench
     return observe_virtual(virtual_recording(bench, seed=seed_of(job.setting, job.beam, job.strategy)))

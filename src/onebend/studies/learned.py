@@ -13,11 +13,11 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ResultsError
-from onebend.learning.design.instruments import bench_of
+from onebend.learning.design.instruments import instruments_of
 from onebend.learning.model.rest import at_rest
 from onebend.learning.outcome import Trial
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings, choose, table
+from onebend.learning.paper.selection import RegressionSettings, choose, table
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
@@ -25,16 +25,16 @@ from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.progress import Silent
 from onebend.records import Array, Observations
 from onebend.results.model import origin_of, read_model, save_model
-from onebend.results.observed import load_observations
+from onebend.results.observations_file import load_observations
 from onebend.studies.printed import MOST_MODES
 
-PAPER = Settings(method="paper", bic="paper", most_n=MOST_MODES)
+PAPER = RegressionSettings(method="paper", bic="paper", most_n=MOST_MODES)
 FIT_FILE, PAPER_FILE, FACTS_FILE = "model.json", "paper-model.json", "facts.json"
 
 
 @dataclass(frozen=True)
 class LearnedBeam:
-    """What one training push told."""
+    """What was learned from one training push."""
 
     trials: tuple[Trial, ...]  # Tables I to III
     chosen: int | None  # index in `trials`; None where no (n, m) gave a beam
@@ -65,18 +65,18 @@ def learn_beam(job: LearnJob) -> LearnJob:
         LearningError: the push does not determine a beam.
     """
     if not (job.folder / FACTS_FILE).exists():
-        seen = load_observations(job.training)
+        observations = load_observations(job.training)
         job.folder.mkdir(parents=True, exist_ok=True)
-        trials, chosen, paper = by_paper(seen)
-        _save(job, seen, trials, chosen, paper, by_fit(seen))
+        trials, chosen, paper = by_paper(observations)
+        _save(job, observations, trials, chosen, paper, by_fit(observations))
     return job
 
 
 @one_blas_thread
-def by_paper(seen: Observations) -> tuple[tuple[Trial, ...], int | None, Beam | None]:
+def by_paper(observations: Observations) -> tuple[tuple[Trial, ...], int | None, Beam | None]:
     """The literal regression (17), (18) with tags' positions, over n = 2..5, m = 2..n (20): table, choice, beam."""
-    candidates = table(seen, at_rest(seen), PAPER, Silent())
-    trials = tuple(one.trial for one in candidates)
+    candidates = table(observations, at_rest(observations), PAPER, Silent())
+    trials = tuple(candidate.trial for candidate in candidates)
     try:
         chosen = choose(candidates)
     except LearningError:
@@ -84,41 +84,41 @@ def by_paper(seen: Observations) -> tuple[tuple[Trial, ...], int | None, Beam | 
     return trials, chosen, candidates[chosen].beam
 
 
-def by_fit(seen: Observations) -> Posterior:
+def by_fit(observations: Observations) -> Posterior:
     """What `onebend learn` does: the regression with the tags' angles, and the fit from there."""
     try:
-        start = learn(seen)
+        start = learn(observations)
     except LearningError:
         start = None
-    return fit([seen], start_of([seen], start), gain_sd=seen.gain_sd)
+    return fit([observations], start_of([observations], start), gain_sd=observations.stated.gain_sd)
 
 
 def _save(
     job: LearnJob,
-    seen: Observations,
+    observations: Observations,
     trials: tuple[Trial, ...],
     chosen: int | None,
     paper: Beam | None,
     posterior: Posterior,
 ) -> None:
-    """All files of a beam, the facts last: where they are, all is."""
+    """Write all files of a beam, the facts last: where that file exists, all do."""
     if paper is not None:
         save_model(job.folder / PAPER_FILE, paper, written_by=job.written_by)
     save_model(
         job.folder / FIT_FILE,
         posterior.beam,
         written_by=job.written_by,
-        origin=origin_of(None, posterior, (validate(posterior.beam, seen),)),
+        origin=origin_of(None, posterior, (validate(posterior.beam, observations),)),
         uncertain=posterior.stiffness,
-        bench=bench_of(posterior),
+        bench=instruments_of(posterior),
     )
     facts = {
         "trials": [
-            asdict(one) | {"coefficients": one.coefficients.tolist(), "rms": one.rms.tolist()} for one in trials
+            asdict(trial) | {"coefficients": trial.coefficients.tolist(), "rms": trial.rms.tolist()} for trial in trials
         ],
         "chosen": chosen,
         "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
-        "remarks": [f"{one.level}: {one.text}" for one in fit_remarks(posterior)],
+        "remarks": [f"{remark.level}: {remark.text}" for remark in fit_remarks(posterior)],
     }
     unfinished = job.folder / "facts.tmp"
     unfinished.write_text(json.dumps(facts, indent=1), encoding="utf-8")  # NaN and infinity as Python writes them
@@ -128,7 +128,7 @@ def _save(
 def _load(folder: Path) -> LearnedBeam:
     try:
         facts = json.loads((folder / FACTS_FILE).read_text(encoding="utf-8"))
-        trials = tuple(_trial(one) for one in facts["trials"])
+        trials = tuple(_trial(trial) for trial in facts["trials"])
         stored = read_model(folder / FIT_FILE)
         if stored.uncertain is None:
             raise ResultsError(f"{folder / FIT_FILE}: holds no band. Remove the folder and run again")

@@ -11,7 +11,7 @@ from scipy.integrate import solve_bvp
 from onebend.beam.model import Beam
 from onebend.control.reach.reach import Reach, ReachSettings, reach
 from onebend.errors import MechanicsError
-from onebend.lab.truths import force_that_bends
+from onebend.lab.random_beams import force_that_bends
 from onebend.records import Array
 
 Way = Literal["fit", "fit-paper", "paper"]
@@ -47,7 +47,7 @@ WAYS: dict[Way, str] = {
 
 
 @dataclass(frozen=True)
-class Done:
+class TaskResult:
     """One task solved on a learned beam, and its force put on the true beam."""
 
     beam: str
@@ -63,7 +63,7 @@ class Done:
         return float(np.linalg.norm(self.landed - self.goal))
 
 
-def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Done]:
+def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[TaskResult]:
     """All tasks of one beam, every way. `true`: the beam as the force's scale shows it."""
     out = []
     for task in TASKS:
@@ -73,9 +73,9 @@ def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Don
             if beam is None:
                 continue
             settings = ReachSettings(method="newton" if way == "fit" else "paper")
-            found = reach(beam, goal, push_s=task.s, point_s=task.s, settings=settings)
-            landed = true_place(true, found.force, task.s) if found.converged else np.full(2, np.nan)
-            out.append(Done(name, task, way, goal, found, landed))
+            result = reach(beam, goal, push_s=task.s, point_s=task.s, settings=settings)
+            landed = true_place(true, result.force, task.s) if result.converged else np.full(2, np.nan)
+            out.append(TaskResult(name, task, way, goal, result, landed))
     return out
 
 

@@ -1,4 +1,4 @@
-"""Everything that a run found, gathered from its files: what tables, figures and page are made of."""
+"""All results of a study, gathered from its files; tables, figures and page are made from them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from onebend.progress import Progress, Silent, track
 from onebend.records import Array, Observations
 from onebend.studies.films import FilmJob
 from onebend.studies.learned import LearnedBeam, LearnJob
-from onebend.studies.manipulation import Done, manipulate
-from onebend.studies.setting import BEAMS, Setting, Strategy, gain_of, seen_through
+from onebend.studies.manipulation import TaskResult, manipulate
+from onebend.studies.settings import BEAMS, Strategy, StudySettings, gain_of, seen_through
 
 S = np.linspace(0.0, 1.0, 401)
 INNER = 0.95  # beyond this s a push at the tip bends nothing that could be seen
 
 
 @dataclass(frozen=True)
-class Validated:
+class ValidatedFilm:
     """One recording against the beams: learned, and true."""
 
     strategy: Strategy
-    seen: Observations
+    observations: Observations
     paper: Comparison | None
     fit: Comparison
-    true: Comparison  # the true beam under the logged force: what no learner can get below, but by luck
+    true: Comparison  # the true beam under the logged force: no learner can do better, except by chance
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class BeamOutcome:
     gain: float
     true: Beam  # as the force's scale shows it: k is `gain` times the design's
     learned: LearnedBeam
-    films: tuple[Validated, ...]  # the training push first
-    tasks: tuple[Done, ...]
+    films: tuple[ValidatedFilm, ...]  # the training push first
+    tasks: tuple[TaskResult, ...]
 
     def error(self, beam: Beam) -> float:
         """RMS over s of log k against the true k as seen through the force's scale, up to `INNER`."""
@@ -61,23 +61,30 @@ class BeamOutcome:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StudyOutcome:
     """The whole run."""
 
     work: Path  # where its recordings are
-    setting: Setting
+    setting: StudySettings
     gain: float
     beams: tuple[BeamOutcome, ...]
 
 
 @one_blas_thread
 def gather(
-    work: Path, setting: Setting, films: list[FilmJob], learned: dict[str, LearnJob], *, progress: Progress = Silent()
-) -> Outcome:
-    """Compare, manipulate, and put all together."""
+    work: Path,
+    setting: StudySettings,
+    films: list[FilmJob],
+    learned: dict[str, LearnJob],
+    *,
+    progress: Progress = Silent(),
+) -> StudyOutcome:
+    """Compare the beams with all recordings, solve the tasks, and collect the results."""
     gain = gain_of(setting)
     beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
-    return Outcome(work, setting, gain, tuple(beam_outcome(name, gain, films, learned[name].load()) for name in beams))
+    return StudyOutcome(
+        work, setting, gain, tuple(beam_outcome(name, gain, films, learned[name].load()) for name in beams)
+    )
 
 
 def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
@@ -89,17 +96,17 @@ def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedB
     return BeamOutcome(name, design, gain, true, learned, compared, tasks)
 
 
-def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> Validated:
-    seen = job.load()
-    return Validated(
+def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> ValidatedFilm:
+    observations = job.load()
+    return ValidatedFilm(
         strategy=job.strategy,
-        seen=seen,
-        paper=None if learned.paper is None else validate(learned.paper, seen),
-        fit=validate(learned.fit, seen),
-        true=validate(true, seen),
+        observations=observations,
+        paper=None if learned.paper is None else validate(learned.paper, observations),
+        fit=validate(learned.fit, observations),
+        true=validate(true, observations),
     )
 
 
-def rms_or_nan(one: Comparison | None, count: int = 3) -> Array:
+def rms_or_nan(comparison: Comparison | None, count: int = 3) -> Array:
     """(m,) m; NaN where there was no beam to compare."""
-    return np.full(count, np.nan) if one is None else one.rms
+    return np.full(count, np.nan) if comparison is None else comparison.rms

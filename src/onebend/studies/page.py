@@ -10,10 +10,10 @@ import numpy as np
 from onebend.report.page.template import render
 from onebend.report.wording import UNKNOWN, length_words, millimetres, significant
 from onebend.studies.assumed import assumed
-from onebend.studies.outcome import Outcome
+from onebend.studies.outcome import StudyOutcome
 from onebend.studies.tables import (
     Cell,
-    Table,
+    ResultTable,
     below_printed,
     largest,
     manipulation_table,
@@ -59,35 +59,35 @@ FILES = (
 )
 
 
-def page(found: Outcome, figures: Mapping[str, bytes], *, version: str) -> str:
+def page(outcome: StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
     """The report as HTML. `figures`: PNGs by name, as `draw_figures` gives them; missing ones are left out."""
-    setting = found.setting
+    setting = outcome.setting
     content = {
         "version": version,
         "video": setting.video,
         "seed": setting.seed,
         "quick": setting.quick,
-        "cards": cards(found),
-        "selections": [shown(selection_table(one)) for one in found.beams],
-        "training": shown(training_table(found)),
-        "stiffness": shown(stiffness_errors(found)),
-        "validations": [shown(validation_table(one)) for one in found.beams],
-        "manipulation": shown(manipulation_table(found)),
-        "assumed": assumed(found),
-        "remarks": [f"{one.name} beam, {text}" for one in found.beams for text in one.learned.remarks],
+        "cards": cards(outcome),
+        "selections": [shown(selection_table(beam)) for beam in outcome.beams],
+        "training": shown(training_table(outcome)),
+        "stiffness": shown(stiffness_errors(outcome)),
+        "validations": [shown(validation_table(beam)) for beam in outcome.beams],
+        "manipulation": shown(manipulation_table(outcome)),
+        "assumed": assumed(outcome),
+        "remarks": [f"{beam.name} beam, {text}" for beam in outcome.beams for text in beam.learned.remarks],
         "files": [file for file in FILES if setting.video or not file[0].startswith("recordings")],
     }
     return render("onebend.studies", "page.html", figures, content)
 
 
-def cards(found: Outcome) -> list[dict[str, str]]:
+def cards(outcome: StudyOutcome) -> list[dict[str, str]]:
     """The outcome in four figures."""
-    below, known = below_printed(found)
-    films = [film for one in found.beams for film in one.films[1:]]
-    tasks = [done for one in found.beams for done in one.tasks if done.way == "fit"]
+    below, known = below_printed(outcome)
+    films = [film for beam in outcome.beams for film in beam.films[1:]]
+    tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     reached = [done for done in tasks if done.found.converged]
-    papers = [100.0 * one.error(one.learned.paper) for one in found.beams if one.learned.paper is not None]
-    fits = [100.0 * one.error(one.learned.fit) for one in found.beams]
+    papers = [100.0 * beam.error(beam.learned.paper) for beam in outcome.beams if beam.learned.paper is not None]
+    fits = [100.0 * beam.error(beam.learned.fit) for beam in outcome.beams]
     worst = largest(float(film.fit.rms[-1]) for film in films)
     floor = largest(float(film.true.rms[-1]) for film in films)
     off = largest(done.off for done in reached)
@@ -118,7 +118,7 @@ def cards(found: Outcome) -> list[dict[str, str]]:
     ]
 
 
-def shown(table: Table) -> dict[str, Any]:
+def shown(table: ResultTable) -> dict[str, Any]:
     """A table as the page shows it: lengths in mm, groups of columns above."""
     groups: list[dict[str, Any]] = []
     alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: said once, above
@@ -160,7 +160,7 @@ def _head(column: str, *, said: bool) -> str:
     return column.split("_")[1] + ("" if said else " [mm]")
 
 
-def _is_text(table: Table, i: int) -> bool:
+def _is_text(table: ResultTable, i: int) -> bool:
     return any(isinstance(row[i], str) for row in table.rows)
 
 

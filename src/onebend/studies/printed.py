@@ -1,7 +1,7 @@
-"""What the paper prints, as data. Every figure names its table; lengths in metres as printed.
+"""The paper's printed numbers, as data. Each names its table; lengths in metres as printed.
 
-The text of the paper that these figures are taken from holds the rows of Tables II, IV and V. Of Tables I, III and VI
-it has the captions and what is said of them, but no rows: those are None here, and nothing stands in for them.
+The text of the paper at hand has the rows of Tables II, IV and V. Of Tables I, III and VI it has the captions and the
+text about them, but no rows: these are None here.
 """
 
 from __future__ import annotations

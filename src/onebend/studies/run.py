@@ -1,4 +1,4 @@
-"""The whole of it, in order: recordings, learning, comparison. What is in the workplace already is kept."""
+"""The whole study in order: recordings, learning, comparison. What an earlier run finished is used again."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from onebend.errors import ResultsError
 from onebend.progress import Progress, Silent, track
 from onebend.studies.films import film_jobs, make_recording
 from onebend.studies.learned import LearnJob, learn_beam
-from onebend.studies.outcome import Outcome, gather
-from onebend.studies.setting import BEAMS, STRATEGIES, Setting
+from onebend.studies.outcome import StudyOutcome, gather
+from onebend.studies.settings import BEAMS, STRATEGIES, StudySettings
 from onebend.workers import available_cores, leave_interrupts_to_parent
 
 SETTING_FILE, LEARNED = "setting.json", "learned"
@@ -21,8 +21,13 @@ Job = TypeVar("Job")
 
 
 def reproduce(
-    work: Path, setting: Setting = Setting(), *, written_by: str, processes: int = 0, progress: Progress = Silent()
-) -> Outcome:
+    work: Path,
+    setting: StudySettings = StudySettings(),
+    *,
+    written_by: str,
+    processes: int = 0,
+    progress: Progress = Silent(),
+) -> StudyOutcome:
     """Film, learn and compare in `work`, going on from what an earlier run with the same setting left there.
 
     Args:
@@ -34,19 +39,19 @@ def reproduce(
     claim(work, setting)
     count = processes or available_cores()
     films = film_jobs(work, setting)
-    spread(make_recording, films, count, "filming and finding tags" if setting.video else "pushing", progress)
+    run_jobs(make_recording, films, count, "filming and finding tags" if setting.video else "pushing", progress)
     training = STRATEGIES[0].name
     wanted = {
         job.beam: LearnJob(work / LEARNED / job.beam, job.observed, written_by)
         for job in films
         if job.strategy.name == training
     }
-    spread(learn_beam, [wanted[name] for name in BEAMS], count, "learning from the training push", progress)
+    run_jobs(learn_beam, [wanted[name] for name in BEAMS], count, "learning from the training push", progress)
     return gather(work, setting, films, wanted, progress=progress)
 
 
-def claim(work: Path, setting: Setting) -> None:
-    """Write down whose work this is, or check that it is ours."""
+def claim(work: Path, setting: StudySettings) -> None:
+    """Write the settings into the working folder, or check that they are the same as those there."""
     file = work / SETTING_FILE
     text = json.dumps(setting.as_dict(), sort_keys=True)
     if file.exists():
@@ -59,7 +64,7 @@ def claim(work: Path, setting: Setting) -> None:
     file.write_text(text, encoding="utf-8")
 
 
-def spread(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stage: str, progress: Progress) -> None:
+def run_jobs(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stage: str, progress: Progress) -> None:
     """Do all jobs, in processes of their own where there are several; one that fails or an interrupt ends them all."""
     count = min(processes, len(jobs))
     if count <= 1:

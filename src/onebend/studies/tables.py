@@ -1,4 +1,4 @@
-"""The tables of a run: the paper's printed figures beside ours. SI; a figure that is not known is NaN."""
+"""The tables of a study: the paper's printed numbers beside ours. SI units; an unknown number is NaN."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from onebend.learning.outcome import Trial
 from onebend.results.tables import write_csv
 from onebend.studies.manipulation import WAYS
-from onebend.studies.outcome import BeamOutcome, Outcome, Validated, rms_or_nan
+from onebend.studies.outcome import BeamOutcome, StudyOutcome, ValidatedFilm, rms_or_nan
 from onebend.studies.printed import PRINTED, PrintedTrial, printed_m3
 
 Cell = float | int | str
@@ -22,7 +22,7 @@ BY = ("printed", "paper", "fit", "true")
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """Rows under columns whose names end in their unit."""
 
     key: str  # of the file
@@ -36,30 +36,30 @@ class Table:
         return {"title": self.title, "rows": rows}
 
 
-def all_tables(found: Outcome) -> tuple[Table, ...]:
+def all_tables(outcome: StudyOutcome) -> tuple[ResultTable, ...]:
     """Tables I to VI, then what the paper says in its text alone."""
     return (
-        *(selection_table(one) for one in found.beams),
-        *(validation_table(one) for one in found.beams),
-        training_table(found),
-        manipulation_table(found),
-        stiffness_errors(found),
+        *(selection_table(beam) for beam in outcome.beams),
+        *(validation_table(beam) for beam in outcome.beams),
+        training_table(outcome),
+        manipulation_table(outcome),
+        stiffness_errors(outcome),
     )
 
 
-def selection_table(one: BeamOutcome) -> Table:
+def selection_table(beam: BeamOutcome) -> ResultTable:
     """Tables I to III: every (n, m) by the paper's method on the training push."""
-    said = PRINTED[one.name]
+    said = PRINTED[beam.name]
     printed = {(row.n, row.m): row for row in said.trials or ()}
     rows: list[tuple[Cell, ...]] = []
-    for i, trial in enumerate(one.learned.trials):
+    for i, trial in enumerate(beam.learned.trials):
         there = printed.get((trial.n, trial.m))
-        who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == one.learned.chosen))
+        who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == beam.learned.chosen))
         chosen = [name for name, it_is in who if it_is]
         rows.append((trial.n, trial.m, *_printed(there), *_ours(trial), " and ".join(chosen), trial.why_out))
-    return Table(
+    return ResultTable(
         f"table-{said.selection_table}",
-        f"Table {said.selection_table}: RMS of errors of the {one.name} beam",
+        f"Table {said.selection_table}: RMS of errors of the {beam.name} beam",
         ("n", "m", *_named("printed"), "printed_bic", *_named("ours"), "ours_bic", "chosen_by", "out_because"),
         tuple(rows),
     )
@@ -77,47 +77,47 @@ def _named(by: str) -> tuple[str, ...]:
     return tuple(f"{by}_{marker}_m" for marker in MARKERS)
 
 
-def validation_table(one: BeamOutcome) -> Table:
+def validation_table(beam: BeamOutcome) -> ResultTable:
     """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
-    said = PRINTED[one.name]
+    said = PRINTED[beam.name]
     printed = dict(said.validation or ())
     unknown = (nan,) * 3
     rows: list[tuple[Cell, ...]] = [
-        (film.strategy.says, *printed.get(film.strategy.name, unknown), *_three(film)) for film in one.films[1:]
+        (film.strategy.says, *printed.get(film.strategy.name, unknown), *_three(film)) for film in beam.films[1:]
     ]
-    return Table(
+    return ResultTable(
         f"table-{said.validation_table}",
-        f"Table {said.validation_table}: RMS of errors, validation set of the {one.name} beam",
+        f"Table {said.validation_table}: RMS of errors, validation set of the {beam.name} beam",
         ("strategy", *(name for by in BY for name in _named(by))),
         tuple(rows),
     )
 
 
-def _three(film: Validated) -> tuple[float, ...]:
+def _three(film: ValidatedFilm) -> tuple[float, ...]:
     return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in rms_or_nan(each))
 
 
-def training_table(found: Outcome) -> Table:
+def training_table(outcome: StudyOutcome) -> ResultTable:
     """The training push: the chosen row of Tables I to III beside the fit."""
     rows: list[tuple[Cell, ...]] = []
-    for one in found.beams:
-        said = PRINTED[one.name]
+    for beam in outcome.beams:
+        said = PRINTED[beam.name]
         printed = {(row.n, row.m): row.rms for row in said.trials or ()}.get(said.chosen, (nan,) * 3)
-        fitted = map(float, one.learned.fitted_rms)
-        rows.append((one.name, *printed, *_three(one.films[0]), *fitted))
+        fitted = map(float, beam.learned.fitted_rms)
+        rows.append((beam.name, *printed, *_three(beam.films[0]), *fitted))
     columns = ("beam", *(name for by in (*BY, "fitted") for name in _named(by)))
-    return Table("training", "The training push", columns, tuple(rows))
+    return ResultTable("training", "The training push", columns, tuple(rows))
 
 
-def manipulation_table(found: Outcome) -> Table:
+def manipulation_table(outcome: StudyOutcome) -> ResultTable:
     """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
     rows: list[tuple[Cell, ...]] = []
-    for one in found.beams:
-        for done in one.tasks:
+    for beam in outcome.beams:
+        for done in beam.tasks:
             force = done.found.force
             rows.append(
                 (
-                    one.name,
+                    beam.name,
                     f"{done.task.name}, s = {done.task.s:g}",
                     WAYS[done.way],
                     *map(float, done.goal),
@@ -130,39 +130,39 @@ def manipulation_table(found: Outcome) -> Table:
                 )
             )
     columns = ("beam", "point", "way", "goal_x_m", "goal_y_m", "force_N", "force_deg", "iterations", "model_error_m")
-    return Table(
+    return ResultTable(
         "manipulation", "The six manipulation tasks", (*columns, "true_error_m", "not_reached_because"), tuple(rows)
     )
 
 
-def stiffness_errors(found: Outcome) -> Table:
+def stiffness_errors(outcome: StudyOutcome) -> ResultTable:
     """How far k(s) is from the truth as the force's scale shows it, and whether the band holds it."""
     rows: list[tuple[Cell, ...]] = []
-    for one in found.beams:
-        paper = one.learned.paper
-        chosen = None if one.learned.chosen is None else one.learned.trials[one.learned.chosen]
+    for beam in outcome.beams:
+        paper = beam.learned.paper
+        chosen = None if beam.learned.chosen is None else beam.learned.trials[beam.learned.chosen]
         rows.append(
             (
-                one.name,
-                "n = {}, m = {}".format(*PRINTED[one.name].chosen),
+                beam.name,
+                "n = {}, m = {}".format(*PRINTED[beam.name].chosen),
                 "none" if chosen is None else f"n = {chosen.n}, m = {chosen.m}",
-                nan if paper is None else 100.0 * one.error(paper),
-                100.0 * one.error(one.learned.fit),
-                100.0 * one.inside,
+                nan if paper is None else 100.0 * beam.error(paper),
+                100.0 * beam.error(beam.learned.fit),
+                100.0 * beam.inside,
             )
         )
     columns = ("beam", "printed_choice", "ours_choice", "paper_log_k_rms_percent", "fit_log_k_rms_percent")
-    return Table("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
+    return ResultTable("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
 
 
-def stiffness_curves(one: BeamOutcome) -> Table:
+def stiffness_curves(beam: BeamOutcome) -> ResultTable:
     """k(s) at 201 places [N m]."""
     s = np.linspace(0.0, 1.0, 201)
-    band, paper = one.learned.uncertain.band(s), one.learned.paper
+    band, paper = beam.learned.uncertain.band(s), beam.learned.paper
     columns = [
         s,
-        np.asarray(one.design.beam().stiffness(s)),
-        np.asarray(one.true.stiffness(s)),
+        np.asarray(beam.design.beam().stiffness(s)),
+        np.asarray(beam.true.stiffness(s)),
         np.full(len(s), nan) if paper is None else np.asarray(paper.stiffness(s)),
         band.k,
         band.low,
@@ -170,10 +170,10 @@ def stiffness_curves(one: BeamOutcome) -> Table:
     ]
     names = ("s", "true_k_N_m", "true_k_as_logged_N_m", "paper_k_N_m", "fit_k_N_m", "fit_lo_N_m", "fit_hi_N_m")
     rows = tuple(tuple(float(value) for value in row) for row in zip(*columns, strict=True))
-    return Table(f"stiffness-{one.name}", f"k(s) of the {one.name} beam", names, rows)
+    return ResultTable(f"stiffness-{beam.name}", f"k(s) of the {beam.name} beam", names, rows)
 
 
-def write_table(path: Path, table: Table) -> None:
+def write_table(path: Path, table: ResultTable) -> None:
     """Nine significant digits; `nan` where a figure is not known."""
     write_csv(path, table.columns, ([_text(cell) for cell in row] for row in table.rows))
 
@@ -186,10 +186,10 @@ def _or_none(cell: Cell) -> Cell | None:
     return None if isinstance(cell, float) and not np.isfinite(cell) else cell
 
 
-def below_printed(found: Outcome) -> tuple[int, int]:
+def below_printed(outcome: StudyOutcome) -> tuple[int, int]:
     """In how many validations that the paper prints the fit's error at the tip is below the printed one, and of how
     many."""
-    films = [(film, printed_m3(one.name, film.strategy.name)) for one in found.beams for film in one.films[1:]]
+    films = [(film, printed_m3(beam.name, film.strategy.name)) for beam in outcome.beams for film in beam.films[1:]]
     known = [(film.fit.rms[-1], printed) for film, printed in films if printed is not None]
     return sum(bool(ours < printed) for ours, printed in known), len(known)
 

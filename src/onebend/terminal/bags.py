@@ -13,23 +13,23 @@ from onebend.recording.bags.topics import BagContents, TopicRow
 from onebend.report.wording import significant
 
 
-def show_bag(console: Console, found: BagContents) -> None:
+def show_bag(console: Console, bag: BagContents) -> None:
     """A table of the topics, and a warning where the bag breaks off."""
-    first = min((row.start for row in found.rows if not math.isnan(row.start)), default=math.nan)
-    console.print(f"[bold]{escape(str(found.path))}[/]{begins(first)}", soft_wrap=True)
+    first = min((row.start for row in bag.rows if not math.isnan(row.start)), default=math.nan)
+    console.print(f"[bold]{escape(str(bag.path))}[/]{begins(first)}", soft_wrap=True)
     table = Table()
     for name in ("topic", "type"):
         table.add_column(name, overflow="fold", min_width=20)
     for name in ("count", "lost", "Hz", "from, s", "to, s"):
         table.add_column(name, justify="right", no_wrap=True)
-    for row in found.rows:
+    for row in bag.rows:
         table.add_row(*cells(row, first))
     console.print(table)
-    bare = [row.topic for row in found.rows if row.count and row.by == "receipt"]
+    bare = [row.topic for row in bag.rows if row.count and row.by == "receipt"]
     if bare:
         console.print(f"Without header stamps, by when they were received: {escape(', '.join(bare))}.")
-    if found.fault:
-        console.print(f"[red]The bag is damaged:[/] {escape(found.fault)}. The table counts what comes before that.")
+    if bag.fault:
+        console.print(f"[red]The bag is damaged:[/] {escape(bag.fault)}. The table counts what comes before that.")
 
 
 def begins(first: float) -> str:

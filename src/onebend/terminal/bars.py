@@ -71,4 +71,4 @@ class Bars:
             self._console.print(f"{stage}: {seconds:.1f} s", markup=False, highlight=False)
 
     def _count(self, task: TaskID) -> float:
-        return next((one.completed for one in self._bars.tasks if one.id == task), 0.0)
+        return next((bar.completed for bar in self._bars.tasks if bar.id == task), 0.0)

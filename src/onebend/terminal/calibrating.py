@@ -1,9 +1,8 @@
-"""Options and words of `onebend calibrate`."""
+"""What `onebend calibrate` says."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import typer
@@ -13,41 +12,23 @@ from rich.table import Table
 from onebend.recording.calibration.intrinsics import NAMES, Calibration
 from onebend.terminal.tables import remarks_list
 
-Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]
-BoardOption = Annotated[
-    tuple[str, str],
-    typer.Option(
-        "--board",
-        metavar="KIND SIZE",
-        help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares).",
-    ),
-]
-SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]
-MarkerMm = Annotated[
-    float | None,
-    typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
-]
-Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
-MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
 
-
-def show_calibration(console: Console, found: Calibration, out: Path) -> None:
+def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:
     """All that `onebend calibrate` says."""
     table = Table(title="The camera", title_justify="left", box=None)
     for name in ("", "value", "sd"):
         table.add_column(name, justify="right" if name else "left")
-    for name, value, sd in zip(NAMES, found.values, found.sd, strict=True):
+    for name, value, sd in zip(NAMES, calibration.values, calibration.sd, strict=True):
         if name != "k3" or value != 0.0:
             unit = " \\[px]" if name in NAMES[:4] else ""
             table.add_row(f"{name}{unit}", f"{value:.2f}" if unit else f"{value:.5f}", f"{sd:.2g}")
     console.print(table)
     console.print(
-        f"\n{len(found.frames)} views; corners {found.error:.3f} px from the model (RMS), worst view "
-        f"{found.view_error.max():.3f} px; corners in {100 * found.coverage:.0f} % of the picture; the board turned by "
-        f"up to {np.rad2deg(found.turned):.0f} degrees.\n",
+        f"\n{len(calibration.frames)} views; corners {calibration.error:.3f} px from the model (RMS), worst view "
+        f"{calibration.view_error.max():.3f} px; corners in {100 * calibration.coverage:.0f} % of the picture; the "
+        f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n",
         highlight=False,
     )
-    console.print(remarks_list([("camera", remark) for remark in found.remarks]))
+    console.print(remarks_list([("camera", remark) for remark in calibration.remarks]))
     console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, highlight=False, soft_wrap=True)
-    typer.echo(found.camera_table())
+    typer.echo(calibration.camera_table())

@@ -1,12 +1,10 @@
-"""Options and words of `onebend damp`."""
+"""What `onebend damp` says."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -14,32 +12,13 @@ from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.report.wording import significant
 from onebend.terminal.tables import remarks_list
 
-FromS = Annotated[
-    float | None,
-    typer.Option(
-        "--from-s", metavar="SECONDS", help="The beam swings freely from here on in the film; default: found."
-    ),
-]
-ToS = Annotated[
-    float | None, typer.Option("--to-s", metavar="SECONDS", help="And to here in the film; default: to the end.")
-]
-MassAlong = Annotated[
-    Literal["even", "width"],
-    typer.Option(
-        help="How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
-        "the width in the plane of bending varies."
-    ),
-]
-ModelFile = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
-]
 
-
-def damping_words(one: Damping) -> str:
+def damping_words(damping: Damping) -> str:
     """One sentence."""
     return (
-        f"damping d / k = {1000 * one.loss_time:.3g} ms (sd {1000 * one.loss_time_sd:.2g}), {one.frequency[0]:.4g} Hz "
-        f"at a damping ratio of {one.ratio[0]:.3g}, from the swing in {one.recording}"
+        f"damping d / k = {1000 * damping.loss_time:.3g} ms (sd {1000 * damping.loss_time_sd:.2g}), "
+        f"{damping.frequency[0]:.4g} Hz at a damping ratio of {damping.ratio[0]:.3g}, "
+        f"from the swing in {damping.recording}"
     )
 
 
@@ -48,12 +27,12 @@ def swing_table(fit: SwingFit) -> Table:
     table = Table(title="From the free swing", title_justify="left", box=None)
     for name in ("", "value", "sd"):
         table.add_column(name, justify="left" if not name else "right")
-    one = fit.damping
-    table.add_row("loss time d / k \\[ms]", f"{1e3 * one.loss_time:.4g}", f"{1e3 * one.loss_time_sd:.2g}")
-    table.add_row("natural frequency \\[Hz]", f"{one.frequency[0]:.5g}", f"{one.frequency_sd:.2g}")
-    table.add_row("damping ratio", f"{one.ratio[0]:.4g}", f"{one.ratio_sd:.2g}")
-    for i in range(1, len(one.frequency)):
-        table.add_row(f"mode {i + 1}, simulated", f"{one.frequency[i]:.4g} Hz", f"ratio {one.ratio[i]:.3g}")
+    damping = fit.damping
+    table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
+    table.add_row("natural frequency \\[Hz]", f"{damping.frequency[0]:.5g}", f"{damping.frequency_sd:.2g}")
+    table.add_row("damping ratio", f"{damping.ratio[0]:.4g}", f"{damping.ratio_sd:.2g}")
+    for i in range(1, len(damping.frequency)):
+        table.add_row(f"mode {i + 1}, simulated", f"{damping.frequency[i]:.4g} Hz", f"ratio {damping.ratio[i]:.3g}")
     if fit.mass_known:
         sd = float(np.hypot(fit.factor_sd, fit.model_sd))
         table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")

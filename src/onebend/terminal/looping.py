@@ -1,43 +1,22 @@
-"""What `onebend loop` takes and says."""
+"""What `onebend loop` says."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.table import Table
 
-from onebend.control.loop.feedback import Controller
+from onebend.control.loop.controller import Controller
 from onebend.control.loop.margins import Margins
-from onebend.control.loop.prospect import SETTLED, Trial
+from onebend.control.loop.robustness import SETTLED, LoopTrial
 from onebend.report.wording import significant
-from onebend.terminal.options import LEAST
 from onebend.terminal.parts import facts_table, say_written
-
-KError = Annotated[
-    float,
-    typer.Option(
-        "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
-    ),
-]
-Delay = Annotated[
-    float,
-    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
-]
-Rate = Annotated[
-    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
-]
-Duration = Annotated[
-    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
-]
-LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
 
 
 def show_loop(
-    console: Console, control: Controller, known: Margins, trials: tuple[Trial, ...], output: Path | None
+    console: Console, control: Controller, known: Margins, trials: tuple[LoopTrial, ...], output: Path | None
 ) -> None:
     """Force, gains, margins, and how the rehearsals went."""
     table = facts_table()
@@ -51,17 +30,17 @@ def show_loop(
     table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
     console.print(table, highlight=False)
     rehearsed = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for one in trials:
-        steady = "the beam snapped away" if one.run is None else f"{1e3 * one.steady:.2f}"
-        settled = one.settled(SETTLED)
-        rehearsed.add_row(trial_name(one), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
+    for trial in trials:
+        steady = "the beam snapped away" if trial.run is None else f"{1e3 * trial.steady:.2f}"
+        settled = trial.settled(SETTLED)
+        rehearsed.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
     console.print(rehearsed, highlight=False)
     say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
-def trial_name(one: Trial) -> str:
+def trial_name(trial: LoopTrial) -> str:
     """Which beam a rehearsal was made on."""
-    if one.factor == 1.0:
+    if trial.factor == 1.0:
         return "as the model"
-    return f"{100 * abs(one.factor - 1.0):.0f} % {'lower' if one.factor < 1.0 else 'higher'}"
+    return f"{100 * abs(trial.factor - 1.0):.0f} % {'lower' if trial.factor < 1.0 else 'higher'}"

@@ -63,10 +63,14 @@ def bends_table(expected: Expected) -> Table:
     table = Table(title="To turn the tip, by a push square to the beam at its tip", title_justify="left", box=None)
     for name in ("turn \\[deg]", "force \\[N]", "tip x \\[mm]", "tip y \\[mm]", "strain \\[%]"):
         table.add_column(name, justify="right")
-    for one in expected.bends:
-        x, y = 1e3 * one.tip
+    for bend in expected.bends:
+        x, y = 1e3 * bend.tip
         table.add_row(
-            f"{math.degrees(one.turn):.0f}", significant(one.force), f"{x:.1f}", f"{y:.1f}", f"{100 * one.strain:.1f}"
+            f"{math.degrees(bend.turn):.0f}",
+            significant(bend.force),
+            f"{x:.1f}",
+            f"{y:.1f}",
+            f"{100 * bend.strain:.1f}",
         )
     return table
 

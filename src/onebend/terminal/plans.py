@@ -18,10 +18,16 @@ def plan_table(plan: Plan) -> Table:
     table = Table(title="What to do next, by what it would leave of the band", title_justify="left", box=None)
     for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "band after"):
         table.add_column(name, justify="left" if name in ("force", "needs") else "right")
-    for i, one in enumerate(plan.proposals):
-        needs = one.needs or ("the same once more" if one.repeats else "nothing new")
-        cells = (f"{one.push.at_s:.2f}", direction_words(one.push.direction), significant(one.push.largest))
-        table.add_row(str(i + 1), *cells, f"{1e3 * one.tip_moves:.0f}", needs, width_words(one.after.mean_width))
+    for i, proposal in enumerate(plan.proposals):
+        needs = proposal.needs or ("the same once more" if proposal.repeats else "nothing new")
+        cells = (
+            f"{proposal.push.at_s:.2f}",
+            direction_words(proposal.push.direction),
+            significant(proposal.push.largest),
+        )
+        table.add_row(
+            str(i + 1), *cells, f"{1e3 * proposal.tip_moves:.0f}", needs, width_words(proposal.after.mean_width)
+        )
     return table
 
 
@@ -36,9 +42,9 @@ def show_plan(console: Console, plan: Plan) -> None:
     console.print(plan_table(plan))
     console.print("\n[bold]best[/]", Text(plan.proposals[0].text))
     console.print("[bold]best two with what there is[/]", Text(_pair(plan.pair)))
-    for one in plan.left_out:
-        console.print(f"[yellow]![/] {escape(one)}")
+    for reason in plan.left_out:
+        console.print(f"[yellow]![/] {escape(reason)}")
 
 
 def _pair(pair: Sequence[Proposal]) -> str:
-    return "; then ".join(one.text for one in pair)
+    return "; then ".join(proposal.text for proposal in pair)

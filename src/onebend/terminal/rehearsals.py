@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.forecast.prediction import Doubt
+from onebend.forecast.prediction import BudgetEntry
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Obtained, Rehearsal, setup_words
 from onebend.learning.design.proposals import PLACES, identified_words, width_words
 from onebend.report.wording import significant
@@ -31,20 +31,20 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     if o is not None:
         console.print(f"\n{obtained_words(o)}", highlight=False)
     elif rehearsal.runs:
-        console.print(f"\n[yellow]![/] No fit came out: {escape(rehearsal.runs[0].failure)}", highlight=False)
+        console.print(f"\n[yellow]![/] Every fit failed: {escape(rehearsal.runs[0].failure)}", highlight=False)
     console.print()
-    console.print(doubts_table(rehearsal.doubts))
+    console.print(budget_table(rehearsal.budget))
     console.print()
     if rehearsal.advice:
         console.print(advice_table(rehearsal))
     else:
-        console.print("No change to name.")
+        console.print("No change helps much.")
 
 
 def errors_table(rehearsal: Rehearsal) -> Table:
     """The error of k along the beam, in percent."""
     p, o = rehearsal.predicted, rehearsal.obtained
-    title = "Error of k [%], half and nine in ten are below"
+    title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
     table = Table(title=title, title_justify="left", box=None)
     table.add_column("s", justify="right")
@@ -62,23 +62,24 @@ def errors_table(rehearsal: Rehearsal) -> Table:
     return table
 
 
-def doubts_table(doubts: Sequence[Doubt]) -> Table:
-    """What the band would be if one thing were known exactly."""
+def budget_table(budget: Sequence[BudgetEntry]) -> Table:
+    """The band if one nuisance were known exactly."""
     table = Table(title="What costs most: the band if one thing were known exactly", title_justify="left", box=None)
     for name in ("known exactly", "band then", "removes"):
         table.add_column(name, justify="left" if name == "known exactly" else "right")
-    for one in doubts:
-        table.add_row(one.name, width_words(one.mean_width), share_words(one.share))
+    for entry in budget:
+        table.add_row(entry.name, width_words(entry.mean_width), share_words(entry.share))
     return table
 
 
 def advice_table(rehearsal: Rehearsal) -> Table:
     """Changes, best first."""
-    table = Table(title="What to change, by how much of the band it would remove", title_justify="left", box=None)
+    table = Table(title="What to change, by how much it narrows the band", title_justify="left", box=None)
     for name in ("", "change", "band then", "removes"):
         table.add_column(name, justify="left" if name == "change" else "right")
-    for i, one in enumerate(rehearsal.advice, 1):
-        table.add_row(str(i), escape(one.text), width_words(one.quality.mean_width), share_words(one.share))
+    for i, change in enumerate(rehearsal.advice, 1):
+        width = width_words(change.quality.mean_width)
+        table.add_row(str(i), escape(change.text), width, share_words(change.share))
     return table
 
 
@@ -91,9 +92,9 @@ def obtained_words(o: Obtained) -> str:
     if not np.isfinite(o.covered):
         text = f"{came}: none calls k identified anywhere."
     if o.runs < FEW:
-        text += " So few runs say little of the worst in ten."
+        text += " So few runs say little about the largest errors."
     if o.failed:
-        text += f" {o.failed} more did not come out: {escape(o.why_failed[0])}"
+        text += f" {o.failed} more failed: {escape(o.why_failed[0])}"
     return text
 
 

@@ -8,23 +8,23 @@ from rich.console import Console
 from rich.table import Table
 
 from onebend.report.wording import UNKNOWN, millimetres
-from onebend.studies.outcome import Outcome
+from onebend.studies.outcome import StudyOutcome
 from onebend.studies.printed import printed_m3
 from onebend.studies.tables import below_printed
 
 
-def show_reproduced(console: Console, found: Outcome, output: Path) -> None:
+def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
     """The error at the tip of every validation, the tasks, and where the report is."""
     table = Table(title="RMS error at the tip \\[mm]", title_justify="left", box=None, pad_edge=False)
     for name in ("beam", "push"):
         table.add_column(name)
     for name in ("printed", "paper's method", "fit", "true beam"):
         table.add_column(name, justify="right")
-    for one in found.beams:
-        for film in one.films[1:]:
-            printed = printed_m3(one.name, film.strategy.name)
+    for beam in outcome.beams:
+        for film in beam.films[1:]:
+            printed = printed_m3(beam.name, film.strategy.name)
             table.add_row(
-                one.name,
+                beam.name,
                 film.strategy.name,
                 UNKNOWN if printed is None else millimetres(printed),
                 UNKNOWN if film.paper is None else millimetres(film.paper.rms[-1]),
@@ -32,8 +32,8 @@ def show_reproduced(console: Console, found: Outcome, output: Path) -> None:
                 millimetres(film.true.rms[-1]),
             )
     console.print(table)
-    below, known = below_printed(found)
-    tasks = [done for one in found.beams for done in one.tasks if done.way == "fit"]
+    below, known = below_printed(outcome)
+    tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     reached = sum(done.found.converged for done in tasks)
     console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
     console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.", highlight=False)

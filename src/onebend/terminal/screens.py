@@ -19,7 +19,7 @@ from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.overview import Overview
-from onebend.report.page.cards import stiffness_range, sureness_card
+from onebend.report.page.cards import band_card, stiffness_range
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words
@@ -39,7 +39,7 @@ def headline(run: Findings) -> Panel:
     low, high = stiffness_range(run)
     lines = [f"[bold]k(s)[/] from {significant(low)} to {significant(high)} N m"]
     if run.posterior is not None:
-        card = sureness_card(run.posterior.stiffness)
+        card = band_card(run.posterior.stiffness)
         if run.posterior.doubts:
             lines.append(f"[bold red]{card['value']}[/]: {escape(card['note'])} (see above)")
         else:
@@ -49,12 +49,12 @@ def headline(run: Findings) -> Panel:
         trial = run.learned.trials[run.learned.chosen]
         how = f"m = {trial.m} {run.learned.family}, {run.learned.method}"
         lines.append(f"[bold]model[/] n = {trial.n} curvature modes, {how}")
-    for i, one in enumerate(run.trainings):
-        logged = f"{worst_marker(one)} RMS under the force as logged"
+    for i, comparison in enumerate(run.trainings):
+        logged = f"{worst_marker(comparison)} RMS under the force as logged"
         if run.posterior is not None:
             rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
-            logged = f"{millimetres(rms)} mm RMS in the fit; {logged}, whose slow error the fit takes off"
-        lines.append(f"[bold]{escape(one.name)}[/] worst marker {logged}")
+            logged = f"{millimetres(rms)} mm RMS in the fit; {logged}; the fit corrects its slow error"
+        lines.append(f"[bold]{escape(comparison.name)}[/] worst marker {logged}")
     doubted = run.posterior is not None and bool(run.posterior.doubts)
     return Panel("\n".join(lines), expand=False, border_style="red" if doubted else "green")
 
@@ -78,7 +78,7 @@ def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out:
 def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
-    forced = any(one.clean_force is not None for one in run.recordings)
+    forced = any(recording.source.clean_force is not None for recording in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [band_plot(uncertain), estimate_table(uncertain, run.learned)]
     force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
@@ -99,23 +99,31 @@ def say_path(console: Console, what: str, path: Path) -> None:
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
     """All that `onebend validate` says."""
-    console.print(comparison_table([one for one, _ in pairs], "Validation"))
+    console.print(comparison_table([comparison for comparison, _ in pairs], "Validation"))
     console.print()
-    console.print(remarks_list([(one.name, remark) for one, seen in pairs for remark in pair_remarks(one, seen)]))
+    console.print(
+        remarks_list(
+            [
+                (comparison.name, remark)
+                for comparison, recording in pairs
+                for remark in pair_remarks(comparison, recording)
+            ]
+        )
+    )
     if out is not None:
         say_path(console, "\ntables and figures", out)
 
 
-def show_overview(console: Console, found: Overview) -> None:
+def show_overview(console: Console, overview: Overview) -> None:
     """What `onebend check` understood."""
-    table = Table(title=found.name, title_justify="left", box=None, show_header=False)
+    table = Table(title=overview.name, title_justify="left", box=None, show_header=False)
     table.add_column(no_wrap=True, style="dim")
     table.add_column(overflow="fold")
-    for what, understood in found.rows:
+    for what, understood in overview.rows:
         table.add_row(what, escape(understood))
     console.print(table)
     console.print()
-    console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+    console.print(remarks_list([(overview.name, remark) for remark in overview.remarks]))
 
 
 def show_model(console: Console, stored: StoredModel) -> None:

@@ -34,22 +34,22 @@ def selection_table(learned: Learned) -> Table:
     return table
 
 
-def _marker_names(one: Comparison) -> list[str]:
-    return [f"M{i + 1} \\[mm]" for i in range(len(one.tag_id))]
+def _marker_names(comparison: Comparison) -> list[str]:
+    return [f"M{i + 1} \\[mm]" for i in range(len(comparison.tag_id))]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
     """Tables IV to VI: RMS per marker, and in brackets what the force's noise alone explains."""
-    widest = max(comparisons, key=lambda one: len(one.tag_id))
+    widest = max(comparisons, key=lambda comparison: len(comparison.tag_id))
     table = Table(title=f"{what}: RMS per marker (explained by the force's noise)", title_justify="left", box=None)
     table.add_column("recording", overflow="fold")
     table.add_column("frames", justify="right")
     for name in _marker_names(widest):
         table.add_column(name, justify="right", no_wrap=True)
-    for one in comparisons:
-        pairs = zip(one.rms, one.sensor_rms, strict=True)
+    for comparison in comparisons:
+        pairs = zip(comparison.rms, comparison.sensor_rms, strict=True)
         cells = [f"{millimetres(rms)} [dim]({millimetres(sensor)})[/]" for rms, sensor in pairs]
-        table.add_row(escape(one.name), str(len(one.frame)), *cells)
+        table.add_row(escape(comparison.name), str(len(comparison.frame)), *cells)
     return table
 
 

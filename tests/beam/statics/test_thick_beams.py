@@ -17,7 +17,7 @@ from onebend.beam.statics.continuation import equilibrium, follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution, make_problem, make_problems
 from onebend.control.reach.reach import reach
-from onebend.control.shape.grip import Push, rest
+from onebend.control.shape.actuators import Pusher, resting_state
 from onebend.errors import MechanicsError
 from tests.beam.extensible import PointForce, shoot
 
@@ -115,7 +115,7 @@ def test_who_does_not_know_stretch_and_shear_says_so() -> None:
         lambda: body(heavy),
         lambda: vibration(heavy, equilibrium(heavy, push((0.0, 0.0)))),
         lambda: reach(heavy, (0.1, 0.05)),
-        lambda: rest(heavy, (Push(1.0),), None, None, FINE),
+        lambda: resting_state(heavy, (Pusher(1.0),), None, None, FINE),
     ):
         with pytest.raises(MechanicsError, match="neither stretch nor shear"):
             ask()

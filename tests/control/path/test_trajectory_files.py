@@ -14,23 +14,22 @@ from ruamel.yaml import YAML
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.goals.target_files import read_goals, read_targets
 from onebend.control.goals.targets import curve
-from onebend.control.path.path import Path as Way
-from onebend.control.path.path import PathSettings, follow_goals
+from onebend.control.path.follow import FollowedPath, PathSettings, follow_goals
 from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
-from onebend.control.shape.grip import Grip, Push
+from onebend.control.shape.actuators import Grip, Pusher
 from onebend.errors import ControlError
 from tests.control.shape.test_shape import SOFT, S, gripped
 
 
 @pytest.fixture(scope="module")
-def way() -> Way:
+def way() -> FollowedPath:
     """A push and a grip together."""
     shapes = np.array([gripped(np.array(w), S) for w in ([0.2, 0.3, -0.02], [0.15, 0.35, -0.02])])
     goals = Goals(np.array([0.0, 1.0]), curve(S, shapes[0, :, :2]), shapes[..., :2], np.full((2, 10), np.nan))
-    return follow_goals(SOFT, goals, pushes=(Push(0.5),), grip=Grip(), settings=PathSettings(rate=50.0))
+    return follow_goals(SOFT, goals, pushes=(Pusher(0.5),), grip=Grip(), settings=PathSettings(rate=50.0))
 
 
-def test_csv_comes_back(way: Way, tmp_path: Path) -> None:
+def test_csv_comes_back(way: FollowedPath, tmp_path: Path) -> None:
     write_samples(tmp_path / "path.csv", way)
     with (tmp_path / "path.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -40,7 +39,7 @@ def test_csv_comes_back(way: Way, tmp_path: Path) -> None:
     np.testing.assert_allclose([float(r["gripper_angle_rad"]) for r in rows], way.poses[:, 2], rtol=1e-8)
 
 
-def test_yaml_is_what_ros_would_read(way: Way, tmp_path: Path) -> None:
+def test_yaml_is_what_ros_would_read(way: FollowedPath, tmp_path: Path) -> None:
     assert write_yaml(tmp_path, way, frame="table") == [
         "gripper_trajectory.yaml",
         "push_1_wrench.yaml",
@@ -62,7 +61,7 @@ def test_yaml_is_what_ros_would_read(way: Way, tmp_path: Path) -> None:
     np.testing.assert_allclose([one["wrench"]["force"]["y"] for one in many], way.forces[:, 0, 1], rtol=1e-12)
 
 
-def test_bag_is_read_back(way: Way, tmp_path: Path) -> None:
+def test_bag_is_read_back(way: FollowedPath, tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", way)
     times, forces = [], []
     with AnyReader([tmp_path / "bag"]) as bag:

@@ -182,7 +182,7 @@ def test_moment_holds_place_and_angle_or_makes_the_load_least() -> None:
     size = np.hypot(np.hypot(*least.force), least.moment / LENGTH)
     assert size < 0.2
     on = PushedBeam(BEAM, 1.0, 1.0)  # least: the load is a combination of the rows of its Jacobian
-    load, scaled = least.path[-1] / on.scale, least.on.response(least.states[-1])[:2] * on.scale
+    load, scaled = least.path[-1] / on.scale, least.pushed.response(least.states[-1])[:2] * on.scale
     np.testing.assert_allclose(load - np.linalg.pinv(scaled) @ (scaled @ load), 0.0, atol=1e-5)
 
 

@@ -12,8 +12,8 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.problem import Resolution
 from onebend.control.goals.targets import angles, curve, curve_of_length, points
-from onebend.control.shape.grip import Grip, Push
-from onebend.control.shape.shape import Shaped, shape
+from onebend.control.shape.actuators import Grip, Pusher
+from onebend.control.shape.shape import ShapeResult, shape
 from onebend.errors import ControlError
 from onebend.records import Array
 from tests.beam.boundary import integrate
@@ -45,7 +45,7 @@ def test_forces_of_a_shape_are_found_again_under_weight() -> None:
     gravity = np.array([0.0, -9.81])
     force = np.array([0.1, 0.4])
     wanted = BENT.equilibrium(force, 0.7, gravity=gravity)
-    found = shape(BENT, curve(S, wanted.xy(S)), pushes=[Push(0.7)], gravity=gravity)
+    found = shape(BENT, curve(S, wanted.xy(S)), pushes=[Pusher(0.7)], gravity=gravity)
     np.testing.assert_allclose(found.forces[0], force, rtol=1e-7)
     assert found.wrench is None
     assert not found.limits
@@ -53,7 +53,7 @@ def test_forces_of_a_shape_are_found_again_under_weight() -> None:
 
 def test_angles_and_points_mix() -> None:
     wanted = SOFT.equilibrium([0.05, 0.3])
-    found = shape(SOFT, points(1.0, wanted.xy(1.0)) + angles([0.5], [wanted.angle(0.5)]), pushes=[Push()])
+    found = shape(SOFT, points(1.0, wanted.xy(1.0)) + angles([0.5], [wanted.angle(0.5)]), pushes=[Pusher()])
     np.testing.assert_allclose(found.forces[0], [0.05, 0.3], rtol=1e-6)
     assert np.all(np.isnan(found.xy_error[1]))
 
@@ -61,7 +61,7 @@ def test_angles_and_points_mix() -> None:
 def test_a_bound_holds_and_is_named() -> None:
     wanted = SOFT.equilibrium([0.0, 0.6])
     goal = points(1.0, wanted.xy(1.0))
-    held = shape(SOFT, goal, pushes=[Push(1.0, max_force=0.4)])
+    held = shape(SOFT, goal, pushes=[Pusher(1.0, max_force=0.4)])
     assert np.linalg.norm(held.forces[0]) == pytest.approx(0.4, rel=1e-9)
     assert held.limits == ("force at s = 1",)
     # No force of that size, in whichever direction, brings the tip closer.
@@ -88,7 +88,7 @@ def test_out_of_reach_is_the_nearest_and_stationary() -> None:
     """The residual of an unreachable curve is at a minimum: no small change of the force lowers it."""
     bump = 0.005 * np.stack([S, 0.0 * S], axis=1)
     goal = curve(S, SOFT.equilibrium([0.05, 0.4]).xy(S) + bump)
-    found = shape(SOFT, goal, pushes=[Push(1.0)])
+    found = shape(SOFT, goal, pushes=[Pusher(1.0)])
     assert found.converged
     assert not found.limits
     assert found.rms > 1e-3
@@ -103,7 +103,7 @@ def test_out_of_reach_is_the_nearest_and_stationary() -> None:
 
 def test_where_stability_bars_the_way_is_said() -> None:
     """An S is nearest to a tip push that would buckle the beam."""
-    found = shape(SOFT, curve(S, np.stack([0.15 * S, 0.05 * np.sin(2 * np.pi * S)], axis=1)), pushes=[Push(1.0)])
+    found = shape(SOFT, curve(S, np.stack([0.15 * S, 0.05 * np.sin(2 * np.pi * S)], axis=1)), pushes=[Pusher(1.0)])
     assert found.limits == ("stability",)
     assert 0.0 < found.margin < 0.01
 
@@ -113,7 +113,7 @@ def test_near_buckling_is_warned_of() -> None:
     euler = 2.4674 * 0.03 / 0.2
     straight = Beam(0.2, Uniform(0.03))
     wanted = straight.equilibrium([-0.97 * euler, 1e-3])
-    found = shape(straight, curve(S, wanted.xy(S)), pushes=[Push()])
+    found = shape(straight, curve(S, wanted.xy(S)), pushes=[Pusher()])
     assert found.margin == pytest.approx(0.03, abs=0.02)
     assert found.load_left == pytest.approx(1.0 / 0.97, rel=0.02)
     assert any("close to buckling" in one for one in found.warnings)
@@ -128,7 +128,7 @@ def test_spread_of_a_push_is_that_of_beams_drawn_from_the_band() -> None:
     known = band(0.01, 0.02)
     beam = Beam(0.2, known.profile)
     wanted = beam.equilibrium([0.05, 0.3])
-    found = shape(beam, curve(S, wanted.xy(S)), pushes=[Push()], uncertain=known)
+    found = shape(beam, curve(S, wanted.xy(S)), pushes=[Pusher()], uncertain=known)
     loads, grid = push(found.forces[0]), Resolution(16, 0.5)
     drawn = [equilibrium(Beam(0.2, k), loads, resolution=grid).xy(S)[0] for k in known.draw(150, seed=0)]
     assert found.spread is not None
@@ -156,7 +156,7 @@ def test_open_freedoms_are_said() -> None:
 def test_a_drawn_curve_finds_its_own_places() -> None:
     s = np.linspace(0.0, 1.0, 201)
     wanted = SOFT.equilibrium([0.0, 0.3]).xy(s)
-    found = shape(SOFT, curve_of_length(wanted, SOFT.length), pushes=[Push()])
+    found = shape(SOFT, curve_of_length(wanted, SOFT.length), pushes=[Pusher()])
     np.testing.assert_allclose(found.forces[0], [0.0, 0.3], atol=1e-3)
     with pytest.raises(ControlError, match="shorten the curve"):
         curve_of_length(2.0 * wanted, SOFT.length)
@@ -171,13 +171,13 @@ def test_what_cannot_be_asked() -> None:
     with pytest.raises(ControlError, match="neither"):
         points(1.0, [np.nan, np.nan])
     with pytest.raises(ControlError, match=r"\(100, 60\) m is 116.6 m .* in millimetres\?"):
-        shape(SOFT, points(1.0, [100.0, 60.0]), pushes=[Push(1.0)])
+        shape(SOFT, points(1.0, [100.0, 60.0]), pushes=[Pusher(1.0)])
     with pytest.raises(ControlError, match="positive"):
-        Push(1.0, max_force=-1.0)
+        Pusher(1.0, max_force=-1.0)
 
 
 def test_same_question_same_answer() -> None:
     goal = curve(S, np.stack([0.15 * S, 0.05 * S**2], axis=1))
-    a, b = (shape(SOFT, goal, pushes=[Push(0.5, 0.5), Push(1.0, 0.5)]) for _ in range(2))
-    assert isinstance(a, Shaped)
+    a, b = (shape(SOFT, goal, pushes=[Pusher(0.5, 0.5), Pusher(1.0, 0.5)]) for _ in range(2))
+    assert isinstance(a, ShapeResult)
     assert np.array_equal(a.forces, b.forces)

@@ -21,9 +21,9 @@ from onebend.lab.filming.film import entries, film
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.scene import Scene
 from onebend.lab.filming.viewpoint import Camera
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.virtual import Bench, Clock, Tag
+from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualTag
 from onebend.pipeline import learn_recording
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
@@ -32,15 +32,19 @@ from onebend.recording.tags.detection import detect_tags
 from onebend.recording.video import read_frames
 
 DESIGN = DESIGNS["linear"]
-PUSH = Push(0.4, direction=1.75, before=0.2, rise=0.9, hold=0.1, fall=0.7, after=0.1)
-BENCH = Bench(
+PUSH = PushProfile(0.4, direction=1.75, before=0.2, rise=0.9, hold=0.1, fall=0.7, after=0.1)
+BENCH = VirtualBench(
     beam=DESIGN.beam(),
     push=PUSH,
-    tags=(Tag(4, 0.333333), Tag(8, 0.666667, along=0.0004, across=-0.0002, turn=0.01), Tag(15, 1.0)),
+    tags=(
+        VirtualTag(4, 0.333333),
+        VirtualTag(8, 0.666667, along=0.0004, across=-0.0002, turn=0.01),
+        VirtualTag(15, 1.0),
+    ),
     base=(0.0, 0.0003, -0.02),
     sensor=ForceSensor(rate=200.0),
     fps=15.0,
-    clock=Clock(30.0, 30.4, 2.0),
+    clock=VirtualClock(30.0, 30.4, 2.0),
     name="small",
 )
 FILMING = Filming(

@@ -13,18 +13,18 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.designs import DESIGNS
-from onebend.lab.filming.movement import PLACES, Motive, cubic, shapes_at
+from onebend.lab.film_request import FilmRequest, filming_of
+from onebend.lab.filming.movement import PLACES, MotionSettings, cubic, shapes_at
 from onebend.lab.filming.printed_tag import as_printed, outlines, placed
-from onebend.lab.filming.raster import LINES, Box, box_around, coverage
+from onebend.lab.filming.raster import LINES, PixelBox, box_around, coverage
 from onebend.lab.filming.viewpoint import Camera, all_seen, view_from
-from onebend.lab.named import Wish, filming_of
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.random_bench import random_bench, random_tags
-from onebend.lab.virtual import Bench, Tag, tag_places, tag_poses
+from onebend.lab.virtual import VirtualBench, VirtualTag, tag_places, tag_poses
 from onebend.recording.camera.lens import project, to_plane
 from onebend.recording.tags.tracking import Finder
 
-BOX = Box(0, 0, 40, 30)
+BOX = PixelBox(0, 0, 40, 30)
 BEAM = Beam(0.15, Powers((0.02, 0.02)), mass_per_length=Uniform(0.4))
 REGION = np.array([[0.0, -0.02], [0.15, -0.02], [0.15, 0.1], [0.0, 0.1]])
 
@@ -64,7 +64,7 @@ def test_neighbours_leave_no_seam_and_what_is_outside_is_cut_off() -> None:
     a, b, c, d = np.array([[3.3, 2.2], [30.1, 4.7], [28.2, 25.5], [-20.0, 22.1]])
     apart = coverage(np.stack([np.stack([a, b, c]), np.stack([a, c, d])]), BOX)
     np.testing.assert_allclose(apart, coverage(np.stack([a, b, c, d])[None], BOX), atol=1e-5)
-    part = Box(10, 8, 20, 16)
+    part = PixelBox(10, 8, 20, 16)
     np.testing.assert_allclose(
         coverage(np.stack([a, b, c, d])[None], part),
         coverage(np.stack([a, b, c, d])[None], BOX)[8:16, 10:20],
@@ -96,7 +96,7 @@ def test_a_camera_that_cannot_be_is_refused() -> None:
 def test_a_tag_of_polygons_is_found_where_it_was_put() -> None:
     pose = np.array([90.0, 70.0, 0.3])
     made = outlines(7)
-    box = Box(0, 0, 180, 140)
+    box = PixelBox(0, 0, 180, 140)
     up = np.array([1.0, -1.0])  # rows of a picture run down
     picture = np.full(box.shape, 120.0)
     for loops, level in ((made.paper, 230.0), (made.ink, 30.0)):
@@ -133,22 +133,28 @@ def test_interpolation_is_exact_for_cubics() -> None:
 
 
 def test_a_slow_push_shows_exact_equilibria() -> None:
-    push = Push(0.4, direction=1.7, at_s=0.8)
-    bench = Bench(BEAM, push, tags=(Tag(1, 0.37, across=0.001, turn=0.02), Tag(2, 0.8), Tag(3, 1.0, along=0.002)))
+    push = PushProfile(0.4, direction=1.7, at_s=0.8)
+    bench = VirtualBench(
+        BEAM,
+        push,
+        tags=(VirtualTag(1, 0.37, across=0.001, turn=0.02), VirtualTag(2, 0.8), VirtualTag(3, 1.0, along=0.002)),
+    )
     time = np.linspace(0.0, push.duration, 25)
     xy, angle = shapes_at(BEAM, push, time).at(tag_places(bench))
-    exact = tag_poses(replace(bench, tags=(Tag(1, 0.37), Tag(2, 0.8), Tag(3, 1.0))), push.force(time))
+    exact = tag_poses(
+        replace(bench, tags=(VirtualTag(1, 0.37), VirtualTag(2, 0.8), VirtualTag(3, 1.0))), push.force(time)
+    )
     np.testing.assert_allclose(xy, exact[..., :2], atol=1e-8)
     np.testing.assert_allclose(angle, exact[..., 2], atol=1e-6)
 
 
 def test_a_strongly_damped_beam_comes_to_rest_where_statics_say() -> None:
     light = replace(BEAM, mass_per_length=Uniform(0.05))
-    push = Push(0.3, direction=1.6, before=0.05, rise=0.1, hold=0.9, fall=0.1, after=0.0, turn=0.0)
+    push = PushProfile(0.3, direction=1.6, before=0.05, rise=0.1, hold=0.9, fall=0.1, after=0.0, turn=0.0)
     time = np.array([0.0, 1.0])
     gravity = (0.0, -20.0)
-    moved = shapes_at(light, push, time, Motive(gravity, swings=True, damping=0.1))
-    still = shapes_at(light, push, time, Motive(gravity))
+    moved = shapes_at(light, push, time, MotionSettings(gravity, swings=True, damping=0.1))
+    still = shapes_at(light, push, time, MotionSettings(gravity))
     assert np.max(np.abs(still.xy[1] - still.xy[0])) > 0.03
     np.testing.assert_allclose(moved.xy, still.xy, atol=5e-5)
 
@@ -156,30 +162,32 @@ def test_a_strongly_damped_beam_comes_to_rest_where_statics_say() -> None:
 def test_weight_and_swinging_need_a_mass() -> None:
     bare = Beam(0.15, Uniform(0.02))
     with pytest.raises(MechanicsError, match="mass"):
-        shapes_at(bare, Push(0.1), np.array([0.0, 1.0]), Motive((0.0, -9.81)))
+        shapes_at(bare, PushProfile(0.1), np.array([0.0, 1.0]), MotionSettings((0.0, -9.81)))
 
 
 def test_pushes_follow_what_is_asked_for() -> None:
     design = DESIGNS["linear"]
-    asked = filming_of(design, Wish(push="s08", at_s=0.7, force=0.2, seconds=3.0, direction=-1.5, fps=12.0), "x").bench
+    asked = filming_of(
+        design, FilmRequest(push="s08", at_s=0.7, force=0.2, seconds=3.0, direction=-1.5, fps=12.0), "x"
+    ).bench
     assert (asked.push.at_s, asked.push.peak, asked.push.direction, asked.fps) == (0.7, 0.2, -1.5, 12.0)
     begin, end = asked.push.contact
     assert end - begin == pytest.approx(3.0)
-    bent = filming_of(design, Wish(bend=0.8), "x").bench.push
+    bent = filming_of(design, FilmRequest(bend=0.8), "x").bench.push
     tip = design.beam().equilibrium(bent.peak * np.array([np.cos(bent.direction), np.sin(bent.direction)])).angle(1.0)
     assert float(tip) == pytest.approx(0.8, abs=0.02)
-    assert filming_of(design, Wish(push="free"), "x").swings
+    assert filming_of(design, FilmRequest(push="free"), "x").swings
     with pytest.raises(RecordingError, match="no push 'quick'"):
-        filming_of(design, Wish(push="quick"), "x")  # type: ignore[arg-type]
+        filming_of(design, FilmRequest(push="quick"), "x")  # type: ignore[arg-type]
     with pytest.raises(RecordingError, match="above zero"):
-        filming_of(design, Wish(force=-1.0), "x")
+        filming_of(design, FilmRequest(force=-1.0), "x")
 
 
 def test_benches_are_drawn_again_from_the_same_seed_and_never_alike_from_another() -> None:
     one, same, other = (random_bench(np.random.default_rng(seed)) for seed in (5, 5, 6))
     assert one == same
     assert one != other
-    assert abs(one.bench.clock.said - one.bench.clock.offset) <= one.bench.clock.uncertainty
+    assert abs(one.bench.clock.declared - one.bench.clock.offset) <= one.bench.clock.uncertainty
 
 
 def test_drawn_tags_have_the_tolerance_that_is_told() -> None:

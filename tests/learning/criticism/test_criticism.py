@@ -16,11 +16,12 @@ from onebend.beam.profiles.stiffness import LogSpline
 from onebend.beam.statics.continuation import equilibrium
 from onebend.errors import LearningError
 from onebend.lab.extensible import stretched
-from onebend.learning.criticism.alternatives import AXES, UNITS, Departure, Suspect, mechanics
+from onebend.learning.criticism.alternatives import AXES, UNITS, Alternative, Suspect, mechanics
 from onebend.learning.criticism.criticism import Criticism, Finding
-from onebend.learning.criticism.score_tests import Linear, Score, linear, scores
+from onebend.learning.criticism.score_tests import LinearisedFit, Score, linearised, scores
 from onebend.learning.criticism_messages import cause_words, supposed_words
-from onebend.learning.inference.linear_gaussian import prior, split
+from onebend.learning.inference.fit_problem import prior
+from onebend.learning.inference.linear_gaussian import split_off_force
 from onebend.learning.model.forward import predict
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.verdict import fit_remarks
@@ -41,7 +42,7 @@ def fitted(seed: int = 0) -> Posterior:
 @cache
 def spline_beam() -> Beam:
     """SOFT as the fit's spline has it."""
-    spline, s = fitted().at.spline, np.linspace(0.0, 1.0, 200)
+    spline, s = fitted().layout.spline, np.linspace(0.0, 1.0, 200)
     c = np.linalg.lstsq(spline.basis(s), np.log(SOFT.stiffness(s)), rcond=None)[0]
     return Beam(SOFT.length, LogSpline(tuple(spline.knots.tolist()), tuple(c.tolist())))
 
@@ -50,10 +51,10 @@ def spline_beam() -> Beam:
 def patterns() -> dict[str, Array]:
     """Of that beam, tags and clamp as written."""
     one, beam = fitted(), spline_beam()
-    x = np.zeros(one.at.size)
+    x = np.zeros(one.layout.size)
     assert isinstance(beam.stiffness, LogSpline)
     x[:8] = beam.stiffness.coefficients
-    return mechanics(one.films[0], one.at, x, predict(one.films[0], one.at, x, None))
+    return mechanics(one.recordings[0], one.layout, x, predict(one.recordings[0], one.layout, x, None))
 
 
 def poses(beam: Beam, force: Array = FORCES, at_s: float = 1.0) -> Array:
@@ -96,26 +97,26 @@ def test_equal_stretch_and_shear_leave_the_angles_and_carry_along_the_force() ->
     np.testing.assert_allclose(both[..., :2], carried, atol=1e-9)
 
 
-def drawn(line: Linear, posterior: Posterior, rng: np.random.Generator) -> Linear:
-    """Residuals as the linear model makes them: parameters from their priors, force errors of frames, noise of tags."""
-    rows, noise = line.rows[0], line.optimum.scales.films[0]
-    known = line.known[0]
-    precision, _, _ = prior(list(posterior.films), posterior.at, 0.0, posterior.optimum.scales)
-    x = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal(posterior.at.size))
+def drawn(linear_fit: LinearisedFit, posterior: Posterior, rng: np.random.Generator) -> LinearisedFit:
+    """Residuals drawn from the linearised model: parameters, force errors of frames, noise of tags."""
+    rows, noise = linear_fit.rows[0], linear_fit.optimum.hyperparameters.noise[0]
+    known = linear_fit.known[0]
+    root = prior(posterior.problem, posterior.optimum.hyperparameters).root
+    x: Array = root @ rng.standard_normal(posterior.layout.size)
     r = rows.slopes.times(x[known])
     r = r + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
     r = r + noise.marker * rng.standard_normal(r.shape)
-    slope = np.zeros(posterior.at.size)
-    slope[known] = np.einsum("frc,fr->c", rows.slopes.written, split(rows, r, noise)[0]) / noise.marker**2
-    return replace(line, rows=(replace(rows, r=r),), step=line.covariance @ slope)
+    slope = np.zeros(posterior.layout.size)
+    slope[known] = np.einsum("frc,fr->c", rows.slopes.written, split_off_force(rows, r, noise)[0]) / noise.marker**2
+    return replace(linear_fit, rows=(replace(rows, r=r),), step=linear_fit.covariance @ slope)
 
 
 def test_a_score_is_chi_squared_where_the_model_is_right() -> None:
     one, rng = fitted(), np.random.default_rng(4)
-    line = linear(one.films, one.at, one.optimum, float(np.log(0.02)))
+    linear_fit = linearised(one.problem, one.optimum)
     suspects = [Suspect("mechanics", name) for name in ("length", "stretch", "weight")]
-    tested = [[Departure(suspect, patterns()[suspect.name]) for suspect in suspects]]
-    found = [scores(drawn(line, one, rng), tested) for _ in range(300)]
+    tested = [[Alternative(suspect, patterns()[suspect.name]) for suspect in suspects]]
+    found = [scores(drawn(linear_fit, one, rng), tested) for _ in range(300)]
     for i, suspect in enumerate(suspects):
         p = np.array([10.0 ** draw[i].log10_p for draw in found])
         assert kstest(p, "uniform").pvalue > 1e-3, suspect
@@ -142,7 +143,7 @@ def test_a_clean_recording_is_trusted() -> None:
 
 
 def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
-    one = fit([moved(fitted().films[0].observations, 1, (4e-3, 0.0, 0.0))], 0.02, settings=SMALL)
+    one = fit([moved(fitted().recordings[0].observations, 1, (4e-3, 0.0, 0.0))], 0.02, settings=SMALL)
     critic = one.criticism
     assert not critic.trusted
     assert critic.causes[0].score.suspect == Suspect("prior", "along", 1 + 1)
@@ -157,13 +158,13 @@ def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
 
 
 def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
-    one = fit([moved(fitted().films[0].observations, 0, (0.0, 0.0, np.deg2rad(9.0)))], 0.02, settings=SMALL)
+    one = fit([moved(fitted().recordings[0].observations, 0, (0.0, 0.0, np.deg2rad(9.0)))], 0.02, settings=SMALL)
     assert one.criticism.trusted
     assert any(remark.level == "note" and "tag 1 is turned by 8.9" in remark.text for remark in fit_remarks(one))
 
 
 def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:
-    o, axial = fitted().films[0].observations, 30.0
+    o, axial = fitted().recordings[0].observations, 30.0
     rng = np.random.default_rng(2)
     xy, angle = stretched(SOFT, FORCES, 1.0, MARKERS, axial, equilibrium(SOFT, push(FORCES)))
     o = replace(o, xy=xy + NOISE[0] * rng.normal(size=xy.shape), angle=angle + NOISE[1] * rng.normal(size=angle.shape))

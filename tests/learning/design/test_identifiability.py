@@ -21,7 +21,7 @@ from onebend.learning.design.identifiability import (
     information_along,
     with_better_sensor,
 )
-from onebend.learning.design.instruments import Bench, ForceDoubt, Push
+from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.model.spline import Spline
 from onebend.records import Array
 
@@ -29,12 +29,12 @@ SPLINE = Spline(5)
 TRUE = np.log([0.02, 0.03, 0.02, 0.016, 0.02])
 MASS = 0.06  # kg
 TAGS = (1 / 3, 2 / 3, 1.0)
-TIP = Push(1.0, 2.0, 0.3)
+TIP = PlannedPush(1.0, 2.0, 0.3)
 
 
-def bench(**changes: object) -> Bench:
+def bench(**changes: object) -> Instruments:
     """Typical tags, camera and sensor; nothing is known from earlier pushes."""
-    made = Bench(
+    made = Instruments(
         length=0.15,
         tags=TAGS,
         tag_sd=np.array([[3e-5, 5e-5, 1e-3], [3e-5, 6e-5, 1e-3], [4e-5, 8e-5, 2e-3]]),
@@ -103,7 +103,7 @@ def powers(states: Array) -> Powers:
     return Powers(tuple(series.convert(kind=np.polynomial.Polynomial, domain=[-1.0, 1.0]).coef.tolist()))
 
 
-def filmed(push: Push, vector: Array, gravity: tuple[float, float] = (0.0, 0.0)) -> Array:
+def filmed(push: PlannedPush, vector: Array, gravity: tuple[float, float] = (0.0, 0.0)) -> Array:
     """(STEPS + 1, 3, 3) poses of the tags, by the mechanics alone; at rest last."""
     wrong = Wrong.of(vector)
     bent = replace(
@@ -130,7 +130,7 @@ def filmed(push: Push, vector: Array, gravity: tuple[float, float] = (0.0, 0.0))
     return np.concatenate([xy, (angle + wrong.turn)[..., None]], axis=-1)
 
 
-def prior_covariance(known: Bench, push: Push) -> Array:
+def prior_covariance(known: Instruments, push: PlannedPush) -> Array:
     """(SIZE - 5, SIZE - 5) of everything but the coefficients."""
     one = (
         [known.curvature_sd] * 3
@@ -146,7 +146,7 @@ def prior_covariance(known: Bench, push: Push) -> Array:
     return out
 
 
-def dense(known: Bench, push: Push) -> tuple[Array, Array]:
+def dense(known: Instruments, push: PlannedPush) -> tuple[Array, Array]:
     """Jacobian (rows, 5) by differences and the full covariance (rows, rows) of all poses."""
     h = 1e-5
     steps = h * np.eye(SIZE)
@@ -159,8 +159,8 @@ def dense(known: Bench, push: Push) -> tuple[Array, Array]:
     return j[:, :5], np.diag(noise) + nuisance @ prior_covariance(known, push) @ nuisance.T
 
 
-@pytest.mark.parametrize("push", [TIP, Push(0.6, -1.3, 0.5)])
-def test_information_is_that_of_dense_algebra_on_differences(push: Push) -> None:
+@pytest.mark.parametrize("push", [TIP, PlannedPush(0.6, -1.3, 0.5)])
+def test_information_is_that_of_dense_algebra_on_differences(push: PlannedPush) -> None:
     j, covariance = dense(bench(), push)
     expected = j.T @ np.linalg.solve(covariance, j)
     np.testing.assert_allclose(information(beam(), bench(), push), expected, rtol=2e-5, atol=2e-5 * np.max(expected))
@@ -208,14 +208,14 @@ def test_scatter_of_repeated_fits_is_what_information_says() -> None:
 
 
 def test_a_push_tells_nothing_of_what_lies_beyond_it() -> None:
-    s, told = information_along(beam(), bench(), Push(0.6, 1.6, 0.5))
+    s, told = information_along(beam(), bench(), PlannedPush(0.6, 1.6, 0.5))
     assert np.all(told >= 0.0)
     assert np.max(told[s > 0.6]) < 1e-20 * np.max(told)
     assert np.min(told[s < 0.5]) > 1e-4 * np.max(told)
 
 
 def test_a_straight_beam_has_two_equal_sides() -> None:
-    up, down = (information(beam(), bench(), Push(0.8, d, 0.4)) for d in (1.2, -1.2))
+    up, down = (information(beam(), bench(), PlannedPush(0.8, d, 0.4)) for d in (1.2, -1.2))
     np.testing.assert_allclose(up, down, rtol=1e-8, atol=1e-8 * np.max(up))
 
 
@@ -267,4 +267,4 @@ def test_what_cannot_be_told_is_refused() -> None:
     with pytest.raises(LearningError, match="log-spline"):
         information(Beam(0.15, Uniform(0.02)), bench(), TIP)
     with pytest.raises(MechanicsError, match="buckles"):
-        information(beam(), bench(), Push(1.0, np.pi, 5.0))
+        information(beam(), bench(), PlannedPush(1.0, np.pi, 5.0))

@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 from onebend import cli
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ResultsError
-from onebend.learning.design.instruments import bench_of
+from onebend.learning.design.instruments import instruments_of
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.results.model import read_model, save_model
 from tests.learning.bench import SOFT, forces, observed
@@ -32,14 +32,14 @@ def known() -> Posterior:
 @pytest.fixture
 def model(known: Posterior, tmp_path: Path) -> Path:
     file = tmp_path / "model.json"
-    save_model(file, known.beam, written_by="a test", uncertain=known.stiffness, bench=bench_of(known))
+    save_model(file, known.beam, written_by="a test", uncertain=known.stiffness, bench=instruments_of(known))
     return file
 
 
 def test_band_and_bench_come_back_with_the_model(known: Posterior, model: Path) -> None:
     stored = read_model(model)
     assert stored.bench is not None
-    assert stored.bench.as_dict() == bench_of(known).as_dict()
+    assert stored.bench.as_dict() == instruments_of(known).as_dict()
     assert isinstance(stored.uncertain, UncertainStiffness)
     assert np.array_equal(stored.uncertain.covariance, known.stiffness.covariance)
 
@@ -69,7 +69,7 @@ def test_a_plan_for_a_script(model: Path) -> None:
 def test_a_doubted_model_is_named_wherever_it_is_used(known: Posterior, tmp_path: Path, command: list[str]) -> None:
     name, *more = command
     doubted = replace(known.stiffness, doubts=("the fit did not converge",))
-    save_model(tmp_path / "model.json", known.beam, written_by="a test", uncertain=doubted, bench=bench_of(known))
+    save_model(tmp_path / "model.json", known.beam, written_by="a test", uncertain=doubted, bench=instruments_of(known))
     out = [] if name in ("plan", "validate") else ["-o", tmp_path / "out"]
     done = run(name, tmp_path / "model.json", *more, *out)
     assert "is NOT TO BE TRUSTED: the fit did not converge." in done.stderr

@@ -12,27 +12,28 @@ import pytest
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.design.candidates import Limits
-from onebend.learning.design.instruments import Bench, Push, bench_of, push_of
+from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import PLACES, Plan, direction_words, width_words
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.records import Array, Observations
 from tests.learning.bench import SOFT, observed
+from tests.made_up import with_source
 
 NOISE = (2e-5, 1e-3)
 FUNCTIONS = FitSettings(functions=10)
-MIDDLE = Push(0.6, 1.9, 0.5)
-TIP = Push(1.0, 1.9, 0.25)
+MIDDLE = PlannedPush(0.6, 1.9, 0.5)
+TIP = PlannedPush(1.0, 1.9, 0.25)
 
 
-def ramp(push: Push, seed: int, count: int = 60) -> Observations:
+def ramp(push: PlannedPush, seed: int, count: int = 60) -> Observations:
     """A push that grows evenly, its force log wandering a little."""
     unit = np.array([np.cos(push.direction), np.sin(push.direction)])
     force = push.largest * ((np.arange(count) + 0.5) / count)[:, None] * unit
     made = observed(SOFT, force, at_s=push.at_s, noise=NOISE, seed=seed)
     walk = np.cumsum(np.random.default_rng(seed).normal(size=force.shape), axis=0)
     walk *= 0.003 / np.std(walk)
-    return replace(made, name=f"push {seed}", force=force + walk, force_sd=np.full(2, 0.003))
+    return with_source(replace(made, force=force + walk, force_sd=np.full(2, 0.003)), name=f"push {seed}")
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +43,11 @@ def middle() -> Posterior:
 
 @pytest.fixture(scope="module")
 def next_pushes(middle: Posterior) -> Plan:
-    return plan(middle.stiffness, middle.beam, bench_of(middle))
+    return plan(middle.stiffness, middle.beam, instruments_of(middle))
 
 
 def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middle: Posterior) -> None:
-    made, at = bench_of(middle), middle.at
+    made, at = instruments_of(middle), middle.layout
     rows = np.concatenate([np.arange(at.size)[at.index[name, -1].where] for name in ("along", "across", "turn")])
     joint, p, f = made.joint(middle.stiffness.covariance), at.spline.count, at.spline.finer.count
     np.testing.assert_allclose(joint[:f, :f], middle.stiffness.covariance, rtol=1e-6, atol=1e-12)
@@ -58,11 +59,11 @@ def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middl
     assert made.frames == 60
 
 
-def test_a_fit_without_a_force_log_makes_no_bench(middle: Posterior) -> None:
-    film = middle.films[0]
-    blind = replace(film, error=replace(film.error, knots=np.zeros(0)))
+def test_a_fit_without_a_force_log_tells_no_instruments(middle: Posterior) -> None:
+    recording = middle.recordings[0]
+    blind = replace(recording, error=replace(recording.error, knots=np.zeros(0)))
     with pytest.raises(LearningError, match="no recording has a force log"):
-        bench_of(replace(middle, films=(blind,)))
+        instruments_of(replace(middle, problem=replace(middle.problem, recordings=(blind,))))
 
 
 def test_the_push_of_a_recording_without_load_is_none() -> None:
@@ -73,7 +74,7 @@ def test_the_push_of_a_recording_without_load_is_none() -> None:
 def test_the_predicted_band_comes_true() -> None:
     first, second = ramp(TIP, 1), ramp(MIDDLE, 2)
     tip = fit([first], 0.02, settings=FUNCTIONS)
-    predicted = after_push(tip.stiffness, tip.beam, bench_of(tip), MIDDLE).log_at(PLACES)[1]
+    predicted = after_push(tip.stiffness, tip.beam, instruments_of(tip), MIDDLE).log_at(PLACES)[1]
     both = fit([first, second], 0.02, settings=FUNCTIONS).stiffness.log_at(PLACES)[1]
     assert np.mean(tip.stiffness.log_at(PLACES)[1]) > 1.4 * np.mean(both)
     assert np.mean(predicted) == pytest.approx(np.mean(both), rel=0.25)
@@ -81,8 +82,8 @@ def test_the_predicted_band_comes_true() -> None:
 
 def test_no_push_leaves_a_wider_band_anywhere(middle: Posterior) -> None:
     before = middle.stiffness
-    for push in (TIP, MIDDLE, Push(0.3, -1.0, 0.5)):
-        after = after_push(before, middle.beam, bench_of(middle), push)
+    for push in (TIP, MIDDLE, PlannedPush(0.3, -1.0, 0.5)):
+        after = after_push(before, middle.beam, instruments_of(middle), push)
         assert np.all(after.log_at(PLACES)[1] <= before.log_at(PLACES)[1] * (1.0 + 1e-9))
 
 
@@ -111,7 +112,7 @@ def test_a_repetition_is_worth_less_than_a_new_place(next_pushes: Plan) -> None:
     assert again.after.mean_width > 2.0 * next_pushes.pair[0].after.mean_width
 
 
-def bench_push(made: Plan) -> Push:
+def bench_push(made: Plan) -> PlannedPush:
     return next(one.push for one in made.proposals if one.repeats)
 
 
@@ -125,7 +126,7 @@ def test_the_second_of_two_pushes_gains_less_than_the_first(next_pushes: Plan) -
 def test_limits_hold(middle: Posterior) -> None:
     turn = float(np.deg2rad(25.0))
     limits = Limits(force=0.2, tip_turn=turn)
-    made = plan(middle.stiffness, middle.beam, bench_of(middle), PlanSettings(limits=limits))
+    made = plan(middle.stiffness, middle.beam, instruments_of(middle), PlanSettings(limits=limits))
     for one in made.proposals:
         if not one.repeats:
             assert one.push.largest <= 0.2
@@ -134,7 +135,7 @@ def test_limits_hold(middle: Posterior) -> None:
 
 def test_pushes_that_slip_off_are_left_out_and_said(middle: Posterior) -> None:
     settings = PlanSettings(directions_deg=(90.0, 180.0, 0.0), at_s=(0.6, 1.0))
-    made = plan(middle.stiffness, middle.beam, bench_of(middle), settings)
+    made = plan(middle.stiffness, middle.beam, instruments_of(middle), settings)
     assert all(abs(np.sin(one.push.direction)) > 0.5 for one in made.proposals)
     assert made.left_out == (
         "4 pushes at s = 0.6 to 1 in directions [0, 180] deg left out: "
@@ -144,12 +145,12 @@ def test_pushes_that_slip_off_are_left_out_and_said(middle: Posterior) -> None:
 
 def test_pushes_that_buckle_the_beam_are_left_out_and_said(middle: Posterior) -> None:
     settings = PlanSettings(directions_deg=(90.0, 180.0), at_s=(1.0,), limits=Limits(slant=np.pi))
-    made = plan(middle.stiffness, middle.beam, bench_of(middle), settings)
+    made = plan(middle.stiffness, middle.beam, instruments_of(middle), settings)
     assert "1 push at s = 1 in directions [180] deg left out: the beam buckles or snaps through." in made.left_out
 
 
 def test_a_common_gain_stays_but_for_another_sensor(middle: Posterior) -> None:
-    known, made = replace(middle.stiffness, gain_sd=0.1), replace(bench_of(middle), gain_sd=0.1)
+    known, made = replace(middle.stiffness, gain_sd=0.1), replace(instruments_of(middle), gain_sd=0.1)
     found = plan(known, middle.beam, made)
     floor = 2.0 * 1.959964 * 0.1
     for one in found.proposals:
@@ -162,14 +163,14 @@ def test_a_bench_of_another_fit_is_refused(middle: Posterior) -> None:
     known = middle.stiffness
     other = UncertainStiffness(np.array([0, 0, 0, 0, 1, 1, 1, 1.0]), np.full(4, -4.0), np.eye(4))
     with pytest.raises(LearningError, match="does not belong"):
-        plan(other, middle.beam, bench_of(middle))
+        plan(other, middle.beam, instruments_of(middle))
     with pytest.raises(LearningError, match="no push is possible"):
-        plan(known, middle.beam, replace(bench_of(middle), pushes=()), PlanSettings(directions_deg=(0.0,)))
+        plan(known, middle.beam, replace(instruments_of(middle), pushes=()), PlanSettings(directions_deg=(0.0,)))
 
 
 def test_a_bench_comes_back_from_what_it_writes(middle: Posterior) -> None:
-    made = bench_of(middle)
-    again = Bench.from_dict(json.loads(json.dumps(made.as_dict(), allow_nan=False)))
+    made = instruments_of(middle)
+    again = Instruments.from_dict(json.loads(json.dumps(made.as_dict(), allow_nan=False)))
     assert again.as_dict() == made.as_dict()
     assert again.pushes == made.pushes
     assert again.force == made.force
@@ -192,7 +193,7 @@ def test_a_bench_comes_back_from_what_it_writes(middle: Posterior) -> None:
 )
 def test_a_damaged_bench_is_refused(middle: Posterior, change: dict[str, Any]) -> None:
     with pytest.raises(LearningError, match="bench"):
-        Bench.from_dict({**bench_of(middle).as_dict(), **change})
+        Instruments.from_dict({**instruments_of(middle).as_dict(), **change})
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from onebend.learning.inference.nuisances import quantities
-from onebend.learning.model.fit_data import Film, film
-from onebend.learning.model.parameters import Block, Layout, Priors, layout
+from onebend.learning.model.fit_data import FitData, fit_data
+from onebend.learning.model.parameters import Block, Layout, Priors, make_layout
 from onebend.learning.model.rest import at_rest, beam_points
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.tradeoffs import correlations
 from onebend.records import Observations
 from tests.learning.bench import SOFT, forces, observed
+from tests.made_up import with_source, with_stated
 
 SPLINE = Spline(8)
 
@@ -25,9 +26,9 @@ def made() -> Observations:
     return observed(SOFT, forces(30, most=0.4), at_s=0.8, noise=(2e-5, 1e-3))
 
 
-def prepared(made: Observations) -> tuple[Film, Layout]:
-    one = film(made, 0, np.ones(len(made.time), dtype=bool), SPLINE)
-    return one, layout(SPLINE, [made], [len(one.error.knots)], Priors())
+def prepared(made: Observations) -> tuple[FitData, Layout]:
+    one = fit_data(made, 0, np.ones(len(made.time), dtype=bool), SPLINE)
+    return one, make_layout(SPLINE, [made], [len(one.error.knots)], Priors())
 
 
 def test_a_straight_error_has_the_mean_and_the_drift_of_the_line(made: Observations) -> None:
@@ -53,7 +54,9 @@ def test_any_other_block_is_said_as_it_is(made: Observations) -> None:
 
 
 def test_a_bias_that_no_rest_shows_is_found_with_its_doubt(made: Observations) -> None:
-    biased = replace(made, force=made.force + np.array([0.0, 0.04]), force_sd=np.full(2, 0.02), clean_force=None)
+    biased = with_source(
+        replace(made, force=made.force + np.array([0.0, 0.04]), force_sd=np.full(2, 0.02)), clean_force=None
+    )
     found = {one.name.partition(": ")[2]: one for one in fit([biased], 0.02, settings=FitSettings(8)).nuisances()}
     bias = found["mean force error y"]
     assert bias.sd < 0.5 * bias.prior_sd
@@ -63,7 +66,7 @@ def test_a_bias_that_no_rest_shows_is_found_with_its_doubt(made: Observations) -
 
 
 def test_an_error_under_load_declared_to_be_none_is_none(made: Observations) -> None:
-    one, _ = prepared(replace(made, load_error_sd=0.0))
+    one, _ = prepared(with_stated(made, load_error_sd=0.0))
     usual, _ = prepared(made)
     assert one.error.load == 0.0
     assert usual.error.load > 0.0
@@ -77,16 +80,16 @@ def test_what_trades_off_is_what_is_reported(made: Observations) -> None:
 
 def test_the_tags_turns_have_the_tolerance_of_the_recording(made: Observations) -> None:
     def turns(one: Observations, priors: Priors = Priors()) -> Block:
-        return layout(SPLINE, [one], [0], priors).index["turn", -1]
+        return make_layout(SPLINE, [one], [0], priors).index["turn", -1]
 
     np.testing.assert_allclose(turns(made).prior_sd, np.deg2rad(1.5))
-    np.testing.assert_allclose(turns(replace(made, turn_sd=0.1)).prior_sd, 0.1)
-    assert turns(replace(made, turn_sd=0.0)).start < 0
-    np.testing.assert_allclose(turns(replace(made, turn_sd=0.0), Priors(mounting=0.2)).prior_sd, 0.2)
+    np.testing.assert_allclose(turns(with_stated(made, turn_sd=0.1)).prior_sd, 0.1)
+    assert turns(with_stated(made, turn_sd=0.0)).start < 0
+    np.testing.assert_allclose(turns(with_stated(made, turn_sd=0.0), Priors(mounting=0.2)).prior_sd, 0.2)
 
 
 def test_tags_that_sit_exactly_give_the_shape_at_rest(made: Observations) -> None:
-    bent = replace(made, rest="unknown", placement_sd=0.0, turn_sd=0.0)
+    bent = with_stated(made, rest="unknown", placement_sd=0.0, turn_sd=0.0)
     assert np.all(np.isfinite(at_rest(bent).theta0))
     away = beam_points(bent, at_rest(bent))[0] - bent.xy
     assert np.max(np.abs(away)) < 1e-4

@@ -7,27 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, Said, observe_virtual, virtual_recording
-from onebend.learning.model.fit_data import Film, film
+from onebend.lab.virtual import DeclaredValues, VirtualBench, observe_virtual, virtual_recording
+from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, layout
+from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.verdict import fit_remarks
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_stated
 
 FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
 
 
-def prepared(one: Observations, priors: Priors = FREE) -> tuple[Film, Layout, Array]:
+def prepared(one: Observations, priors: Priors = FREE) -> tuple[FitData, Layout, Array]:
     """A film, its parameters, and their values at the beam's own k."""
     spline = Spline(48)
-    seen = film(one, 0, np.ones(len(one.time), dtype=bool), spline)
-    at = layout(spline, [one], [len(seen.error.knots)], priors)
+    seen = fit_data(one, 0, np.ones(len(one.time), dtype=bool), spline)
+    at = make_layout(spline, [one], [len(seen.error.knots)], priors)
     s = np.linspace(0.0, 1.0, 400)
     x = np.zeros(at.size)
     x[: spline.count] = np.linalg.lstsq(spline.basis(s), np.log(SOFT.stiffness(s)), rcond=None)[0]
@@ -88,11 +89,13 @@ def learned(
     """A push of known beam, place and axes, through the real way, with the tolerances that are said (Observations)."""
     peak = force_that_bends(SOFT, bend, 1.75) / at_s
     sensor = ForceSensor(white_sd=0.02 * peak, coloured_sd=0.02 * peak)
-    bench = Bench(beam=SOFT, push=Push(peak, at_s=at_s), sensor=sensor, said=Said(push_s=said))
+    bench = VirtualBench(
+        beam=SOFT, push=PushProfile(peak, at_s=at_s), sensor=sensor, declared=DeclaredValues(push_s=said)
+    )
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))
-    seen = replace(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
+    seen = with_stated(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
     return fit([seen], 0.02, settings=FitSettings(functions=16, most_frames=80, first_frames=40))
 
 

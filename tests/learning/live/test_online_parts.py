@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.learning.inference.stiffness_prior import Draws, Told, mixed
+from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
 from onebend.learning.live import smoother
 from onebend.learning.live.force_process import ForceProcess
 from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, solve
@@ -33,7 +33,7 @@ def test_the_loads_own_time_is_the_whole_recordings() -> None:
         stages.see(float(t), np.array([[0.0, d]]), seen, bool(on))
     changes = load_changes(time, size, loaded)
     assert sum(one.release for one in changes) == 1
-    whole = np.sum([(RELEASED if one.release else ANEW) * one.part(time) for one in changes], axis=0)
+    whole = np.sum([(RELEASED if one.release else ANEW) * one.fraction(time) for one in changes], axis=0)
     late = time > 0.5  # the largest displacement was not known from the start
     np.testing.assert_allclose(stages.own(time)[late], whole[late], atol=0.35)
     assert np.mean(np.abs(stages.own(time) - whole)) < 0.05
@@ -64,7 +64,7 @@ def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
         mean, covariance, _ = sizes.mixed(told)
         means.append(mean)
         sds.append(np.sqrt(np.diag(covariance)))
-    batch = mixed(spline, [Told(told.information, told.b)], 0.0, Draws(30, 60, 300))
+    batch = stiffness_mixture(spline, [Told(told.information, told.b)], 0.0, Draws(30, 60, 300))
     sd = np.sqrt(np.diag(batch.covariance))
     np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
     np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)

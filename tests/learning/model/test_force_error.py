@@ -9,22 +9,23 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers
-from onebend.lab.pushes import Push
+from onebend.lab.direct_observation import observe_from_truth
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.shortcut import observe_quickly
-from onebend.lab.virtual import Bench, Virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, VirtualRecording, virtual_recording
 from onebend.learning.model.force_error import force_error
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
+from tests.made_up import with_source, with_stated
 
 PEAK = 0.4
 STIFFNESS = Powers((0.02, 0.004))
-BENCH = Bench(Beam(0.15, STIFFNESS), Push(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))
+BENCH = VirtualBench(Beam(0.15, STIFFNESS), PushProfile(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))
 STEPS = np.array([[0.12, -0.10], [-0.06, 0.14]]) * PEAK  # while the load grows, while it falls
 S = np.linspace(0.05, 0.9, 35)
 
 
-def stepped(steps: Array, *, after: float = 1.0, bench: Bench = BENCH, seed: int = 0) -> Virtual:
+def stepped(steps: Array, *, after: float = 1.0, bench: VirtualBench = BENCH, seed: int = 0) -> VirtualRecording:
     """A recording whose log is off by `steps` (2, 2) N; by `after` of the second when the load has gone."""
     made = virtual_recording(bench, seed=seed)
     begin, end = bench.push.contact
@@ -35,14 +36,14 @@ def stepped(steps: Array, *, after: float = 1.0, bench: Bench = BENCH, seed: int
     return replace(made, log=replace(made.log, force=made.log.force + error))
 
 
-def seen(made: Virtual) -> Observations:
-    return observe_quickly(made, clock_sd=0.01, cutoff=2.5)
+def seen(made: VirtualRecording) -> Observations:
+    return observe_from_truth(made, clock_sd=0.01, cutoff=2.5)
 
 
 def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:
     """The fitted error at the frames (F, 2) and its sd."""
-    where = found.at.index["force", number].where
-    weights = np.kron(found.films[number].error.weights, np.eye(2))
+    where = found.layout.index["force", number].where
+    weights = np.kron(found.recordings[number].error.weights, np.eye(2))
     sd = np.sqrt(np.diag(weights @ found.covariance[where, where] @ weights.T))
     return (weights @ found.mean[where]).reshape(-1, 2), sd.reshape(-1, 2)
 
@@ -59,25 +60,25 @@ def test_steps_of_the_load_do_not_move_k(found: Posterior) -> None:
 
 
 def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
-    o, push = found.films[0].observations, BENCH.push
-    time = o.time[found.films[0].frames] - BENCH.clock.offset
+    o, push = found.recordings[0].observations, BENCH.push
+    time = o.time[found.recordings[0].frames] - BENCH.clock.offset
     begin, end = push.contact
     growing = (time > begin + 0.8) & (time < begin + push.rise - 0.3)
     falling = (time > end - push.fall + 0.3) & (time < end - 0.8)
     error, sd = error_of(found)
-    clean = o.clean_force
+    clean = o.source.clean_force
     assert clean is not None
-    zero = np.stack([np.interp(o.time[found.films[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
+    zero = np.stack([np.interp(o.time[found.recordings[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
     for rows, step in zip((growing, falling), STEPS, strict=True):
         true = step - zero[rows]  # what is wrong with the log once its zero is taken off
         assert np.all(np.abs(error[rows] - true) < 3.0 * sd[rows])
         assert np.max(np.abs(error[rows] - true)) < 0.5 * np.linalg.norm(step)
-    assert found.optimum.scales.load * found.films[0].error.load > 0.05 * PEAK
+    assert found.optimum.hyperparameters.load * found.recordings[0].error.load > 0.05 * PEAK
 
 
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02)
-    assert clean.optimum.scales.load * clean.films[0].error.load < 0.01 * PEAK
+    assert clean.optimum.hyperparameters.load * clean.recordings[0].error.load < 0.01 * PEAK
     middle = S < 0.6
     wide, sharp = (one.stiffness.log_at(S[middle])[1] for one in (found, clean))
     assert np.mean(sharp) < 0.75 * np.mean(wide)
@@ -108,12 +109,12 @@ def test_what_is_expected_is_alike_in_a_stage_and_anew_in_the_next() -> None:
 
 def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
     o = seen(stepped(STEPS))
-    clean, error = o.clean_force, force_error(o, o.time[o.loaded])
+    clean, error = o.source.clean_force, force_error(o, o.time[o.loaded])
     assert clean is not None
     assert clean.zero[1] - clean.zero[0] == pytest.approx(STEPS[1], abs=0.002)
     assert error.mean[0] == pytest.approx(np.zeros(2))
     assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1])
-    one = replace(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
+    one = with_source(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
     assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
 
 
@@ -121,4 +122,4 @@ def test_a_declared_size_is_what_is_expected() -> None:
     o = seen(stepped(STEPS))
     largest = float(np.max(np.linalg.norm(o.force[o.loaded], axis=1)))
     assert force_error(o, o.time[o.loaded]).load == pytest.approx(0.03 * largest)
-    assert force_error(replace(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07
+    assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07

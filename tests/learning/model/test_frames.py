@@ -9,13 +9,14 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.truths import force_that_bends
-from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.model.frames import learnable_frames, usable_frames
 from onebend.learning.posterior import FitSettings, fit
 from onebend.records import Observations
+from tests.made_up import with_source
 
 SOFT = Beam(0.15, Powers((0.02, 0.03)))
 PEAK = force_that_bends(SOFT, 1.0, 1.75)
@@ -24,8 +25,8 @@ PEAK = force_that_bends(SOFT, 1.0, 1.75)
 def pushed(fall: float, *, noise: float = 0.02) -> Observations:
     """Held for a while, then let go within `fall` [s]."""
     sensor = ForceSensor(white_sd=noise * PEAK, coloured_sd=noise * PEAK)
-    push = Push(PEAK, hold=1.5, fall=fall, after=1.5)
-    return observe_virtual(virtual_recording(Bench(beam=SOFT, push=push, sensor=sensor, fps=30.0), seed=2))
+    push = PushProfile(PEAK, hold=1.5, fall=fall, after=1.5)
+    return observe_virtual(virtual_recording(VirtualBench(beam=SOFT, push=push, sensor=sensor, fps=30.0), seed=2))
 
 
 def test_of_a_slow_push_every_usable_frame_is_learned_from() -> None:
@@ -38,20 +39,20 @@ def test_a_sudden_release_takes_the_frames_beside_it() -> None:
     usable, learned = usable_frames(seen), learnable_frames(seen)
     left_out = seen.time[usable & ~learned]
     release = seen.time[usable][-1]
-    assert seen.clean_force is not None
+    assert seen.source.clean_force is not None
     assert 2 <= len(left_out) < 0.2 * usable.sum()
-    assert np.all(left_out > release - 2.0 / seen.clean_force.cutoff)
+    assert np.all(left_out > release - 2.0 / seen.source.clean_force.cutoff)
     assert not learned[usable][-1]
 
 
 def test_without_a_filter_or_where_little_would_be_left_all_are_used() -> None:
     seen = pushed(0.03)
-    assert seen.clean_force is not None
-    raw = replace(seen, clean_force=replace(seen.clean_force, cutoff=np.inf))
+    assert seen.source.clean_force is not None
+    raw = with_source(seen, clean_force=replace(seen.source.clean_force, cutoff=np.inf))
     np.testing.assert_array_equal(learnable_frames(raw), usable_frames(raw))
     late = replace(seen, loaded=seen.loaded & (seen.time > seen.time[usable_frames(seen)][-1] - 0.1))
     np.testing.assert_array_equal(learnable_frames(late), usable_frames(late))
-    np.testing.assert_array_equal(learnable_frames(replace(seen, clean_force=None)), usable_frames(seen))
+    np.testing.assert_array_equal(learnable_frames(with_source(seen, clean_force=None)), usable_frames(seen))
 
 
 @pytest.mark.parametrize("fall", [0.03, 0.3])

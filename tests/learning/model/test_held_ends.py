@@ -16,17 +16,17 @@ from onebend.beam.profiles.stiffness import Scaled, Uniform
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import make_problem
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.model.fit_data import film
+from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.held_ends import HELD_RESOLUTION, stated_remarks
-from onebend.learning.model.parameters import Priors, layout
+from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn_recording
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
 G = 9.81
@@ -73,8 +73,8 @@ def test_derivatives_with_every_parameter_are_exact(tmp_path: Path) -> None:
         [held_points(HEAVY, weight(G * DOWN)), hold(HEAVY, ENDS[:1], weight(G * DOWN)).solved.xy(ROD_S)]
     )
     o = observe(held_folder(tmp_path / "rod", shown, more="4,1,0.3,0.2,-0.05\n"))  # held four times, free once
-    at = layout(Spline(6), [o], [0], Priors())
-    seen = film(o, 0, np.ones(len(o.time), dtype=bool), at.spline)
+    at = make_layout(Spline(6), [o], [0], Priors())
+    seen = fit_data(o, 0, np.ones(len(o.time), dtype=bool), at.spline)
     rng = np.random.default_rng(1)
     x = 0.01 * rng.normal(size=at.size)
     x[: at.spline.count] += np.log(0.3) + 0.2 * rng.normal(size=at.spline.count)
@@ -110,8 +110,8 @@ def test_an_end_that_nobody_measured_is_found(tmp_path: Path) -> None:
     shown = held_points(HEAVY, weight(G * DOWN), 2e-4)
     shown[2, -1] = np.nan
     posterior = learned(observe(held_folder(tmp_path / "rod", shown)))
-    block = posterior.at.index["end", 0].where
-    ends = posterior.films[0].ends
+    block = posterior.layout.index["end", 0].where
+    ends = posterior.recordings[0].ends
     assert ends is not None
     away = ends.end[:, :2] + posterior.mean[block].reshape(-1, 2) - ENDS[:, :2]
     sd = np.sqrt(np.diag(posterior.covariance)[block]).reshape(-1, 2)

@@ -14,16 +14,17 @@ from onebend.beam.profiles.stiffness import Scaled, Table
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import make_problem
 from onebend.errors import LearningError, RecordingError
-from onebend.learning.model.fit_data import film
+from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.mass import mass_remarks, shared_mass
 from onebend.learning.model.own_weight import POWERS
-from onebend.learning.model.parameters import Priors, layout
+from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe
 from onebend.records import Array, MassAlong, Observations
+from tests.made_up import with_stated
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
 G = 9.81
@@ -51,8 +52,8 @@ def bench(folder: Path, beam: Beam, along: str, *, entry: str = "", sd: float = 
 @pytest.mark.parametrize("along", ["unknown", *POWERS])
 def test_the_weight_follows_k_with_exact_derivatives(tmp_path: Path, along: MassAlong) -> None:
     o = bench(tmp_path, ROD, along, entry="mass_kg = 0.03\n")
-    at = layout(Spline(8), [o], [0], Priors())
-    seen = film(o, 0, np.ones(len(o.time), dtype=bool), at.spline)
+    at = make_layout(Spline(8), [o], [0], Priors())
+    seen = fit_data(o, 0, np.ones(len(o.time), dtype=bool), at.spline)
     rng = np.random.default_rng(1)
     x = 0.01 * rng.normal(size=at.size)
     x[: at.spline.count] += np.log(0.3) + 0.2 * rng.normal(size=at.spline.count)
@@ -100,7 +101,7 @@ def test_contradicting_words_on_the_mass_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match='did you mean "width"'):
         bench(tmp_path, ROD, "widht")
     even = bench(tmp_path, ROD, "even", entry="mass_kg = 0.03\n")
-    both = shared_mass([even, replace(even, mass_along="unknown")])
-    assert [o.mass_along for o in both] == ["even", "even"]
+    both = shared_mass([even, with_stated(even, mass_along="unknown")])
+    assert [o.stated.mass_along for o in both] == ["even", "even"]
     with pytest.raises(LearningError, match="even and width"):
-        shared_mass([even, replace(even, mass_along="width")])
+        shared_mass([even, with_stated(even, mass_along="width")])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.live.session import live_layout
-from onebend.learning.model.parameters import Block, Priors, clamp_sd, layout
+from onebend.learning.model.parameters import Block, Priors, clamp_sd, make_layout
 from onebend.learning.model.rest import at_rest
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Nuisance, Posterior, fit
@@ -18,8 +18,9 @@ from onebend.learning.replay import replay, settings_for
 from onebend.learning.verdict import fit_remarks
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from tests.learning.bench import SOFT, forces, observed
+from tests.made_up import with_source, with_stated
 
 SPLINE = Spline(8)
 VIEW = View(np.eye(3), np.zeros(5), np.eye(3), np.ones(3), calibrated=False, corner_sd=0.1)
@@ -30,20 +31,20 @@ NAMES = {"clamp": "clamp angle", "curvature": "q0 mean", "scale": "camera scale"
 def made() -> Observations:
     """Seen by a camera that is not calibrated, of a beam that may be curved, on a clock of its own."""
     plain = observed(SOFT, forces(30), noise=(2e-5, 1e-3))
-    return replace(plain, rest="unknown", view=VIEW, clock=ClockOffset(250.0, 0.01, 250.2, True))
+    return with_source(with_stated(plain, rest="unknown"), view=VIEW, clock=ClockOffset(250.0, 0.01, 250.2, True))
 
 
 def stated(name: str, sd: float) -> Observations:
     """`made` with one sd of a nuisance."""
-    clock = made().clock
+    clock = made().source.clock
     assert clock is not None
     if name == "clock":
-        return replace(made(), clock=replace(clock, sd=sd))
-    return replace(made(), **{f"{name}_sd": sd})  # type: ignore[arg-type]
+        return with_source(made(), clock=replace(clock, sd=sd))
+    return with_stated(made(), **{f"{name}_sd": sd})
 
 
 def block(one: Observations, name: str, priors: Priors = Priors()) -> Block:
-    return layout(SPLINE, [one], [0], priors).index[name, -1 if name == "curvature" else 0]
+    return make_layout(SPLINE, [one], [0], priors).index[name, -1 if name == "curvature" else 0]
 
 
 @cache
@@ -60,17 +61,17 @@ def test_what_nobody_states_is_as_usual() -> None:
     assert np.all(block(made(), "curvature").prior_sd == CURVATURE_SD)
     assert block(made(), "scale").prior_sd[0] == SCALE_SD
     assert block(made(), "clock").prior_sd[0] == 0.02
-    assert block(replace(made(), view=replace(VIEW, calibrated=True)), "scale").start < 0
-    assert block(replace(made(), rest="straight"), "curvature").start < 0
+    assert block(with_source(made(), view=replace(VIEW, calibrated=True)), "scale").start < 0
+    assert block(with_stated(made(), rest="straight"), "curvature").start < 0
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_zero_holds_a_nuisance_and_the_fit_reports_none(name: str) -> None:
     held = learned(name, 0.0)
-    at = held.at.index[name, -1 if name == "curvature" else 0]
+    at = held.layout.index[name, -1 if name == "curvature" else 0]
     assert at.start < 0
     assert np.all(at.prior_sd == 0.0)
-    assert np.all(held.at.get(held.mean, name, at.recording) == 0.0)
+    assert np.all(held.layout.get(held.mean, name, at.recording) == 0.0)
     assert reported(held, name) == []
     others = [other for other in NAMES if other != name]
     assert [len(reported(held, other)) for other in others] == [1, 1, 1]
@@ -97,20 +98,20 @@ def test_what_is_asked_of_the_fit_wins_over_the_recording() -> None:
             asked = block(one, name, Priors(**{field: 0.02})).prior_sd[0]
             assert asked == (np.hypot(0.02, MOUNTING_SD) if name == "clamp" else 0.02)
             assert block(one, name, Priors(**{field: 0.0})).start < 0
-    pose = replace(made(), static=True, clamp_sd=0.01)
+    pose = with_stated(replace(made(), static=True), clamp_sd=0.01)
     assert clamp_sd(pose, Priors()) == 0.01
     assert clamp_sd(pose, Priors(clamp=0.2)) == 0.2
 
 
 def test_a_calibrated_camera_may_still_be_doubted() -> None:
-    seen = replace(made(), view=replace(VIEW, calibrated=True))
-    assert block(replace(seen, scale_sd=0.01), "scale").prior_sd[0] == 0.01
-    assert block(replace(made(), view=None, scale_sd=0.01), "scale").start < 0
+    seen = with_source(made(), view=replace(VIEW, calibrated=True))
+    assert block(with_stated(seen, scale_sd=0.01), "scale").prior_sd[0] == 0.01
+    assert block(with_stated(with_source(made(), view=None), scale_sd=0.01), "scale").start < 0
 
 
 def test_a_curvature_of_none_is_a_straight_beam() -> None:
-    bent = replace(made(), rest_xy=made().rest_xy + np.array([0.0, 2e-3]), curvature_sd=0.0)
-    straight = replace(bent, rest="straight")
+    bent = with_stated(replace(made(), rest_xy=made().rest_xy + np.array([0.0, 2e-3])), curvature_sd=0.0)
+    straight = with_stated(bent, rest="straight")
     assert np.all(at_rest(bent).theta0 == 0.0)
     assert np.all(at_rest(bent, Priors(curvature=0.1)).theta0 != 0.0)
     np.testing.assert_array_equal(at_rest(bent).offset, at_rest(straight).offset)
@@ -118,8 +119,8 @@ def test_a_curvature_of_none_is_a_straight_beam() -> None:
 
 
 def test_of_two_recordings_of_a_beam_the_one_that_may_be_curved_counts() -> None:
-    pair = [replace(made(), rest="straight"), stated("curvature", 0.4)]
-    assert layout(SPLINE, pair, [0, 0], Priors()).index["curvature", -1].prior_sd[0] == 0.4
+    pair = [with_stated(made(), rest="straight"), stated("curvature", 0.4)]
+    assert make_layout(SPLINE, pair, [0, 0], Priors()).index["curvature", -1].prior_sd[0] == 0.4
 
 
 def test_a_stated_clamp_wider_than_usual_is_warned_of() -> None:
@@ -145,7 +146,7 @@ def test_the_live_learner_has_what_is_stated() -> None:
 
 
 def test_what_is_stated_is_kept_with_the_results(tmp_path: Path) -> None:
-    one = replace(made(), clamp_sd=0.02, curvature_sd=0.4, scale_sd=0.05)
+    one = with_stated(made(), clamp_sd=0.02, curvature_sd=0.4, scale_sd=0.05)
     save_observations(tmp_path / "observations.parquet", one)
     again = load_observations(tmp_path)
-    assert (again.clamp_sd, again.curvature_sd, again.scale_sd) == (0.02, 0.4, 0.05)
+    assert (again.stated.clamp_sd, again.stated.curvature_sd, again.stated.scale_sd) == (0.02, 0.4, 0.05)

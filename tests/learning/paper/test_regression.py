@@ -14,6 +14,7 @@ from onebend.beam.profiles.stiffness import Gaussians, Powers, Profile, equidist
 from onebend.learning.paper.inverse_kinematics import solve_states
 from onebend.learning.paper.regression import assemble, basis, literal, profile, weighted
 from tests.learning.bench import SOFT, forces, in_family, observed
+from tests.made_up import with_stated
 
 S = np.linspace(0.05, 0.9, 50)
 
@@ -64,7 +65,7 @@ def test_weight_of_the_beam_enters_the_load() -> None:
     """In-family data under gravity: regression with the weight's share is exact, without it is not."""
     heavy = Beam(0.15, SOFT.stiffness)
     made = in_family(heavy, forces(), 5)
-    weighed = replace(made, gravity=np.tile([0.0, -9.81], (len(made.time), 1)), mass=0.05)
+    weighed = with_stated(replace(made, gravity=np.tile([0.0, -9.81], (len(made.time), 1))), mass=0.05)
     rows, plain = assemble(weighed, solve_states(weighed, 5)), assemble(made, solve_states(made, 5))
     grid, phi = make_grid(order=40), Modes(5)
     alpha = rows.states.theta @ phi.angle(grid.nodes).T

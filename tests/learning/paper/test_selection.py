@@ -12,9 +12,10 @@ from onebend.beam.profiles.stiffness import Steps, Uniform
 from onebend.errors import LearningError
 from onebend.learning.model.frames import usable_frames
 from onebend.learning.paper.learn import learn
-from onebend.learning.paper.selection import Settings, information_criterion, pairs
+from onebend.learning.paper.selection import RegressionSettings, information_criterion, pairs
 from onebend.learning.validation import validate
 from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.made_up import with_stated
 
 S = np.linspace(0.05, 0.9, 50)
 # Table II of the paper: M1, M2, M3 [m] and BIC as printed.
@@ -43,20 +44,20 @@ def test_textbook_bic_pays_for_parameters() -> None:
 
 
 def test_pairs_are_those_of_equation_20() -> None:
-    assert pairs(Settings(method="paper", most_n=3), 3) == [(2, 2), (3, 2), (3, 3)]
-    assert max(n for n, _ in pairs(Settings(method="paper"), 3)) == 6
-    assert pairs(Settings(n=5, m=4), 3) == [(5, 4)]
+    assert pairs(RegressionSettings(method="paper", most_n=3), 3) == [(2, 2), (3, 2), (3, 3)]
+    assert max(n for n, _ in pairs(RegressionSettings(method="paper"), 3)) == 6
+    assert pairs(RegressionSettings(n=5, m=4), 3) == [(5, 4)]
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (Settings(n=10), "2 to 9"),
-        (Settings(n=3, m=5), "at least as many modes"),
-        (Settings(most_n=12), "at most 9"),
+        (RegressionSettings(n=10), "2 to 9"),
+        (RegressionSettings(n=3, m=5), "at least as many modes"),
+        (RegressionSettings(most_n=12), "at most 9"),
     ],
 )
-def test_impossible_wishes_are_refused(settings: Settings, words: str) -> None:
+def test_impossible_wishes_are_refused(settings: RegressionSettings, words: str) -> None:
     with pytest.raises(LearningError, match=words):
         learn(observed(SOFT, forces()), settings)
 
@@ -99,14 +100,14 @@ def test_mounting_errors_seen_at_rest_are_taken_off() -> None:
         rest_angle=made.rest_angle + turn,
     )
     np.testing.assert_allclose(validate(SOFT, mounted).rms, 0.0, atol=1e-6)
-    found = learn(mounted, Settings(n=6, m=3, width=0.5)).beam.stiffness(S)
+    found = learn(mounted, RegressionSettings(n=6, m=3, width=0.5)).beam.stiffness(S)
     np.testing.assert_allclose(found, SOFT.stiffness(S), rtol=0.02)
 
 
 def test_natural_curvature_is_found_at_rest() -> None:
     curved = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
-    made = replace(observed(curved, forces()), rest="unknown")
-    result = learn(made, Settings(n=6, m=3, width=0.5))
+    made = with_stated(observed(curved, forces()), rest="unknown")
+    result = learn(made, RegressionSettings(n=6, m=3, width=0.5))
     np.testing.assert_allclose(result.beam.rest_curvature(S), 0.3, atol=0.05)
     np.testing.assert_allclose(result.beam.stiffness(S), curved.stiffness(S), rtol=0.05)
 
@@ -119,13 +120,13 @@ def test_too_few_frames_say_how_many_are_needed() -> None:
 def test_force_of_the_opposite_sign_finds_no_beam() -> None:
     made = observed(SOFT, forces())
     with pytest.raises(LearningError, match="force's sign"):
-        learn(replace(made, force=-made.force), Settings(most_n=4))
+        learn(replace(made, force=-made.force), RegressionSettings(most_n=4))
 
 
 def test_trial_with_negative_stiffness_is_reported_not_simulated() -> None:
     """A deep step seen through few wide Gaussians: some trials go below zero and say so."""
     stepped = Beam(0.15, Steps((0.0, 0.4, 1.0), (0.03, 0.012)))
-    result = learn(observed(stepped, forces(), noise=(2e-5, 2e-3)), Settings(method="paper"))
+    result = learn(observed(stepped, forces(), noise=(2e-5, 2e-3)), RegressionSettings(method="paper"))
     out = [t for t in result.trials if t.why_out]
     assert out
     assert all(np.isinf(t.bic) for t in out)
@@ -152,6 +153,8 @@ def test_weight_alone_teaches_the_stiffness() -> None:
     gravity = 9.81 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     shape = heavy.equilibrium(np.zeros((60, 2)), gravity=gravity)
     made = observed(SOFT, np.zeros((60, 2)), xy=shape.xy(MARKERS), angle=shape.angle(MARKERS))
-    hanging = replace(made, gravity=gravity, mass=0.1, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool))
-    found = learn(hanging, Settings(n=6, m=3, width=0.5)).beam
+    hanging = with_stated(
+        replace(made, gravity=gravity, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool)), mass=0.1
+    )
+    found = learn(hanging, RegressionSettings(n=6, m=3, width=0.5)).beam
     np.testing.assert_allclose(found.stiffness(S), SOFT.stiffness(S), rtol=0.02)

@@ -16,7 +16,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
 from onebend.export.export import export
 from onebend.learning.swing.damping import Damping, DampingSettings, SwingFit, learn_damping
-from onebend.learning.swing.free_swing import Part, find_swing, glance
+from onebend.learning.swing.free_swing import FilmPart, find_swing, glance
 from onebend.records import Observations
 from onebend.results.model import StoredModel, model_text, read_model
 from tests.learning.swinging import BEAM, HEAVY, MASS, TAU, released
@@ -80,21 +80,23 @@ def test_a_glance_at_a_pure_sinusoid_sees_it(film: Observations) -> None:
 def test_the_swing_begins_after_the_release(film: Observations) -> None:
     swing = find_swing(film)
     assert 0.62 < swing.begin < 0.66  # let go at 0.537 s, and the margin
-    assert find_swing(film, Part(0.9, 1.5)).begin == pytest.approx(0.9, abs=1 / 60)
-    assert find_swing(film, Part(0.9, 1.5)).time[-1] == pytest.approx(0.6, abs=2 / 60)
+    assert find_swing(film, FilmPart(0.9, 1.5)).begin == pytest.approx(0.9, abs=1 / 60)
+    assert find_swing(film, FilmPart(0.9, 1.5)).time[-1] == pytest.approx(0.6, abs=2 / 60)
 
 
 @pytest.mark.parametrize(
     ("change", "part", "says"),
     [
-        ({"loaded": np.ones(110, dtype=bool)}, Part(), "pushed to the end"),
-        ({"loaded": np.zeros(110, dtype=bool)}, Part(), "--from-s"),
-        ({}, Part(1.8), "at least 12"),
-        ({"rest_angle": np.array([0.0, np.nan, 0.0])}, Part(), "at rest"),
-        ({"gravity": np.linspace([0.0, 0.0], [9.8, 0.0], 110)}, Part(), "base turns"),
+        ({"loaded": np.ones(110, dtype=bool)}, FilmPart(), "pushed to the end"),
+        ({"loaded": np.zeros(110, dtype=bool)}, FilmPart(), "--from-s"),
+        ({}, FilmPart(1.8), "at least 12"),
+        ({"rest_angle": np.array([0.0, np.nan, 0.0])}, FilmPart(), "at rest"),
+        ({"gravity": np.linspace([0.0, 0.0], [9.8, 0.0], 110)}, FilmPart(), "base turns"),
     ],
 )
-def test_what_is_no_free_swing_is_refused(film: Observations, change: dict[str, object], part: Part, says: str) -> None:
+def test_what_is_no_free_swing_is_refused(
+    film: Observations, change: dict[str, object], part: FilmPart, says: str
+) -> None:
     assert len(film.time) == 110
     with pytest.raises(LearningError, match=says):
         find_swing(replace(film, **change), part)  # type: ignore[arg-type]

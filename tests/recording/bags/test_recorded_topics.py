@@ -126,12 +126,12 @@ def test_a_push_in_a_bag_is_observed_as_the_same_push_in_a_film_and_a_file(twice
     assert np.array_equal(robot.angle, plain.angle)
     assert robot.time == pytest.approx(plain.time, abs=1e-6)
     assert robot.force == pytest.approx(plain.force, abs=1e-6)
-    assert plain.clock is not None
-    assert robot.clock is not None
-    assert robot.clock.said == pytest.approx(0.4, abs=1e-9)
-    assert robot.clock.offset == pytest.approx(plain.clock.offset, abs=1e-6)
-    assert robot.video_topic == "/image"
-    said = " ".join(remark.text for remark in robot.remarks)
+    assert plain.source.clock is not None
+    assert robot.source.clock is not None
+    assert robot.source.clock.stated == pytest.approx(0.4, abs=1e-9)
+    assert robot.source.clock.offset == pytest.approx(plain.source.clock.offset, abs=1e-6)
+    assert robot.source.video_topic == "/image"
+    said = " ".join(remark.text for remark in robot.source.remarks)
     assert "share the bag's clock: the film starts at 0.4000 s by their headers' stamps" in said
     assert "does not say rotation_deg, axes of [force]" in said
     assert "when the video starts" not in said

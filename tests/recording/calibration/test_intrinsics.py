@@ -86,7 +86,7 @@ def test_of_each_burst_the_sharp_frame_counts(tmp_path: Path) -> None:
         pictures += [cv2.GaussianBlur(one, (0, 0), sd) if sd else one for sd in (2.0, 0.0, 1.5, 1.0)]
     seen = find_boards(film(tmp_path / "a.mp4", pictures, rate=10), CHESS)
     assert [one.frame for one in seen.views] == [1, 5]
-    assert (seen.looked_at, seen.found) == (8, 8)
+    assert (seen.frames_searched, seen.frames_found) == (8, 8)
 
 
 def test_views_that_repeat_are_left_for_those_that_differ(chess_film: Path) -> None:

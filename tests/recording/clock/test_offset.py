@@ -33,7 +33,7 @@ def turned(angle: float) -> np.ndarray:
 def test_found_within_its_sd(pushed: Pushed, said: float, push_s: float | None) -> None:
     found = fit_clock(pushed.markers(jitter=0.5), pushed.log(), said, 2.0, push_s=push_s).clock
     assert found.found
-    assert found.said == said
+    assert found.stated == said
     assert found.sd < 0.05
     assert abs(found.offset - pushed.offset) < min(3.5 * found.sd, 0.05)
 

@@ -8,23 +8,30 @@ import numpy as np
 import pytest
 
 from benchmarks.studies import bench_of
-from onebend.lab.virtual import Virtual, virtual_recording
-from onebend.recording.clock.likelihood import Model, covariance, found_jumps, tied
+from onebend.lab.virtual import VirtualRecording, virtual_recording
+from onebend.recording.clock.likelihood import ForceLogModel, covariance, film_misfit, fit_jumps
 from onebend.recording.clock.moment_posterior import moments_of
 from onebend.recording.clock.offset import fit_clock
-from onebend.recording.clock.span_moments import Moments, Seen, grown, make_moments, seen_at, without_jumps
+from onebend.recording.clock.span_moments import (
+    Moments,
+    MomentsAtRows,
+    load_change_share,
+    make_moments,
+    moments_at,
+    without_jumps,
+)
 from onebend.records import ForceNoise
 
 PUSH_S = 0.98
 
 
-def made(errors: str, seed: int) -> Virtual:
+def made(errors: str, seed: int) -> VirtualRecording:
     bench = bench_of("smooth", errors, seed)
-    late = replace(bench.clock, said=bench.clock.offset + 0.7, uncertainty=2.0)  # so that the data decide
+    late = replace(bench.clock, declared=bench.clock.offset + 0.7, uncertainty=2.0)  # so that the data decide
     return virtual_recording(replace(bench, clock=late), seed=seed)
 
 
-def exact(seed: int) -> tuple[Virtual, Moments]:
+def exact(seed: int) -> tuple[VirtualRecording, Moments]:
     """A virtual recording with the true poses of the tags, and its moments."""
     virtual = made("white", seed)
     markers = replace(virtual.markers, xy=virtual.pose[..., :2], angle=virtual.pose[..., 2])
@@ -33,9 +40,9 @@ def exact(seed: int) -> tuple[Virtual, Moments]:
     return virtual, moments
 
 
-def rows_of(virtual: Virtual, moments: Moments) -> tuple[np.ndarray, Seen]:
+def rows_of(virtual: VirtualRecording, moments: Moments) -> tuple[np.ndarray, MomentsAtRows]:
     time = np.arange(1.0, virtual.markers.time[-1] - 1.0, 0.1)
-    return time, seen_at(moments, time, 1e-3)
+    return time, moments_at(moments, time, 1e-3)
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -54,15 +61,15 @@ def test_force_told_by_the_turns_is_the_one_that_made_them() -> None:
     virtual, moments = exact(1)
     time, seen = rows_of(virtual, moments)
     compliance = np.array([0.7, 1.3, 2.0])[: len(moments.largest)]
-    model = Model(replace(moments, noise=1e-7 * moments.largest), compliance, 1.0)
+    model = ForceLogModel(replace(moments, noise=1e-7 * moments.largest), compliance, 1.0)
     z = model.start(np.zeros(2))
     force = np.stack([np.cos(time), 1.0 + 0.3 * np.sin(time)], axis=1)
-    turned = replace(seen, turn=(model.matrix(seen, z) * force[:, None]).sum(axis=2))
-    told, spread = model.told(turned, z)
+    turned = replace(seen, turn=(model.turns_per_force(seen, z) * force[:, None]).sum(axis=2))
+    told, spread = model.force_on_beam(turned, z)
     bent = np.linalg.norm(virtual.bench.push.force(time), axis=1) > 0.3 * virtual.bench.push.peak
     assert np.allclose(told[bent], force[bent], atol=1e-5)
     assert np.allclose(spread, spread.transpose(0, 2, 1))
-    cost, slope, _ = tied(model, turned.at(bent), z)
+    cost, slope, _ = film_misfit(model, turned.select(bent), z)
     assert cost < 1e-3 * len(time)
     assert np.abs(slope).max() < 1.0
 
@@ -77,7 +84,7 @@ def test_a_jump_is_found_and_no_other() -> None:
     share = np.where((np.arange(60) >= 20) & (np.arange(60) < 32), 1.0 / 12.0, 0.0)
     nothing = np.zeros((60, 2, 2))
     rest = covariance(noise, time, nothing, np.zeros(60))
-    jumps = found_jumps(left.ravel(), np.zeros((120, 1)), rest, 0.1**2 * share, 0.01**2 * share)
+    jumps = fit_jumps(left.ravel(), np.zeros((120, 1)), rest, 0.1**2 * share, 0.01**2 * share)
     assert int(np.argmax(jumps)) == 25
     assert np.sqrt(jumps[25]) > 0.08
     assert np.sqrt(np.delete(jumps, 25)).max() < 0.02
@@ -102,7 +109,7 @@ def test_moments_of_a_normal_distribution_on_uneven_points() -> None:
 def test_shares_of_the_changes_of_the_load_are_whole() -> None:
     virtual, moments = exact(0)
     _, seen = rows_of(virtual, moments)
-    assert np.isclose(grown(seen).sum(), (seen.steps[-1] - seen.steps[0]).sum(), atol=1e-2)
+    assert np.isclose(load_change_share(seen).sum(), (seen.steps[-1] - seen.steps[0]).sum(), atol=1e-2)
     assert seen.steps.shape[1] == 3  # it begins, reverses, ends
 
 
@@ -112,7 +119,7 @@ def misses(errors: str, seeds: range) -> tuple[np.ndarray, np.ndarray]:
     for seed in seeds:
         virtual = made(errors, seed)
         clock = virtual.bench.clock
-        found = fit_clock(virtual.markers, virtual.log, clock.said, clock.uncertainty, push_s=PUSH_S).clock
+        found = fit_clock(virtual.markers, virtual.log, clock.declared, clock.uncertainty, push_s=PUSH_S).clock
         assert found.found
         error.append(found.offset - clock.offset - virtual.bench.sensor.lag)
         sd.append(found.sd)

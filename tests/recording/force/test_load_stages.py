@@ -9,9 +9,9 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
-from onebend.lab.pushes import Push
+from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
-from onebend.lab.virtual import Bench, observe_virtual, virtual_recording
+from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.recording.force.load_stages import displacement, load_changes, turning_points
 
 TIME = np.linspace(0.0, 10.0, 501)
@@ -34,7 +34,7 @@ def test_one_push_begins_turns_and_ends() -> None:
     assert turned.end == pytest.approx(6.3, abs=0.03)
     assert ended.begin == pytest.approx(8.7, abs=0.03)
     assert ended.end > 8.98
-    assert turned.part(np.array([0.0, turned.begin, turned.end, 10.0])) == pytest.approx([0.0, 0.0, 1.0, 1.0])
+    assert turned.fraction(np.array([0.0, turned.begin, turned.end, 10.0])) == pytest.approx([0.0, 0.0, 1.0, 1.0])
 
 
 def test_a_push_held_to_the_end_is_not_released_and_two_pushes_are_told_apart() -> None:
@@ -57,13 +57,13 @@ def test_displacement_bridges_missing_tags() -> None:
 
 
 def test_the_clock_is_found_though_the_logs_error_changes_with_the_load() -> None:
-    bench = Bench(Beam(0.15, Uniform(0.02)), Push(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
+    bench = VirtualBench(Beam(0.15, Uniform(0.02)), PushProfile(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
     for seed in range(3):
-        steps = observe_virtual(virtual_recording(bench, seed=seed)).clock
+        steps = observe_virtual(virtual_recording(bench, seed=seed)).source.clock
         assert steps is not None
         assert abs(steps.offset - bench.clock.offset) < 3.0 * steps.sd < 0.4
     even = replace(bench, sensor=ForceSensor(white_sd=0.004))
-    clean = observe_virtual(virtual_recording(even, seed=0)).clock
+    clean = observe_virtual(virtual_recording(even, seed=0)).source.clock
     assert clean is not None
     assert clean.found
     assert clean.sd < 0.02  # no step is claimed where there is none

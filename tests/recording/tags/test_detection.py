@@ -17,14 +17,14 @@ from onebend.recording.tags.pattern import CELLS, correct_still
 from onebend.recording.tags.tracking import Finder, track_block
 from onebend.recording.toml.entries import TagEntry, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, SIZE, WIDTH, corners_of, film, picture, poses, view
 
 TAGS = TagsEntry(size=SIZE, on_base=(TagEntry(0, 0.0),), on_beam=tuple(TagEntry(i, i / 3) for i in (1, 2, 3)))
 
 
-def save(path: Path, frames: Sequence[Frame]) -> VideoEntry:
+def save(path: Path, frames: Sequence[FilmFrame]) -> VideoEntry:
     """The frames as a lossless file."""
     height, width = frames[0].luma.shape
     with av.open(str(path), "w") as container:
@@ -114,13 +114,13 @@ def test_pattern_fit_leaves_moving_and_half_hidden_tags_alone() -> None:
 
 def still(tmp_path: Path, tag_id: Sequence[int], *, family: str = "tag36h11", count: int = 3) -> VideoEntry:
     luma = np.rint(picture(poses(3)[0, : len(tag_id)], tag_id, view(), family=family)).astype(np.uint8)
-    return save(tmp_path / "video.mkv", [Frame(i, i / 30, luma) for i in range(count)])
+    return save(tmp_path / "video.mkv", [FilmFrame(i, i / 30, luma) for i in range(count)])
 
 
 def test_no_tag_at_all(tmp_path: Path) -> None:
     empty = np.full((HEIGHT, WIDTH), 90, np.uint8)
     with pytest.raises(ObservationError, match=r"no tag of recording\.toml is in any of the 3 frames.*in focus"):
-        detect_tags(save(tmp_path / "a.mkv", [Frame(i, i / 30, empty) for i in range(3)]), TAGS)
+        detect_tags(save(tmp_path / "a.mkv", [FilmFrame(i, i / 30, empty) for i in range(3)]), TAGS)
 
 
 def test_wrong_ids_and_wrong_family_are_named(tmp_path: Path) -> None:

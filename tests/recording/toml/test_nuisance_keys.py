@@ -145,13 +145,13 @@ def test_what_is_stated_is_carried_along() -> None:
         scale_sd=0.05,
     )
     found = observed(rec=stated)
-    assert (found.clamp_sd, found.curvature_sd, found.scale_sd) == (0.02, 0.4, 0.05)
-    assert found.clock is not None
-    assert (found.clock.offset, found.clock.sd) == (250.0, 0.0)
+    assert (found.stated.clamp_sd, found.stated.curvature_sd, found.stated.scale_sd) == (0.02, 0.4, 0.05)
+    assert found.source.clock is not None
+    assert (found.source.clock.offset, found.source.clock.sd) == (250.0, 0.0)
     usual = observed(rec=replace(whole, video=exact))
-    assert usual.curvature_sd == CURVATURE_SD
-    assert math.isnan(usual.clamp_sd)
-    assert math.isnan(usual.scale_sd)
+    assert usual.stated.curvature_sd == CURVATURE_SD
+    assert math.isnan(usual.stated.clamp_sd)
+    assert math.isnan(usual.stated.scale_sd)
 
 
 def test_tracks_have_a_clamp_too(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_an_exact_start_is_the_offset_however_wrong_it_is() -> None:
     for said in (pushed.offset, pushed.offset + 0.4):
         for place in (None, 1.0):
             fit = fit_clock(pushed.markers(), pushed.log(), said, 0.0, push_s=place)
-            assert (fit.clock.offset, fit.clock.sd, fit.clock.said, fit.clock.found) == (said, 0.0, said, True)
+            assert (fit.clock.offset, fit.clock.sd, fit.clock.stated, fit.clock.found) == (said, 0.0, said, True)
             assert fit.remarks == ()
     assert "as written in recording.toml, which calls it exact" in clock_words(fit.clock)
     looked = fit_clock(pushed.markers(), pushed.log(), pushed.offset + 0.4, 2.0).clock

@@ -102,8 +102,8 @@ def observed(folder: Path) -> Observations:
 def test_k_is_learned_from_points_alone(tmp_path: Path) -> None:
     """No angles, no base marker, a clock 0.9 s off: k(s) lies in its band around the truth."""
     seen = observed(track_folder(tmp_path, base=False))
-    assert seen.clock is not None
-    assert seen.clock.offset == pytest.approx(PUSHED.offset, abs=4 * seen.clock.sd)
+    assert seen.source.clock is not None
+    assert seen.source.clock.offset == pytest.approx(PUSHED.offset, abs=4 * seen.source.clock.sd)
     assert np.isnan(seen.angle).all()
     assert np.isnan(seen.rest_angle).all()
     posterior = fit([seen], 0.05, settings=FitSettings(functions=8, most_frames=40, first_frames=40))
@@ -117,8 +117,8 @@ def test_k_is_learned_from_points_alone(tmp_path: Path) -> None:
 def test_one_clock_for_both_is_taken_at_its_word(tmp_path: Path) -> None:
     folder = track_folder(tmp_path, markers="start_uncertainty_s = 0\n")
     seen = observed(folder)
-    assert seen.clock is not None
-    assert (seen.clock.offset, seen.clock.sd, seen.clock.found) == (START, 0.0, True)
+    assert seen.source.clock is not None
+    assert (seen.source.clock.offset, seen.source.clock.sd, seen.source.clock.found) == (START, 0.0, True)
 
 
 def test_overview_names_the_tracks(tmp_path: Path) -> None:

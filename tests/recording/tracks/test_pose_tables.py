@@ -15,18 +15,18 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import make_problem
 from onebend.errors import LearningError, ObservationError, RecordingError
-from onebend.learning.model.fit_data import film
+from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.frames import loads_of
 from onebend.learning.model.mass import mass_remarks
-from onebend.learning.model.parameters import Priors, layout
+from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn_recording
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
-from onebend.results.observed import load_observations, save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
 G = 9.81
@@ -90,7 +90,7 @@ def test_several_loads_and_a_gripped_end(tmp_path: Path) -> None:
     table = "pose,s,weight_N,fx_N,fy_N,moment_N_m\n0,1,0.1,,,\n0,0.4,0.2,,,\n0,0.6,,,,-0.01\n1,1,,0.05,0.12,0.03\n"
     there = solved(everything).xy(ROD_S)
     o = seen(tmp_path, loads=table, shown=there)
-    assert o.known is not None
+    assert o.known_loads is not None
     np.testing.assert_allclose(solved(loads_of(o, o.loaded)).xy(ROD_S), there, atol=1e-7)  # the resolution
     assert o.push_s.tolist() == [0.4, 1.0]  # the largest force of each pose
 
@@ -118,7 +118,8 @@ def test_k_is_learned_with_its_band(tmp_path: Path, ruler: bool) -> None:
     band, true = posterior.band(s), ROD.stiffness(s)
     assert np.all((band.low < true) & (true < band.high))
     assert np.all(np.abs(band.k / true - 1) < 0.15)
-    assert 0.6 < posterior.optimum.scales.films[0].marker < 1.6  # the guess, a thousandth of the length, is right
+    marker = posterior.optimum.hyperparameters.noise[0].marker  # over the guess, a thousandth of the length
+    assert 0.6 < marker < 1.6
     clamp = next(n for n in posterior.nuisances() if "clamp" in n.name)
     assert abs(clamp.value - np.radians(0.7)) < 3 * clamp.sd < np.radians(2.0)
 
@@ -129,13 +130,13 @@ def test_an_exact_table_gives_k_closely(tmp_path: Path) -> None:
     posterior = fit([o], start_of([o], None), settings=FEW)
     s = np.linspace(0.05, 0.85, 9)
     np.testing.assert_allclose(posterior.beam.stiffness(s), ROD.stiffness(s), rtol=0.06)
-    assert posterior.optimum.scales.films[0].marker >= 1.0
+    assert posterior.optimum.hyperparameters.noise[0].marker >= 1.0
 
 
 def test_mass_is_learned_beside_k_where_weights_fix_the_scale(tmp_path: Path) -> None:
     loads = "pose,s,weight_N\n" + "".join(f"{i},1,{w}\n" for i, w in enumerate(HUNG))
     o = seen(tmp_path, loads=loads, shown=noisy(hanging(), 5e-5), beam="", poses='axes = "room"\nsd_m = 5e-5\n')
-    assert np.isnan(o.mass)
+    assert np.isnan(o.stated.mass)
     ready = with_mass([o])
     mass = fit(ready, start_of(ready, None), settings=FEW).mass
     assert mass is not None
@@ -165,13 +166,13 @@ def test_a_profile_of_the_mass_is_used(tmp_path: Path) -> None:
     (tmp_path / "mass.csv").write_text("s,kg_per_m\n" + rows)
     o = seen(tmp_path, beam='mass_file = "mass.csv"\n', shown=hanging(uneven))
     s = np.linspace(0, 1, 2001)
-    assert o.mass == pytest.approx(0.5 * np.trapezoid(line(s), s), rel=1e-3)
+    assert o.stated.mass == pytest.approx(0.5 * np.trapezoid(line(s), s), rel=1e-3)
     posterior = fit([o], start_of([o], None), settings=FEW)
     np.testing.assert_allclose(posterior.beam.mass_per_length(s), line(s), rtol=0.2)
-    halved = seen(tmp_path, beam=f'mass_file = "mass.csv"\nmass_kg = {o.mass / 2}\n', shown=hanging(uneven))
-    assert halved.mass_line is not None
-    assert o.mass_line is not None
-    np.testing.assert_allclose(halved.mass_line.value, o.mass_line.value / 2)
+    halved = seen(tmp_path, beam=f'mass_file = "mass.csv"\nmass_kg = {o.stated.mass / 2}\n', shown=hanging(uneven))
+    assert halved.stated.mass_line is not None
+    assert o.stated.mass_line is not None
+    np.testing.assert_allclose(halved.stated.mass_line.value, o.stated.mass_line.value / 2)
 
 
 def test_poses_come_through_the_pipeline_and_back_from_disk(tmp_path: Path) -> None:
@@ -185,10 +186,10 @@ def test_poses_come_through_the_pipeline_and_back_from_disk(tmp_path: Path) -> N
     back = load_observations(tmp_path / "o.parquet")
     np.testing.assert_array_equal(back.xy, run.recordings[0].xy)
     assert (back.static, back.sd_known) == (True, False)
-    assert back.known is not None
-    assert run.recordings[0].known is not None
-    np.testing.assert_array_equal(back.known.moment, run.recordings[0].known.moment)
-    assert back.known.force.shape == run.recordings[0].known.force.shape
+    assert back.known_loads is not None
+    assert run.recordings[0].known_loads is not None
+    np.testing.assert_array_equal(back.known_loads.moment, run.recordings[0].known_loads.moment)
+    assert back.known_loads.force.shape == run.recordings[0].known_loads.force.shape
 
 
 def test_the_example_is_learned() -> None:
@@ -205,8 +206,8 @@ def test_moving_a_push_from_frame_to_frame_keeps_the_derivatives(tmp_path: Path)
     table = "pose,s,weight_N\n0,1,0.1\n1,0.5,0.2\n2,0.8,0.15\n"
     o = seen(tmp_path, loads=table, shown=hanging()[:3])
     spline = Spline(6)
-    one = film(o, 0, np.ones(3, dtype=bool), spline)
-    at = layout(spline, [o], [0], Priors())
+    one = fit_data(o, 0, np.ones(3, dtype=bool), spline)
+    at = make_layout(spline, [o], [0], Priors())
     x = 0.01 * np.random.default_rng(0).normal(size=at.size)
     x[:6] += np.log(0.2)
     now = predict(one, at, x, None)

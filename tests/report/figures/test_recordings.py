@@ -18,6 +18,7 @@ from onebend.report.figures import curves, recordings
 from onebend.report.figures.simulated import centreline, largest_push, spread_of_pushes
 from onebend.report.figures.style import BLUE, png_of
 from tests import made_up
+from tests.made_up import with_source
 
 ONE = made_up.comparison()
 SEEN = made_up.observations(one=ONE)
@@ -27,12 +28,12 @@ IMAGE = np.full((500, 640, 3), 128, dtype=np.uint8)
 
 def every_figure() -> dict[str, Figure]:
     learned = made_up.learned(ONE)
-    assert SEEN.view is not None
+    assert SEEN.source.view is not None
     return {
         "stiffness": curves.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
         "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
         "nuisances": curves.nuisances(FIT.nuisances()),
-        "fit": recordings.fit_over_frame(IMAGE, SEEN.view, learned.beam, ONE, SEEN),
+        "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, learned.beam, ONE, SEEN),
         "shapes": recordings.shapes(learned.beam, ONE, SEEN),
         "markers": recordings.markers(ONE),
         "residuals": recordings.residuals(ONE),
@@ -44,7 +45,7 @@ def every_figure() -> dict[str, Figure]:
 
 FIGURES = every_figure()
 FITTED = explained(FIT)[0]
-LOGGED = validate(FIT.beam, FIT.films[0].observations)
+LOGGED = validate(FIT.beam, FIT.recordings[0].observations)
 
 
 def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_says() -> None:
@@ -52,15 +53,15 @@ def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_
     residual = 1000 * np.linalg.norm(one.measured - one.predicted, axis=-1)
     np.testing.assert_allclose(1000 * one.rms, np.sqrt(np.nanmean(residual**2, axis=0)), rtol=0.05)
     assert FITTED.line.shape == (len(one.frame), 121, 2)
-    sits = FIT.at.get(FIT.mean, "along"), FIT.at.get(FIT.mean, "across")
+    sits = FIT.layout.get(FIT.mean, "along"), FIT.layout.get(FIT.mean, "across")
     away = np.linalg.norm(FITTED.line[:, [40, 80, 120]] - one.predicted, axis=-1)
     assert np.max(away) < 1.01 * np.max(np.hypot(*sits)) + 2e-5  # the tags ride on the line
-    slow = FIT.slow[0].force[: len(one.frame)] - FIT.films[0].force[: len(one.frame)]
+    slow = FIT.slow[0].force[: len(one.frame)] - FIT.recordings[0].force[: len(one.frame)]
     np.testing.assert_allclose(one.force - FITTED.logged, slow)
 
 
 def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
-    seen = FIT.films[0].observations
+    seen = FIT.recordings[0].observations
     axes = recordings.shapes(FIT.beam, LOGGED, seen, FITTED).axes[0]
     blue = [line for line in axes.lines if line.get_color() == BLUE and line.get_linestyle() == "-"]
     blue = [line for line in blue if np.size(line.get_xdata()) == FITTED.line.shape[1]]
@@ -164,8 +165,8 @@ def test_the_line_runs_through_the_predicted_markers() -> None:
 def test_a_beam_that_cannot_stand_draws_its_markers_only() -> None:
     beam = Beam(0.15, Uniform(-0.1))
     assert centreline(beam, ONE, SEEN, 60) is None
-    assert SEEN.view is not None
-    png_of(recordings.fit_over_frame(IMAGE, SEEN.view, beam, ONE, SEEN))
+    assert SEEN.source.view is not None
+    png_of(recordings.fit_over_frame(IMAGE, SEEN.source.view, beam, ONE, SEEN))
     png_of(recordings.shapes(beam, ONE, SEEN))
 
 
@@ -173,7 +174,7 @@ def test_few_frames_unknown_sensor_and_no_force_log() -> None:
     short = made_up.comparison(frames=2)
     png_of(recordings.residuals(short))
     png_of(recordings.markers(short))
-    png_of(recordings.force(replace(SEEN, clean_force=None)))
+    png_of(recordings.force(with_source(SEEN, clean_force=None)))
     unknown = replace(ONE, rms=np.full(3, np.nan), sensor_rms=np.full(3, np.nan))
     png_of(recordings.validation((unknown,)))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.records import ClockOffset, Remark
 from onebend.report.confidence import alarm_words, tradeoff_words, unidentified_words
 from onebend.report.figures.drawing import draw_all, fit
@@ -19,6 +19,7 @@ from onebend.report.page.cards import cards, stiffness_range
 from onebend.report.page.page import page
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
 from tests import made_up
+from tests.made_up import with_source, with_stated
 
 PNG = b"\x89PNG not really"
 
@@ -103,7 +104,7 @@ def test_page_says_the_figures() -> None:
 def test_names_from_files_cannot_become_markup() -> None:
     found = made_up.findings(1)
     evil = "<script>alert(1)</script>"
-    seen = replace(found.recordings[0], name=evil, remarks=(Remark("warning", evil),))
+    seen = with_source(found.recordings[0], name=evil, remarks=(Remark("warning", evil),))
     html = page(replace(found, recordings=(seen,)), {}, version="1.2.3")
     assert "<script" not in html
     assert "&lt;script&gt;" in html
@@ -112,7 +113,9 @@ def test_names_from_files_cannot_become_markup() -> None:
 @pytest.mark.parametrize("fitted", [True, False])
 def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
     found = made_up.findings(0, fitted=fitted)
-    seen = replace(found.recordings[0], clean_force=None, clock=None, view=None, remarks=(), rest="unknown")
+    seen = with_stated(
+        with_source(found.recordings[0], clean_force=None, clock=None, view=None, remarks=()), rest="unknown"
+    )
     bare = replace(found, recordings=(seen,), remarks=(), video_seconds=float("nan"))
     bare = replace(bare, learned=None) if fitted else bare  # the regression found no beam
     links = Links(page(bare, draw_all(bare), version="1.2.3"))
@@ -127,13 +130,13 @@ def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
 def test_a_fit_without_its_video_is_left_out(tmp_path: Path) -> None:
     found = made_up.findings(0)
     training, beam = found.trainings[0], found.beam
-    assert fit(beam, training, replace(found.recordings[0], video=tmp_path / "gone.mp4")) is None
-    assert fit(beam, training, replace(found.recordings[0], view=None)) is None
+    assert fit(beam, training, with_source(found.recordings[0], video=tmp_path / "gone.mp4")) is None
+    assert fit(beam, training, with_source(found.recordings[0], view=None)) is None
 
 
 def test_remarks_come_once_and_warnings_first() -> None:
     found = made_up.findings(1)
-    remarks = all_remarks(replace(found, remarks=found.recordings[0].remarks))
+    remarks = all_remarks(replace(found, remarks=found.recordings[0].source.remarks))
     assert [remark.level for _, remark in remarks] == sorted((r.level for _, r in remarks), key="warning note".index)
     assert (
         len(remarks) == len({(whose, remark.text) for whose, remark in remarks}) == 5
@@ -226,8 +229,8 @@ def test_a_clock_that_was_not_found_says_so() -> None:
 
 def test_gravity_and_uncalibrated_cameras_are_said() -> None:
     seen = made_up.observations()
-    assert seen.view is not None
-    heavy = replace(seen, gravity=seen.gravity - 9.81, view=replace(seen.view, calibrated=False))
+    assert seen.source.view is not None
+    heavy = with_source(replace(seen, gravity=seen.gravity - 9.81), view=replace(seen.source.view, calibrated=False))
     assert "weight acts in the plane" in assumptions(replace(made_up.findings(0), recordings=(heavy,)))[0]
     assert any("not calibrated" in text for _, text in inputs(heavy))
 
@@ -248,13 +251,15 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     assert "NOT TO BE TRUSTED" in text
     assert "1 in 1 000 000 000 or less" in text
     assert "the recording contradicts the model of the fit" in text
-    far = replace(found.posterior, films=tuple(_moved(film, 1.0) for film in found.posterior.films))
+    problem = found.posterior.problem
+    moved = replace(problem, recordings=tuple(_moved(recording, 1.0) for recording in problem.recordings))
+    far = replace(found.posterior, problem=moved)
     text = Links(page(replace(found, posterior=far), {}, version="1")).text
     assert "the fit misses tag" in text
     assert "these tests say nothing" in text
     assert "known to±" not in text.replace(" ", "")
 
 
-def _moved(film: Film, away: float) -> Film:
+def _moved(film: FitData, away: float) -> FitData:
     """Its tags seen `away` [m] from where they were."""
     return replace(film, measured=film.measured + away)

@@ -17,7 +17,7 @@ import numpy as np
 
 from onebend.beam.grid import solve_each, transposed
 from onebend.beam.statics.equilibrium import gradient, positive_definite, potential, tangent
-from onebend.beam.statics.nodal_forces import centreline_slope, lever, nodal_forces, node_angles, strain_by_force
+from onebend.beam.statics.nodal_forces import centreline_slope, nodal_forces, node_angles, strain_by_force
 from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.snap_through import to_the_left
 from onebend.records import Array, BoolArray
@@ -36,7 +36,7 @@ def end_pose(problem: Problem, q: Array) -> Array:
 
 def end_jacobian(problem: Problem, q: Array) -> Array:
     """(T, 3, Q) derivative of the end's pose with the curvature at the nodes."""
-    lw, ways = problem.length * problem.weights, lever(nodal_forces(problem, q))
+    lw, ways = problem.length * problem.weights, nodal_forces(problem, q).lever
     turning = np.stack([lw * ways[..., 0], lw * ways[..., 1]], axis=-2)
     angle = np.broadcast_to(problem.weights, q.shape)[:, None, :]
     return np.concatenate([turning @ problem.to_nodes, angle], axis=-2)

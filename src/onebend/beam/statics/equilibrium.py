@@ -168,8 +168,8 @@ def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: Nod
         per_turn = (
             turning[..., 1, None] * forces.cos[:, None] - turning[..., 0, None] * forces.sin[:, None]
         )  # (T, c, Q)
-        if forces.lever is not None:
-            first, second = (x[:, None] for x in forces.lever)
+        if forces.turned is not None:
+            first, second = (x[:, None] for x in forces.turned)
             along = turning[..., 0, None] * forces.cos[:, None] + turning[..., 1, None] * forces.sin[:, None]
             per_turn = first * along + second * per_turn
         moved = factor * lw * per_turn * problem.follower_beyond @ problem.to_nodes

@@ -16,6 +16,7 @@ Stretch and shear follow from n, so the curvature stays the only unknown. The wo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,7 +33,18 @@ class NodalForces:
     sin: Array  # (T, Q)
     along: Array  # (T, Q) N m: minus the second derivative; L w N where nothing stretches or shears
     across: Array  # (T, Q) N m: the first derivative; L w Q where nothing stretches or shears
-    lever: tuple[Array, Array] | None  # (T, Q) each: `d(r'/L)/dalpha = lever[0] d1 + lever[1] d2`; None: it is d2
+    turned: tuple[Array, Array] | None  # (T, Q) each: `d(r'/L)/dalpha = turned[0] d1 + turned[1] d2`; None: it is d2
+
+    @cached_property
+    def lever(self) -> Array:
+        """(T, Q, 2): d(r'/L)/dalpha at fixed n, `(1 + delta N) d2 + delta Q d1`.
+
+        It is also the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal (Betti).
+        """
+        if self.turned is None:
+            return np.stack([-self.sin, self.cos], axis=-1)
+        first, second = self.turned
+        return np.stack([first * self.cos - second * self.sin, first * self.sin + second * self.cos], axis=-1)
 
 
 def node_angles(problem: Problem, q: Array) -> Array:
@@ -102,18 +114,6 @@ def centreline_slope(problem: Problem, q: Array, load_factor: Array | float = 1.
     stretch, shear = strains(problem, q, load_factor)
     along = 1.0 + stretch
     return np.stack([along * cos - shear * sin, along * sin + shear * cos], axis=-1)
-
-
-def lever(forces: NodalForces) -> Array:
-    """(T, Q, 2): d(r'/L)/dalpha at fixed n, `(1 + delta N) d2 + delta Q d1`.
-
-    It is also the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal (Betti).
-    """
-    cos, sin = forces.cos, forces.sin
-    if forces.lever is None:
-        return np.stack([-sin, cos], axis=-1)
-    first, second = forces.lever
-    return np.stack([first * cos - second * sin, first * sin + second * cos], axis=-1)
 
 
 def strain_by_force(problem: Problem, forces: NodalForces) -> Array:

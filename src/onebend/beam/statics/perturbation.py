@@ -9,7 +9,6 @@ import numpy as np
 from onebend.beam.grid import apply, transposed
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.nodal_forces import (
-    lever,
     normal_and_shear,
     strain_by_force,
     turned_followers,
@@ -86,7 +85,7 @@ def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
     problem, out = solved.problem, None
     if part.force is not None:
         lw = (problem.length * problem.weights)[..., None]
-        out = lw * _dot(lever(solved.forces), part.force)
+        out = lw * _dot(solved.forces.lever, part.force)
     if part.compliance is not None:
         size, functions = _twisted(solved, part.compliance)
         strained = size[..., None] * functions
@@ -152,7 +151,7 @@ def _by_turn(solved: Equilibrium) -> Array:
     along = solved.forces.along
     if problem.follower.shape[1]:  # they turn alike
         force = np.sum(followers_turned(solved), axis=1)[..., None]
-        along = along - (problem.length * problem.weights) * _dot(lever(solved.forces), force)[..., 0]
+        along = along - (problem.length * problem.weights) * _dot(solved.forces.lever, force)[..., 0]
     return apply(transposed(problem.to_nodes), along)[..., None]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.beam.grid import solve_each, transposed
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.nodal_forces import internal_force, lever, strain_by_force
+from onebend.beam.statics.nodal_forces import internal_force, strain_by_force
 from onebend.beam.statics.perturbation import (
     Perturbation,
     Perturbations,
@@ -96,7 +96,7 @@ class Response:
         """(T, S, 2, Q) m: how positions at `s` go with the curvature at the nodes; (T, S, 2) m: with a common turn."""
         problem = self.solved.problem
         rows = problem.length[..., None] * problem.grid.integral_to(s)
-        ways = lever(self.solved.forces)
+        ways = self.solved.forces.lever
         turning = np.stack([ways[:, None, :, 0] * rows, ways[:, None, :, 1] * rows], axis=-2)
         b = problem.to_nodes
         by_q, by_turn = turning @ (b if b.ndim == 2 else b[:, None]), np.sum(turning, axis=-1)

@@ -61,7 +61,7 @@ def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth")
             )
     with _in(path):
         every = [_targets(table, _rows_of(table, a, count)) for a in first]
-        xy, angle = np.stack([one.xy for one in every]), np.stack([one.angle for one in every])
+        xy, angle = np.stack([row.xy for row in every]), np.stack([row.angle for row in every])
         return Goals(time, every[0], xy, angle, between)
 
 

@@ -126,12 +126,12 @@ def _spread(weight: ArrayLike, count: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Misses:
+class TargetResiduals:
     """How far T shapes are from their targets, and how that goes with the curvature at the nodes. Lengths over L."""
 
     value: Array  # (T, R) weighted
-    rows: Array  # (T, R, Q) derivative of `value`
-    bent: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(bent) B`
+    jacobian: Array  # (T, R, Q) derivative of `value`
+    curvature_term: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(curvature_term) B`
 
     @property
     def cost(self) -> Array:
@@ -139,12 +139,14 @@ class Misses:
         return np.asarray(np.sum(self.value**2, axis=-1))
 
 
-def misses(solved: Equilibrium, targets: Targets, arm: float) -> Misses:
+def target_residuals(solved: Equilibrium, targets: Targets, arm: float) -> TargetResiduals:
     """Weighted distances of one shape from its targets; `arm` [m] makes lengths of angles."""
-    return misses_along(solved, targets, targets.xy[None], targets.angle[None], arm)
+    return target_residuals_along(solved, targets, targets.xy[None], targets.angle[None], arm)
 
 
-def misses_along(solved: Equilibrium, targets: Targets, xy: Array, angle: Array, arm: float) -> Misses:
+def target_residuals_along(
+    solved: Equilibrium, targets: Targets, xy: Array, angle: Array, arm: float
+) -> TargetResiduals:
     """The same of T shapes, wanted at xy (T, N, 2) and angle (T, N); places and weights are those of `targets`."""
     problem, length = solved.problem, float(solved.problem.length)
     to, alpha = problem.grid.integral_to(targets.s), solved.alpha
@@ -158,7 +160,7 @@ def misses_along(solved: Equilibrium, targets: Targets, xy: Array, angle: Array,
     lever = root[turned] * arm / length
     twisted = lever * (solved.angle(targets.s)[:, turned] - angle[:, turned])
     turning = np.broadcast_to(lever[:, None] * to[turned], (len(alpha), len(lever), to.shape[1]))
-    return Misses(
+    return TargetResiduals(
         np.concatenate([off_x, off_y, twisted], axis=1),
         np.concatenate([x, y, turning], axis=1),
         -((off_x @ at) * cos + (off_y @ at) * sin),

@@ -6,8 +6,8 @@ to the integral, and the force is held to the next frame:
     f_k = a f_(k-1) + (1 - a) e_k,    g_k = a g_(k-1) + (1 - a) f_k,    a = exp(-corner / fps)
     u_k = u_(k-1) + (rate / fps) C^+ g_k
 
-With the plant of `plant.py` this is one linear recursion, whose largest eigenvalue decides (`Loop.radius`), and whose
-characteristic loci (the eigenvalues of the 2 x 2 loop transfer on the unit circle) give the phase margin.
+With the plant of `plant.py` this is one linear recursion, whose largest eigenvalue decides (`SampledLoop.radius`), and
+whose characteristic loci (the eigenvalues of the 2 x 2 loop transfer on the unit circle) give the phase margin.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Gains:
 
 
 @dataclass(frozen=True)
-class Loop:
+class SampledLoop:
     """One sampled loop: a plant, and a controller whose map from error to force is `inverse`."""
 
     plant: Plant
@@ -119,16 +119,16 @@ class Margins:
         return self.radius < 1.0
 
 
-def margins(loop: Loop) -> Margins:
+def margins(loop: SampledLoop) -> Margins:
     """The margins of a sampled loop."""
     radius = loop.radius
     if not radius < 1.0:
         return Margins(0.0, 0.0, 0.0, np.nan, radius)
 
-    def stiffer(factor: float) -> Loop:
+    def stiffer(factor: float) -> SampledLoop:
         return replace(loop, plant=loop.plant.stiffer(1.0 / factor))
 
-    def later(extra: float) -> Loop:
+    def later(extra: float) -> SampledLoop:
         return replace(loop, timing=replace(loop.timing, delay=loop.timing.delay + extra - _SHORT))
 
     return Margins(
@@ -143,7 +143,7 @@ def margins(loop: Loop) -> Margins:
 _SHORT = 0.01  # s: delays are scanned from here in equal ratios
 
 
-def onset(of: Callable[[float], Loop], *, first: float = 1.0) -> float:
+def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
     """The smallest number above `first` at which the loop `of` it is unstable; to 1e-4 of it."""
     low = first
     for _ in range(_MOST):
@@ -157,10 +157,10 @@ def onset(of: Callable[[float], Loop], *, first: float = 1.0) -> float:
     return np.inf
 
 
-def phase_margin(loop: Loop) -> float:
+def phase_margin(loop: SampledLoop) -> float:
     """rad: the least further lag, in all directions alike, at which a locus meets -1."""
-    found = loop.loci(frequencies(loop.timing))
-    return min((_least_lag(curve) for curve in found.T), default=np.inf)
+    loci = loop.loci(frequencies(loop.timing))
+    return min((_least_lag(curve) for curve in loci.T), default=np.inf)
 
 
 def frequencies(timing: Timing) -> Array:

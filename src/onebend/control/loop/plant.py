@@ -71,8 +71,8 @@ def plant_at(
     solved = equilibrium(beam, loads)
     if not (solved.converged[0] and solved.stable[0]):
         raise MechanicsError(f"the beam has no stable shape under {np.asarray(force)} N to control it about")
-    at = np.array([point_s])
-    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(at)[0, 0]
+    point = np.array([point_s])
+    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(point)[0, 0]
     if not has_mass(beam):
         return Plant(np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), compliance)
     small = vibration(beam, solved, count=MODES)
@@ -82,7 +82,7 @@ def plant_at(
 
 
 @dataclass(frozen=True)
-class Linear:
+class StateSpace:
     """`x' = a x + b u`, `y = c x`: the plant behind its actuator. N = 2 m + 2 states."""
 
     a: Array  # (N, N) 1/s
@@ -96,7 +96,7 @@ class Linear:
         return moved[:n, :n], moved[:n, n:]
 
 
-def behind_actuator(plant: Plant, lag: float) -> Linear:
+def behind_actuator(plant: Plant, lag: float) -> StateSpace:
     """The plant driven by an actuator of first order with time constant `lag` s."""
     m, slow = len(plant.omega), max(lag, _QUICK)
     a = np.zeros((2 * m + 2, 2 * m + 2))
@@ -107,4 +107,4 @@ def behind_actuator(plant: Plant, lag: float) -> Linear:
     a[2 * m :, 2 * m :] = -np.eye(2) / slow
     b = np.vstack([np.zeros((2 * m, 2)), np.eye(2) / slow])
     c = np.hstack([plant.seen.T, np.zeros((2, m)), plant.at_once])
-    return Linear(a, b, c)
+    return StateSpace(a, b, c)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.control.loop.margins import ComplexArray, Gains, Loop, Timing, frequencies
+from onebend.control.loop.margins import ComplexArray, Gains, SampledLoop, Timing, frequencies
 from onebend.control.loop.plant import Plant
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -16,7 +16,7 @@ _FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, rates of the integral
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RequiredMargins:
     """The margins that a loop must have at every stiffness it may meet."""
 
     gain: float = 2.0  # factor
@@ -31,7 +31,7 @@ class Wanted:
             )
 
 
-def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: Wanted) -> Gains:
+def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: RequiredMargins) -> Gains:
     """Gains for plants, each with the map (2, 2) [N/m] from error to force that is used there.
 
     For each corner the largest rate whose loci keep the margins, taken from the loci at rate 1; then the corner that
@@ -41,7 +41,7 @@ def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: Wanted) -> 
     grid = frequencies(timing)
     for corner in _CORNERS:
         rate = min(
-            _largest(Loop(plant.stiffer(factor), inverse, Gains(1.0, float(corner)), timing).loci(grid), wanted)
+            _largest(SampledLoop(plant.stiffer(factor), inverse, Gains(1.0, float(corner)), timing).loci(grid), wanted)
             for plant, inverse in plants
             for factor in (1.0 - wanted.k_error, 1.0, 1.0 + wanted.k_error)
         )
@@ -50,7 +50,7 @@ def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: Wanted) -> 
     return best
 
 
-def _largest(loci: ComplexArray, wanted: Wanted) -> float:
+def _largest(loci: ComplexArray, wanted: RequiredMargins) -> float:
     """The largest factor on loci (R, 2) that begin at -90 degrees and keep both margins, at every resonance too."""
     lag, size = -np.unwrap(np.angle(loci), axis=0), np.abs(loci)
     unit = float(np.max(size, initial=1e-9, where=lag > np.pi - wanted.phase))

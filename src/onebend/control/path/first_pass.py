@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.statics.problem import Rod
 from onebend.control.goals.moving_goals import Goals
-from onebend.control.shape.descent import Found, descend
-from onebend.control.shape.grip import Grip, Push, Stand, rest
+from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state
+from onebend.control.shape.descent import DescentResult, descend
 from onebend.control.shape.shape import ShapeSettings, shape
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -33,41 +33,43 @@ def knots_of(goals: Goals, length: float) -> Array:
     return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
 
 
-def march(
+def first_pass(
     beam: Rod,
     goals: Goals,
     knots: Array,
     arm: float,
-    pushes: tuple[Push, ...],
+    pushes: tuple[Pusher, ...],
     grip: Grip | None,
     gravity: ArrayLike | None,
     settings: ShapeSettings,
-) -> list[Found]:
+) -> list[DescentResult]:
     """The shapes at the knots: the first from rest, each other one from that before."""
     first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings)
     if first.open_freedoms:
         raise ControlError(
-            f"the goals leave {first.open_freedoms} of {first.stand.hands.count} freedoms of the forces and the "
+            f"the goals leave {first.open_freedoms} of {first.state.actuators.count} freedoms of the forces and the "
             "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
             "a force or the gripper"
         )
-    resting = rest(beam, pushes, grip, gravity, settings.resolution)
-    grid = first.stand.hands.problem.grid
-    stand = Stand(resting.hands, grid.value_at(resting.hands.problem.grid.nodes) @ first.stand.q, first.stand.u)
-    found = [descend(stand, goals.at(knots[0]), arm, settings.descent)]
+    resting = resting_state(beam, pushes, grip, gravity, settings.resolution)
+    grid = first.state.actuators.problem.grid
+    state = BeamState(
+        resting.actuators, grid.value_at(resting.actuators.problem.grid.nodes) @ first.state.q, first.state.u
+    )
+    results = [descend(state, goals.at(knots[0]), arm, settings.descent)]
     warm = replace(settings.descent, damping=0.0)
     for before, time in pairwise(knots):
-        _check(found[-1], float(before))
-        found.append(descend(found[-1].stand, goals.at(float(time)), arm, warm))
-    _check(found[-1], float(knots[-1]))
-    return found
+        _check(results[-1], float(before))
+        results.append(descend(results[-1].state, goals.at(float(time)), arm, warm))
+    _check(results[-1], float(knots[-1]))
+    return results
 
 
-def _check(found: Found, time: float) -> None:
-    if found.near_buckling:
+def _check(result: DescentResult, time: float) -> None:
+    if result.near_buckling:
         raise ControlError(
-            f"at {time:.4g} s the beam is about to buckle (margin {found.stand.margin:.3g}) on its way to the goal; "
+            f"at {time:.4g} s the beam is about to buckle (margin {result.state.margin:.3g}) on its way to the goal; "
             "lead it another way, or give it a grip"
         )
-    if not found.converged:
+    if not result.converged:
         raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found; give more goals before it")

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.control.path.path import Path
-from onebend.control.shape.grip import Stand
+from onebend.control.path.follow import FollowedPath
+from onebend.control.shape.actuators import BeamState
 from onebend.control.shape.spread import spread
 from onebend.records import Array
 
@@ -23,8 +23,10 @@ class PathSpread:
     rms: Array  # (M,) m: of the targets' places, root of the mean square over them
 
 
-def path_spread(way: Path, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
+def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
     """The spread of a path at up to `moments` of its samples, evenly spaced, the first and the last among them."""
     chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))
-    stands = [Stand(way.hands, way.q[i], way.u[i]) for i in chosen]
-    return PathSpread(way.time[chosen], np.array([spread(one, way.goals.targets.s, uncertain).rms for one in stands]))
+    stands = [BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen]
+    return PathSpread(
+        way.time[chosen], np.array([spread(state, way.goals.targets.s, uncertain).rms for state in stands])
+    )

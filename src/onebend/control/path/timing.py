@@ -14,7 +14,7 @@ _AIR = 1.002  # a little slower than the limit asks, so that sampling anew does 
 
 
 @dataclass(frozen=True)
-class Rates:
+class RateLimits:
     """The largest rates; infinite where there is no limit."""
 
     force: float = np.inf  # N/s, of each push
@@ -28,7 +28,7 @@ class Rates:
 
 
 @dataclass(frozen=True)
-class Moving:
+class LimitedQuantities:
     """What moves along a path: quantities at T moments, each with its limit."""
 
     names: tuple[str, ...]
@@ -39,11 +39,11 @@ class Moving:
     def excess(self, time: Array) -> Array:
         """(T - 1, n) rate over limit between one moment and the next."""
         step = np.diff(time)
-        rates = [np.linalg.norm(np.diff(one, axis=0), axis=1) / step for one in self.values]
+        rates = [np.linalg.norm(np.diff(quantity, axis=0), axis=1) / step for quantity in self.values]
         return np.stack([rate / most for rate, most in zip(rates, self.most, strict=True)], axis=1)
 
 
-def refuse(moving: Moving, time: Array) -> None:
+def refuse(moving: LimitedQuantities, time: Array) -> None:
     """Raise `ControlError` with the first moment at which a limit is broken, and by how much."""
     excess = moving.excess(time)
     broken = np.flatnonzero(np.any(excess > 1.0 + 1e-9, axis=1))
@@ -57,7 +57,7 @@ def refuse(moving: Moving, time: Array) -> None:
         )
 
 
-def stretched(moving: Moving, time: Array, smooth: int = 5) -> Array:
+def stretched(moving: LimitedQuantities, time: Array, smooth: int = 5) -> Array:
     """(T,) the moments moved apart where a limit is broken, and only there.
 
     The largest excess over `smooth` neighbours counts, so that finer moments in between keep the limits as well.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path as File
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from onebend.control.path.path import Path
+from onebend.control.path.follow import FollowedPath
 from onebend.records import Array
 
 FRAME = "beam_base"  # the beam's frame: origin at the base tag, x along the undeformed beam, y to its left
@@ -38,7 +38,7 @@ class WrenchTrack:
     moment: Array  # (T,) N m
 
 
-def wrench_tracks(path: Path) -> tuple[WrenchTrack, ...]:
+def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
     """Of every hand: pushes in turn, then the gripper."""
     zero = np.zeros(len(path.time))
     out = [WrenchTrack(f"/onebend/push_{i + 1}/wrench", path.forces[:, i], zero) for i in range(path.forces.shape[1])]
@@ -47,7 +47,7 @@ def wrench_tracks(path: Path) -> tuple[WrenchTrack, ...]:
     return tuple(out)
 
 
-def columns(path: Path) -> dict[str, Array]:
+def columns(path: FollowedPath) -> dict[str, Array]:
     """Name and values (T,) of every column of the CSV."""
     out = {"time_s": path.time, "goal_time_s": path.goal_time}
     for i in range(path.forces.shape[1]):
@@ -59,7 +59,7 @@ def columns(path: Path) -> dict[str, Array]:
     return out
 
 
-def write_samples(file: File, path: Path) -> None:
+def write_samples(file: Path, path: FollowedPath) -> None:
     """One row a sample; units stand at the end of the columns' names."""
     table = columns(path)
     with file.open("w", newline="", encoding="utf-8") as stream:
@@ -68,7 +68,7 @@ def write_samples(file: File, path: Path) -> None:
         writer.writerows([f"{value:.10g}" for value in row] for row in np.stack(list(table.values()), axis=1))
 
 
-def trajectory_message(path: Path, *, frame: str = FRAME) -> dict[str, Any]:
+def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, Any]:
     """The gripper's poses and velocities as a trajectory_msgs/MultiDOFJointTrajectory, in plain data."""
     poses = path.poses
     rates = np.gradient(poses, path.time, axis=0) if len(path.time) > 1 else np.zeros_like(poses)
@@ -89,14 +89,14 @@ def trajectory_message(path: Path, *, frame: str = FRAME) -> dict[str, Any]:
     return {"header": _header(0.0, frame), "joint_names": [JOINT], "points": points}
 
 
-def wrench_messages(path: Path, track: WrenchTrack, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
+def wrench_messages(path: FollowedPath, track: WrenchTrack, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
     """One geometry_msgs/WrenchStamped a sample, in plain data."""
     for seconds, (x, y), moment in zip(path.time, track.force, track.moment, strict=True):
         wrench = {"force": _vector(x, y, 0.0), "torque": _vector(0.0, 0.0, moment)}
         yield {"header": _header(seconds, frame), "wrench": wrench}
 
 
-def write_yaml(folder: File, path: Path, *, frame: str = FRAME) -> list[str]:
+def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[str]:
     """YAML as `ros2 topic pub` takes it and `ros2 topic echo` shows it; the names of the files.
 
     The gripper's trajectory is one message; of wrenches there is one a sample, with `---` between.
@@ -115,7 +115,7 @@ def write_yaml(folder: File, path: Path, *, frame: str = FRAME) -> list[str]:
     return names
 
 
-def write_bag(folder: File, path: Path, *, frame: str = FRAME) -> None:
+def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
     """A ROS 2 bag (sqlite3) in a new `folder`: the gripper's trajectory at time 0, and every hand's wrench in time."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Writer(folder, version=BAG_VERSION) as bag:
@@ -139,7 +139,7 @@ def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
         if node == Nodetype.NAME:
             value = _typed(store, inner, value)
         elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
-            value = [_typed(store, inner[0][1], one) for one in value]
+            value = [_typed(store, inner[0][1], item) for item in value]
         fields[field] = value
     return store.types[name](**fields)
 
@@ -169,8 +169,8 @@ def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
             yield from _block(value, indent + "  ")
         elif isinstance(value, list) and value:
             yield f"{indent}{key}:"
-            for one in value:
-                yield from _item(one, indent)
+            for item in value:
+                yield from _item(item, indent)
         else:
             yield f"{indent}{key}: {'[]' if isinstance(value, list) else value}"
 

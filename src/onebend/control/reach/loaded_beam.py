@@ -22,7 +22,7 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class State:
+class LoadedState:
     """A shape and the load it is meant for; an equilibrium only where a solver says so."""
 
     q: Array  # (n,) rad, curvature at the loaded nodes
@@ -69,13 +69,13 @@ class PushedBeam:
         self._base_row = problem.grid.value_at(np.zeros(1))[0, :n]
         self.force_scale = float(np.mean(problem.k)) / (problem.length * push_s**2)
         self.scale = np.array([self.force_scale, self.force_scale, self.force_scale * problem.length])
-        self.start = State(self._hanging() if heavy else self.rest, np.zeros(3))
+        self.start = LoadedState(self._hanging() if heavy else self.rest, np.zeros(3))
 
     def _hanging(self) -> Array:
-        found = follow(self.problem)
-        if not (found.converged[0] and found.stable[0]):
+        hanging = follow(self.problem)
+        if not (hanging.converged[0] and hanging.stable[0]):
             raise ControlError("the beam does not stand under its own weight. Turn the clamp, or the gravity")
-        return np.asarray(found.q[0])
+        return np.asarray(hanging.q[0])
 
     def loaded(self, load: Array) -> Problem:
         """What the beam's own statics solves under the load (3,)."""
@@ -147,7 +147,7 @@ class PushedBeam:
         x, y = float(self.row @ cos), float(self.row @ sin)
         return np.array([x, y]) if size == 2 else np.array([x, y, self._turn(q)])
 
-    def sees(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
+    def point_motion(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
         """(2 or 3, P): how the point moves with turns (Q, P) of the nodes by curvatures (n, P)."""
         rows = np.empty((2, len(cos)))
         np.multiply(self._minus_row, sin, out=rows[0])
@@ -176,13 +176,13 @@ class PushedBeam:
         away = q - self.rest
         return float(max(np.max(np.abs(away)), abs(self._base_row @ away)) / self.problem.length)
 
-    def response(self, state: State) -> Array:
+    def response(self, state: LoadedState) -> Array:
         """(3, 3) S: how the point's pose goes with the load, in equilibrium; NaN at a limit point."""
         _, tangent, cos, sin = self.balance(state.q, state.load)
         _, _, solved, info = dgesv(tangent, self.of_load(cos, sin))
         return self.of_shape(cos, sin) @ solved if info == 0 else np.full((3, 3), np.nan)
 
-    def stable(self, state: State) -> bool:
+    def stable(self, state: LoadedState) -> bool:
         """Whether the tangent is positive definite."""
         _, tangent, _, _ = self.balance(state.q, state.load)
         return bool(dpotrf(tangent, lower=1)[1] == 0)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dgesv
 
-from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.records import Array
 
 TOLERANCE = 3e-7  # rad, of the last update: convergence is quadratic, the error its square
@@ -27,51 +27,51 @@ _CAP = 0.7  # rad, the largest turn of a step
 
 
 @dataclass(frozen=True, slots=True)
-class Landing:
+class NewtonResult:
     """Where Newton's method ended, and what it knew before its last step."""
 
-    state: State
+    state: LoadedState
     iterations: int
     converged: bool
     positive: bool = False  # the tangent was positive definite
-    curved: Array | None = None  # (n, P) rad a unit load: Y
-    seen: Array | None = None  # (2 or 3, P): S
+    curvature_per_load: Array | None = None  # (n, P) rad a unit load: Y
+    compliance: Array | None = None  # (2 or 3, P): S
 
 
 def solve_goal(
-    on: PushedBeam, start: State, goal: Array, loads: int = 2, *, most: int = 20, trust: float = math.inf
-) -> Landing:
+    pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2, *, most: int = 20, trust: float = math.inf
+) -> NewtonResult:
     """Newton from `start` to the goal (2,) or (3,) with the first 2 or all 3 `loads`.
 
     It converges where it does without turning the beam by more than `trust` rad: updates u and v, one after the
-    other, leave `v (v / u)^2`. With more loads than the goal has numbers, the smallest (in units of `on.scale`) is
+    other, leave `v (v / u)^2`. With more loads than the goal has numbers, the smallest (in units of `pushed.scale`) is
     found.
     """
     q, load, size = start.q, start.load.copy(), len(goal)
-    alpha = on.angles(q)
+    alpha = pushed.angles(q)
     begin, before = alpha, 0.0
     for iteration in range(1, most + 1):
         cos, sin = np.cos(alpha), np.sin(alpha)
-        solved, positive = on.linear(q, load, cos, sin, loads)
-        turned = on.b @ solved
-        moved = on.sees(cos, sin, turned, solved, size)  # (m, 1 + P): J X, J Y
-        away = goal - on.place(cos, sin, q, size)
-        change = _change(moved[:, 1:], away + moved[:, 0], load, on.scale)
+        solved, positive = pushed.linear(q, load, cos, sin, loads)
+        turned = pushed.b @ solved
+        moved = pushed.point_motion(cos, sin, turned, solved, size)  # (m, 1 + P): J X, J Y
+        away = goal - pushed.place(cos, sin, q, size)
+        change = _change(moved[:, 1:], away + moved[:, 0], load, pushed.scale)
         by = np.concatenate([_MINUS, change])
         turn = turned @ by
         largest = max(float(turn.max()), -float(turn.min()))
         if not math.isfinite(largest):
-            return Landing(State(q, load), iteration, False)
+            return NewtonResult(LoadedState(q, load), iteration, False)
         if largest > _CAP:
             by, turn, change = by * (_CAP / largest), turn * (_CAP / largest), change * (_CAP / largest)
         q, alpha = q + solved @ by, alpha + turn
         load[:loads] += change
         if trust < math.inf and not float(np.abs(alpha - begin).max()) < trust:
-            return Landing(State(q, load), iteration, False)
+            return NewtonResult(LoadedState(q, load), iteration, False)
         if largest < TOLERANCE or (iteration > 1 and largest**3 < _LEFT * before**2 and largest < _SMALL):
-            return Landing(State(q, load), iteration, True, positive, solved[:, 1:], moved[:, 1:])
+            return NewtonResult(LoadedState(q, load), iteration, True, positive, solved[:, 1:], moved[:, 1:])
         before = min(largest, _CAP)
-    return Landing(State(q, load), most, False)
+    return NewtonResult(LoadedState(q, load), most, False)
 
 
 def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:

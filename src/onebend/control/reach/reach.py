@@ -21,11 +21,11 @@ from onebend.beam.statics.continuation import refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution
 from onebend.control.goals.targets import BEYOND, METRES
-from onebend.control.reach.continuation import Trail, densified, trace
-from onebend.control.reach.loaded_beam import PushedBeam, State, prepared
+from onebend.control.reach.continuation import EquilibriumPath, densified, trace
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.control.reach.paper_iteration import paper_force
-from onebend.control.reach.reachable import Nearest, ReachableSet
-from onebend.control.reach.search import Found, from_rest, resolved, sampled, search
+from onebend.control.reach.reachable import NearestPoint, ReachableSet
+from onebend.control.reach.search import ReachCandidate, from_rest, resolved, sampled, search
 from onebend.control.reach.settings import ReachSettings, checked_goal
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -37,32 +37,32 @@ __all__ = ["Reach", "ReachSettings", "reach"]
 class Reach:
     """A force for a goal, or why there is none; then force and shape are those of the nearest point that was found."""
 
-    on: PushedBeam  # the beam, where it is pushed, the point
+    pushed: PushedBeam  # the beam, where it is pushed, the point
     goal: Array  # (2,) m, or (3,) m, m, rad
     settings: ReachSettings
-    states: tuple[State, ...]  # equilibria on one branch from rest to the last
+    states: tuple[LoadedState, ...]  # equilibria on one branch from rest to the last
     reached: Array  # (3,) m, m, rad: the point and the tangent's angle there
     converged: bool  # the point is on its goal, within all bounds, and the beam comes there from rest
     reason: str
     iterations: int  # of Newton's method, or of Algorithm 1
-    nearest: Nearest | None  # to a goal that cannot be reached
+    nearest: NearestPoint | None  # to a goal that cannot be reached
 
     @property
     def beam(self) -> Beam:
-        return self.on.beam
+        return self.pushed.beam
 
     @property
     def push_s(self) -> float:
-        return self.on.push_s
+        return self.pushed.push_s
 
     @property
     def point_s(self) -> float:
-        return self.on.point_s
+        return self.pushed.point_s
 
     @property
     def resolution(self) -> Resolution:
         """The nodes of `solved`."""
-        return self.on.resolution
+        return self.pushed.resolution
 
     @property
     def force(self) -> Array:
@@ -78,22 +78,22 @@ class Reach:
     def solved(self) -> Equilibrium:
         """The last shape, solved again under its load by the beam's own statics."""
         last = self.states[-1]
-        return refine(self.on.loaded(last.load), self.on.whole(last.q)[None])
+        return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
 
     @cached_property
-    def way(self) -> tuple[State, ...]:
+    def way(self) -> tuple[LoadedState, ...]:
         """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
-        return densified(self.on, self.states, self.settings.steps)
+        return densified(self.pushed, self.states, self.settings.steps)
 
     @property
     def path(self) -> Array:
         """(P, 3) N, N, N m: loads from rest, each an equilibrium on one branch."""
-        return np.array([one.load for one in self.way])
+        return np.array([state.load for state in self.way])
 
     @property
     def path_points(self) -> Array:
         """(P, 2) m: where they hold the point."""
-        return np.array([self.on.pose(one.q)[:2] for one in self.way])
+        return np.array([self.pushed.pose(state.q)[:2] for state in self.way])
 
     @property
     def error(self) -> float:
@@ -103,7 +103,7 @@ class Reach:
     @property
     def stable(self) -> bool:
         """Whether the shape is a stable equilibrium."""
-        return self.on.stable(self.states[-1])
+        return self.pushed.stable(self.states[-1])
 
     @property
     def loads(self) -> Loads:
@@ -113,7 +113,7 @@ class Reach:
 
     def shapes(self, s: Array) -> Array:
         """(P, S, 2) m: places `s` (S,) of the beam along the path."""
-        q = np.array([self.on.whole(one.q) for one in self.way])
+        q = np.array([self.pushed.whole(state.q) for state in self.way])
         return replace(self.solved, q=q).xy(s)
 
 
@@ -140,53 +140,53 @@ def reach(
         MechanicsError: k(s) is not positive somewhere.
     """
     wanted = checked_goal(goal, settings)
-    on = prepared(beam, push_s, point_s, settings.gravity, Resolution())
+    pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
     if settings.method == "paper":
-        return _by_paper(on, wanted, settings)
-    samples = partial(sampled, on, settings)
-    begin = None if start is None else _way_of(on, start)
-    far, found = _too_far(on, wanted), None
+        return _by_paper(pushed, wanted, settings)
+    samples = partial(sampled, pushed, settings)
+    begin = None if start is None else _way_of(pushed, start)
+    far, candidate = _too_far(pushed, wanted), None
     if not far and settings.direction is None:
-        found = search(on, wanted, settings, begin, samples)
-        if found is not None and not found.wrong:
-            return _result(resolved(found, wanted, settings), wanted, settings, "")
-    return _unreached(on, wanted, settings, far or (found.wrong if found else ""), samples())
+        candidate = search(pushed, wanted, settings, begin, samples)
+        if candidate is not None and not candidate.wrong:
+            return _result(resolved(candidate, wanted, settings), wanted, settings, "")
+    return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""), samples())
 
 
-def _way_of(on: PushedBeam, start: Reach) -> Trail:
+def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
     """The way to where an earlier result stands."""
-    if (start.push_s, start.point_s) != (on.push_s, on.point_s) or start.beam != on.beam:
+    if (start.push_s, start.point_s) != (pushed.push_s, pushed.point_s) or start.beam != pushed.beam:
         raise ControlError("`start` is a result for another beam or other places; leave it out")
-    states = [on.start]
-    for one in start.states[1:]:
-        step = trace(on, one.load, start=states[-1])
+    states = [pushed.start]
+    for state in start.states[1:]:
+        step = trace(pushed, state.load, start=states[-1])
         if not step.arrived:
-            return Trail(tuple(states), (0.0,), False)
+            return EquilibriumPath(tuple(states), (0.0,), False)
         states.append(step.states[-1])
-    return Trail(tuple(states), (1.0,), True)
+    return EquilibriumPath(tuple(states), (1.0,), True)
 
 
-def _too_far(on: PushedBeam, goal: Array) -> str:
+def _too_far(pushed: PushedBeam, goal: Array) -> str:
     """Why no shape whatever brings the point to the goal; empty where that is not so plain."""
-    arm, away = float(on.problem.length) * on.point_s, float(np.hypot(*goal[:2]))
+    arm, away = float(pushed.problem.length) * pushed.point_s, float(np.hypot(*goal[:2]))
     if away >= arm:
         text = f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
-        return f"{text}. {METRES}" if away > BEYOND * float(on.problem.length) else text
+        return f"{text}. {METRES}" if away > BEYOND * float(pushed.problem.length) else text
     return ""
 
 
-def _unreached(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
+def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
     """The nearest point to a goal that was not found; where that lies within the tolerance, the goal is reached."""
     nearest = samples.nearest(goal[:2])
     last = nearest.states[-1]
-    trail = from_rest(on, last)
+    trail = from_rest(pushed, last)
     states = nearest.states if trail is None else trail.states
     there = nearest.distance <= settings.tolerance and len(goal) == 2
-    why = "" if there else _why(on, goal, settings, known, nearest)
-    return _result(Found(on, states, len(states) - 1), goal, settings, why, None if there else nearest)
+    why = "" if there else _why(pushed, goal, settings, known, nearest)
+    return _result(ReachCandidate(pushed, states, len(states) - 1), goal, settings, why, None if there else nearest)
 
 
-def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: Nearest) -> str:
+def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: NearestPoint) -> str:
     """One sentence on what stands in the way, one on what can be had instead."""
     if not known:
         way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
@@ -198,17 +198,17 @@ def _why(on: PushedBeam, goal: Array, settings: ReachSettings, known: str, neare
     known += "" if known.endswith("?") else "."
     angle = f" at {math.degrees(goal[2]):.4g} deg" if len(goal) > 2 else ""
     return (
-        f"the point s = {on.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm{angle} by {by} "
-        f"at s = {on.push_s:.4g}: {known} {_instead(on, settings, nearest)}"
+        f"the point s = {pushed.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm{angle} "
+        f"by {by} at s = {pushed.push_s:.4g}: {known} {_instead(pushed, settings, nearest)}"
     )
 
 
-def _instead(on: PushedBeam, settings: ReachSettings, nearest: Nearest) -> str:
+def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint) -> str:
     """What can be had: the nearest point, which a force alone reaches, whatever the angle asked for."""
     at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
     needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
     if settings.moment:
-        there = math.degrees(float(on.pose(nearest.states[-1].q)[2]))
+        there = math.degrees(float(pushed.pose(nearest.states[-1].q)[2]))
         needs += f" and no moment; the tangent is then at {there:.4g} deg"
     if nearest.distance <= settings.tolerance:
         held = "An end that is held can be stable where one under a load is not: see onebend shape --grip"
@@ -218,42 +218,44 @@ def _instead(on: PushedBeam, settings: ReachSettings, nearest: Nearest) -> str:
     )
 
 
-def _result(found: Found, goal: Array, settings: ReachSettings, why: str, nearest: Nearest | None = None) -> Reach:
+def _result(
+    candidate: ReachCandidate, goal: Array, settings: ReachSettings, why: str, nearest: NearestPoint | None = None
+) -> Reach:
     """The record; `why` not, or empty."""
-    on, last = found.on, found.states[-1]
-    reached = on.pose(last.q)
+    pushed, last = candidate.pushed, candidate.states[-1]
+    reached = pushed.pose(last.q)
     allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance
     close = np.linalg.norm(reached[:2] - goal[:2]) <= allowed
-    if not why and not (close and on.stable(last)):
+    if not why and not (close and pushed.stable(last)):
         why = "a force was found, but on nodes fine enough its shape is not stable, or not on the goal"
     return Reach(
-        on=on,
+        pushed=pushed,
         goal=goal,
         settings=settings,
-        states=found.states,
+        states=candidate.states,
         reached=reached,
         converged=not why,
         reason=why or "reached",
-        iterations=found.iterations,
+        iterations=candidate.iterations,
         nearest=nearest,
     )
 
 
-def _by_paper(on: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
+def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
     """Algorithm 1, and what its force does to the exact beam."""
-    found = paper_force(on.beam, goal, on.push_s, on.point_s, settings.paper)
-    trail = trace(on, np.append(found.force, 0.0))
+    force = paper_force(pushed.beam, goal, pushed.push_s, pushed.point_s, settings.paper)
+    trail = trace(pushed, np.append(force.force, 0.0))
     last = trail.states[-1]
-    if not found.converged:
-        why = f"the paper's iteration did not settle within {found.iterations} turns"
+    if not force.converged:
+        why = f"the paper's iteration did not settle within {force.iterations} turns"
     elif not trail.arrived:
         why = "the paper's iteration ends at a force under which the exact beam has no stable shape on its branch"
     else:
-        off = float(np.linalg.norm(on.pose(last.q)[:2] - goal))
+        off = float(np.linalg.norm(pushed.pose(last.q)[:2] - goal))
         near = off <= 2.0 * settings.paper.tolerance
         why = (
             ""
             if near
             else f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
         )
-    return _result(Found(on, trail.states, found.iterations), goal, settings, why)
+    return _result(ReachCandidate(pushed, trail.states, force.iterations), goal, settings, why)

@@ -19,7 +19,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.control.goals.targets import numbers
 from onebend.control.reach.continuation import trace
-from onebend.control.reach.loaded_beam import PushedBeam, State, prepared
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
@@ -30,13 +30,13 @@ _LEAST_SHARE, _SHORTEST = 1e-4, 1e-3  # of a step of the search, and of those by
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestPoint:
     """The reachable point nearest to a goal."""
 
     point: Array  # (2,) m
     force: Array  # (2,) N that holds it there
     distance: float  # m, to the goal
-    states: tuple[State, ...]  # equilibria that lead there from rest, one after the other
+    states: tuple[LoadedState, ...]  # equilibria that lead there from rest, one after the other
 
     @property
     def size(self) -> float:
@@ -48,7 +48,7 @@ class Nearest:
 class ReachableSet:
     """Places of a point under forces at one place: D directions, R sizes, the largest last."""
 
-    on: PushedBeam
+    pushed: PushedBeam
     max_force: float  # N
     max_curvature: float | None  # 1/m, beyond that at rest
     force: Array  # (D, R, 2) N
@@ -60,7 +60,7 @@ class ReachableSet:
         """(D, R) whether the force holds the point anywhere."""
         return np.isfinite(self.points[..., 0])
 
-    def nearest(self, goal: ArrayLike) -> Nearest:
+    def nearest(self, goal: ArrayLike) -> NearestPoint:
         """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
 
         Within the bound on the force it is exact; where stability or the bound on curvature ends, a nearer one may
@@ -69,40 +69,40 @@ class ReachableSet:
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
             raise ControlError(f"a goal has two finite coordinates [m], got {numbers(wanted)}")
-        trails = [trace(self.on, one.load) for one in self.samples_near(wanted, _STARTS)]
-        ways = [(self.on.start,), *(one.states for one in trails if one.arrived)]
-        return min((self._refine(way, wanted) for way in ways), key=lambda one: one.distance)
+        trails = [trace(self.pushed, sample.load) for sample in self.samples_near(wanted, _STARTS)]
+        ways = [(self.pushed.start,), *(trail.states for trail in trails if trail.arrived)]
+        return min((self._refine(way, wanted) for way in ways), key=lambda point: point.distance)
 
-    def samples_near(self, goal: Array, count: int) -> list[State]:
+    def samples_near(self, goal: Array, count: int) -> list[LoadedState]:
         """Up to `count` sampled equilibria, those with the point nearest to `goal` first."""
         away = np.linalg.norm(self.points - goal, axis=-1).ravel()
         order = [int(i) for i in np.argsort(away)[:count] if np.isfinite(away[i])]
         q, force = self.q.reshape(-1, self.q.shape[-1]), self.force.reshape(-1, 2)
-        return [State(q[i], np.append(force[i], 0.0)) for i in order]
+        return [LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
 
-    def _refine(self, way: tuple[State, ...], goal: Array) -> Nearest:
+    def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
         """Gauss-Newton in the disc of allowed forces; every step is followed as an equilibrium."""
-        on, length, state = self.on, float(self.on.problem.length), way[-1]
-        point = on.pose(state.q)[:2]
+        pushed, length, state = self.pushed, float(self.pushed.problem.length), way[-1]
+        point = pushed.pose(state.q)[:2]
         along = self._only_direction()
         for _ in range(_MOST):
             away, share, better = float(np.linalg.norm(goal - point)), 1.0, False
-            s = on.response(state)[:2, :2] @ along
+            s = pushed.response(state)[:2, :2] @ along
             if away < _STILL * length or not np.all(np.isfinite(s)):
                 break
             now = along.T @ state.load[:2]
             aim = _best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
             while share > _LEAST_SHARE and not better:
                 load = np.append(along @ (now + share * (aim - now)), 0.0)
-                trail = trace(on, load, start=state, shortest=_SHORTEST)
-                there = float(np.linalg.norm(goal - on.pose(trail.states[-1].q)[:2]))
+                trail = trace(pushed, load, start=state, shortest=_SHORTEST)
+                there = float(np.linalg.norm(goal - pushed.pose(trail.states[-1].q)[:2]))
                 better = trail.arrived and self._allowed(trail.states[-1]) and there < away - _STILL * length
                 share *= 0.5
             if not better:
                 break
             way, state = (*way, *trail.states[1:]), trail.states[-1]
-            point = on.pose(state.q)[:2]
-        return Nearest(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
+            point = pushed.pose(state.q)[:2]
+        return NearestPoint(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
 
     def _only_direction(self) -> Array:
         """(2, P) the forces that may be given: both components, or one direction."""
@@ -110,8 +110,8 @@ class ReachableSet:
             return np.eye(2)
         return np.asarray(self.force[0, -1] / self.max_force)[:, None]
 
-    def _allowed(self, state: State) -> bool:
-        return self.max_curvature is None or self.on.bend(state.q) <= self.max_curvature
+    def _allowed(self, state: LoadedState) -> bool:
+        return self.max_curvature is None or self.pushed.bend(state.q) <= self.max_curvature
 
 
 def reachable(
@@ -144,20 +144,20 @@ def reachable(
     if directions < 3 or sizes < 1:
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()
-    on = prepared(beam, push_s, point_s, (x, y), Resolution())
+    pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
     turns = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
     grow = max_force * np.arange(1, sizes + 1) / sizes
     force = grow[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None]
     loads = push(force.reshape(-1, 2), push_s) + weight(gravity)
     solved = follow(make_problem(beam, loads, Resolution()))
     point = solved.xy(np.array([point_s]))[:, 0]
-    q = solved.q[:, : on.count] if solved.q.shape[1] >= on.count else solved.q
+    q = solved.q[:, : pushed.count] if solved.q.shape[1] >= pushed.count else solved.q
     good = solved.converged & solved.stable
     if max_curvature is not None:
-        good &= np.array([on.bend(one) <= max_curvature for one in q])
+        good &= np.array([pushed.bend(shape) <= max_curvature for shape in q])
     point[~good] = np.nan
     shape = force.shape[:2]
-    return ReachableSet(on, max_force, max_curvature, force, point.reshape(*shape, 2), q.reshape(*shape, -1))
+    return ReachableSet(pushed, max_force, max_curvature, force, point.reshape(*shape, 2), q.reshape(*shape, -1))
 
 
 def _best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:

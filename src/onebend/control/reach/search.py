@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 
 from onebend.beam.statics.problem import Resolution
-from onebend.control.reach.continuation import Trail, lead, trace
-from onebend.control.reach.loaded_beam import PushedBeam, State, prepared
+from onebend.control.reach.continuation import EquilibriumPath, lead, trace
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.control.reach.newton import solve_goal
 from onebend.control.reach.reachable import ReachableSet, reachable
 from onebend.control.reach.settings import ReachSettings, broken_bound
-from onebend.control.reach.starts import Starts, starts_of
+from onebend.control.reach.starts import StartTable, starts_of
 from onebend.records import Array
 
 _CANDIDATES = 8  # starts that are tried
@@ -25,60 +25,64 @@ _FINER = 3  # halvings of the panels that are tried
 
 
 @dataclass(frozen=True)
-class Found:
+class ReachCandidate:
     """Equilibria from rest to the last, which has the point on its goal."""
 
-    on: PushedBeam
-    states: tuple[State, ...]
+    pushed: PushedBeam
+    states: tuple[LoadedState, ...]
     iterations: int
     wrong: str = ""  # the bound it breaks
 
 
 def search(
-    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
-) -> Found | None:
+    pushed: PushedBeam,
+    goal: Array,
+    settings: ReachSettings,
+    begin: EquilibriumPath | None,
+    samples: Callable[[], ReachableSet],
+) -> ReachCandidate | None:
     """An equilibrium on the goal that the beam comes to from rest; one out of bounds where there is no other."""
     spare = None
-    for found in _tries(on, goal, settings, begin, samples):
-        wrong = broken_bound(on, found.states[-1], settings)
+    for candidate in _tries(pushed, goal, settings, begin, samples):
+        wrong = broken_bound(pushed, candidate.states[-1], settings)
         if not wrong:
-            return found
-        spare = spare or replace(found, wrong=wrong)
+            return candidate
+        spare = spare or replace(candidate, wrong=wrong)
     return spare
 
 
-def solutions(on: PushedBeam, starts: Starts, goal: Array, loads: int) -> Iterator[tuple[State, int]]:
+def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -> Iterator[tuple[LoadedState, int]]:
     """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
-    iterations, before = 0, list[State]()
+    iterations, before = 0, list[LoadedState]()
     for first in (True, False):
         for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
-            found = solve_goal(on, begin, goal, loads)
-            iterations += found.iterations
-            if not (found.converged and on.stable(found.state)):
+            result = solve_goal(pushed, begin, goal, loads)
+            iterations += result.iterations
+            if not (result.converged and pushed.stable(result.state)):
                 continue
-            if not any(_same(on, found.state, one) for one in before):
-                before.append(found.state)
-                yield found.state, iterations
+            if not any(_same(pushed, result.state, known) for known in before):
+                before.append(result.state)
+                yield result.state, iterations
 
 
-def from_rest(on: PushedBeam, found: State) -> Trail | None:
+def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
     """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
-    trail = trace(on, found.load)
-    return trail if trail.arrived and _same(on, trail.states[-1], found) else None
+    trail = trace(pushed, state.load)
+    return trail if trail.arrived and _same(pushed, trail.states[-1], state) else None
 
 
-def _same(on: PushedBeam, one: State, other: State) -> bool:
-    return float(np.max(np.abs(on.b @ (one.q - other.q)))) < _SAME
+def _same(pushed: PushedBeam, first: LoadedState, other: LoadedState) -> bool:
+    return float(np.max(np.abs(pushed.b @ (first.q - other.q)))) < _SAME
 
 
 @lru_cache(maxsize=8)
-def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
+def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
     """What can be reached at all within the settings, sampled coarsely."""
     return reachable(
-        on.beam,
-        push_s=on.push_s,
-        point_s=on.point_s,
-        max_force=settings.max_force or float(_UNBOUNDED * on.force_scale),
+        pushed.beam,
+        push_s=pushed.push_s,
+        point_s=pushed.point_s,
+        max_force=settings.max_force or float(_UNBOUNDED * pushed.force_scale),
         max_curvature=settings.max_curvature,
         direction=settings.direction,
         directions=36,
@@ -88,50 +92,54 @@ def sampled(on: PushedBeam, settings: ReachSettings) -> ReachableSet:
 
 
 def _tries(
-    on: PushedBeam, goal: Array, settings: ReachSettings, begin: Trail | None, samples: Callable[[], ReachableSet]
-) -> Iterator[Found]:
+    pushed: PushedBeam,
+    goal: Array,
+    settings: ReachSettings,
+    begin: EquilibriumPath | None,
+    samples: Callable[[], ReachableSet],
+) -> Iterator[ReachCandidate]:
     if begin is not None:
-        yield from _led(on, begin, goal, settings.loads)
-    for state, count in solutions(on, starts_of(on), goal, settings.loads):
-        trail = from_rest(on, state)
+        yield from _led(pushed, begin, goal, settings.loads)
+    for state, count in solutions(pushed, starts_of(pushed), goal, settings.loads):
+        trail = from_rest(pushed, state)
         if trail is not None:
-            yield Found(on, trail.states, count)
+            yield ReachCandidate(pushed, trail.states, count)
     for near in samples().samples_near(goal[:2], _SAMPLES):
-        yield from _led(on, trace(on, near.load), goal, settings.loads)
+        yield from _led(pushed, trace(pushed, near.load), goal, settings.loads)
 
 
-def _led(on: PushedBeam, trail: Trail, goal: Array, loads: int) -> Iterator[Found]:
+def _led(pushed: PushedBeam, trail: EquilibriumPath, goal: Array, loads: int) -> Iterator[ReachCandidate]:
     """The goal led on from the end of a way; its place first, then its angle."""
     if not trail.arrived:
         return
     states, arrived = trail.states, True
     for wanted, count in ((goal[:2], 2), (goal, 3))[: loads - 1]:
-        led = lead(on, states[-1], wanted, count)
+        led = lead(pushed, states[-1], wanted, count)
         states, arrived = (*states, *led.states[1:]), arrived and led.arrived
     if arrived:
-        yield Found(on, states, len(states) - 1)
+        yield ReachCandidate(pushed, states, len(states) - 1)
 
 
 @lru_cache(maxsize=32)
-def _onto(on: PushedBeam, finer: PushedBeam) -> Array:
+def _onto(pushed: PushedBeam, finer: PushedBeam) -> Array:
     """Rows that give curvatures at the unknown nodes of a finer grid."""
-    return on.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
+    return pushed.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
 
 
-def resolved(found: Found, goal: Array, settings: ReachSettings) -> Found:
+def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) -> ReachCandidate:
     """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance."""
-    on, resolution = found.on, Resolution()
+    pushed, resolution = candidate.pushed, Resolution()
     for _ in range(_FINER):
         resolution = resolution.finer()
-        finer = prepared(on.beam, on.push_s, on.point_s, settings.gravity, resolution)
-        rows = _onto(on, finer)
-        last = found.states[-1]
-        exact = solve_goal(finer, State(rows @ on.whole(last.q), last.load), goal, settings.loads, trust=0.1)
-        if exact.seen is None or not finer.stable(exact.state):
+        finer = prepared(pushed.beam, pushed.push_s, pushed.point_s, settings.gravity, resolution)
+        rows = _onto(pushed, finer)
+        last = candidate.states[-1]
+        exact = solve_goal(finer, LoadedState(rows @ pushed.whole(last.q), last.load), goal, settings.loads, trust=0.1)
+        if exact.compliance is None or not finer.stable(exact.state):
             break
-        moved = exact.seen[:2] @ (exact.state.load - last.load)[: settings.loads]
+        moved = exact.compliance[:2] @ (exact.state.load - last.load)[: settings.loads]
         if float(np.hypot(*moved)) < 0.1 * settings.tolerance:
             break
-        states = tuple(State(rows @ on.whole(one.q), one.load) for one in found.states[:-1])
-        found, on = replace(found, on=finer, states=(*states, exact.state)), finer
-    return found
+        states = tuple(LoadedState(rows @ pushed.whole(state.q), state.load) for state in candidate.states[:-1])
+        candidate, pushed = replace(candidate, pushed=finer, states=(*states, exact.state)), finer
+    return candidate

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.control.goals.targets import numbers
-from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach.paper_iteration import PaperSettings
 from onebend.errors import ControlError
 from onebend.records import Array
@@ -61,13 +61,13 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
     return wanted
 
 
-def broken_bound(on: PushedBeam, state: State, settings: ReachSettings) -> str:
+def broken_bound(pushed: PushedBeam, state: LoadedState, settings: ReachSettings) -> str:
     """What the state has too much of; empty where it is within all bounds."""
     size = math.hypot(state.load[0], state.load[1])
     if settings.max_force is not None and size > settings.max_force * (1.0 + 1e-9):
         return f"it needs {size:.3g} N, and {settings.max_force:.3g} N are allowed"
     if settings.max_curvature is not None:
-        bend = on.bend(state.q)
+        bend = pushed.bend(state.q)
         if bend > settings.max_curvature * (1.0 + 1e-9):
             return f"it bends the beam by {bend:.3g} 1/m, and {settings.max_curvature:.3g} 1/m are allowed"
     return ""

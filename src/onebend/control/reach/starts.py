@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from onebend.control.reach.loaded_beam import PushedBeam, State
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.records import Array
 
 _TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
@@ -22,17 +22,17 @@ _APART = 0.5  # rad: starts that differ by less are one
 
 
 @dataclass(frozen=True)
-class Starts:
+class StartTable:
     """A table of shapes of a `PushedBeam` and where they bring its point."""
 
-    on: PushedBeam
+    pushed: PushedBeam
     shapes: Array  # (2, n) rad a unit turn: the two curvatures
     amounts: Array  # (C, 2) rad
     places: Array  # (C, 2) m
 
-    def near(self, goal: Array, count: int) -> list[State]:
+    def near(self, goal: Array, count: int) -> list[LoadedState]:
         """Up to `count` starts for a goal (2,), the best first."""
-        length = float(self.on.problem.length)
+        length = float(self.pushed.problem.length)
         away = np.sum((self.places - goal) ** 2, axis=1) / length**2
         score = away + self.amounts**2 @ np.array([_BENT**2, _CURLED**2])
         if count == 1:
@@ -45,25 +45,25 @@ class Starts:
                 break
         return [self._state(i) for i in chosen]
 
-    def _state(self, i: int) -> State:
+    def _state(self, i: int) -> LoadedState:
         """The shape and the force that balances it best, in the measure of bending energy."""
-        on = self.on
-        q = on.start.q + self.amounts[i] @ self.shapes
-        unbalanced, _, cos, sin = on.balance(q, np.zeros(3))
-        r = on.of_load(cos, sin)[:, :2]
-        weighed = r / on.stiff[:, None]
+        pushed = self.pushed
+        q = pushed.start.q + self.amounts[i] @ self.shapes
+        unbalanced, _, cos, sin = pushed.balance(q, np.zeros(3))
+        r = pushed.of_load(cos, sin)[:, :2]
+        weighed = r / pushed.stiff[:, None]
         normal = weighed.T @ r
         normal = normal + 1e-6 * np.trace(normal) * np.eye(2)  # a straight beam does not feel a force along itself
-        return State(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
+        return LoadedState(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
 
 
 @lru_cache(maxsize=32)
-def starts_of(on: PushedBeam) -> Starts:
+def starts_of(pushed: PushedBeam) -> StartTable:
     """The table for a beam; bent from its rest shape, or from how it hangs."""
-    t = np.clip(on.problem.grid.nodes[: on.count] / on.push_s, 0.0, 1.0)
-    shapes = np.stack([1.0 - t, (1.0 - t) * (1.0 - 3.0 * t)]) / on.problem.k[: on.count]
-    shapes = shapes / np.max(np.abs(shapes @ on.b.T), axis=1, keepdims=True)
+    t = np.clip(pushed.problem.grid.nodes[: pushed.count] / pushed.push_s, 0.0, 1.0)
+    shapes = np.stack([1.0 - t, (1.0 - t) * (1.0 - 3.0 * t)]) / pushed.problem.k[: pushed.count]
+    shapes = shapes / np.max(np.abs(shapes @ pushed.b.T), axis=1, keepdims=True)
     amounts = np.stack(np.meshgrid(_TURNS, _CURLS, indexing="ij"), axis=-1).reshape(-1, 2)
-    alpha = on.angles(on.start.q) + amounts @ (shapes @ on.b.T)
-    places = np.stack([np.cos(alpha) @ on.row, np.sin(alpha) @ on.row], axis=-1)
-    return Starts(on, shapes, amounts, places)
+    alpha = pushed.angles(pushed.start.q) + amounts @ (shapes @ pushed.b.T)
+    places = np.stack([np.cos(alpha) @ pushed.row, np.sin(alpha) @ pushed.row], axis=-1)
+    return StartTable(pushed, shapes, amounts, places)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import Resolution
 from onebend.control.reach.continuation import lead
-from onebend.control.reach.loaded_beam import PushedBeam, State
-from onebend.control.reach.newton import Landing, solve_goal
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
+from onebend.control.reach.newton import NewtonResult, solve_goal
 from onebend.control.reach.search import from_rest, sampled, search, solutions
 from onebend.control.reach.settings import ReachSettings, broken_bound, checked_goal
 from onebend.control.reach.starts import starts_of
@@ -24,7 +24,7 @@ _TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left t
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class HoldingLoad:
     """The load that holds a point on its goal."""
 
     force: Array  # (2,) N
@@ -57,71 +57,77 @@ class WarmReach:
         if settings.method != "newton" or settings.direction is not None:
             raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
         self._settings = settings
-        self._on = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
-        self._starts = starts_of(self._on)
-        self._at: State | None = None
-        self._last: Landing | None = None
+        self._pushed = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
+        self._starts = starts_of(self._pushed)
+        self._state: LoadedState | None = None
+        self._last: NewtonResult | None = None
 
     @property
     def jacobian(self) -> Array:
         """(2, 2) or (2, 3) m/N: how the point goes with the load, where the last `solve` ended. Equation (25)."""
-        if self._at is None:
+        if self._state is None:
             raise ControlError("no goal has been reached yet: there is nothing to take derivatives of")
-        return self._on.response(self._at)[:2, : self._settings.loads]
+        return self._pushed.response(self._state)[:2, : self._settings.loads]
 
     @property
     def point(self) -> Array:
         """(3,) m, m, rad: where the point stands, and the tangent's angle there."""
-        return self._on.pose((self._at or self._on.start).q)
+        return self._pushed.pose((self._state or self._pushed.start).q)
 
     def reset(self) -> None:
         """Back to rest."""
-        self._at = self._last = None
+        self._state = self._last = None
 
-    def solve(self, goal: ArrayLike) -> Hold:
+    def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 
         Raises:
             ControlError: a goal without meaning, or one that cannot be reached (the beam stays where it is).
         """
         wanted = checked_goal(goal, self._settings)
-        if self._at is not None:
-            found = solve_goal(self._on, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_TRUST)
-            if found.converged and found.positive:
-                return self._take(found.state, "warm", found.iterations, found)
-            led = lead(self._on, self._at, wanted, self._settings.loads)
+        if self._state is not None:
+            result = solve_goal(
+                self._pushed, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_TRUST
+            )
+            if result.converged and result.positive:
+                return self._take(result.state, "warm", result.iterations, result)
+            led = lead(self._pushed, self._state, wanted, self._settings.loads)
             if led.arrived:
                 return self._take(led.states[-1], "led", 0, None)
-        for state, iterations in solutions(self._on, self._starts, wanted, self._settings.loads):
-            if from_rest(self._on, state) is not None:
+        for state, iterations in solutions(self._pushed, self._starts, wanted, self._settings.loads):
+            if from_rest(self._pushed, state) is not None:
                 return self._take(state, "rest", iterations, None)
-        settled = search(self._on, wanted, self._settings, None, partial(sampled, self._on, self._settings))
+        settled = search(self._pushed, wanted, self._settings, None, partial(sampled, self._pushed, self._settings))
         if settled is None:
             raise ControlError(
-                f"the point s = {self._on.point_s:.4g} cannot be put on {np.round(1e3 * wanted[:2], 3).tolist()} mm: "
-                "no stable shape there to which the beam comes from rest. `reach` names the nearest point"
+                f"the point s = {self._pushed.point_s:.4g} cannot be put on "
+                f"{np.round(1e3 * wanted[:2], 3).tolist()} mm: no stable shape there to which the beam comes "
+                "from rest. `reach` names the nearest point"
             )
         return self._take(settled.states[-1], "rest", settled.iterations, None)
 
-    def _predicted(self, goal: Array) -> State:
+    def _predicted(self, goal: Array) -> LoadedState:
         """The state one step ahead, by the derivatives at hand: they cost nothing more."""
-        assert self._at is not None
-        at, last = self._at, self._last
-        if last is None or last.curved is None or last.seen is None or last.seen.shape[0] != last.seen.shape[1]:
-            return at
-        if len(goal) != last.seen.shape[0]:
-            return at
-        change = np.linalg.solve(last.seen, goal - self._on.pose(at.q)[: len(goal)])
-        curve = last.curved @ change
-        if not np.max(np.abs(self._on.b @ curve)) < 0.5 * _TRUST:
-            return at
-        load = at.load.copy()
+        assert self._state is not None
+        state, last = self._state, self._last
+        if last is None or last.curvature_per_load is None or last.compliance is None:
+            return state
+        rows, columns = last.compliance.shape
+        if rows != columns or rows != len(goal):
+            return state
+        change = np.linalg.solve(last.compliance, goal - self._pushed.pose(state.q)[: len(goal)])
+        curve = last.curvature_per_load @ change
+        if not np.max(np.abs(self._pushed.b @ curve)) < 0.5 * _TRUST:
+            return state
+        load = state.load.copy()
         load[: len(change)] += change
-        return State(at.q + curve, load)
+        return LoadedState(state.q + curve, load)
 
-    def _take(self, state: State, route: Literal["warm", "led", "rest"], count: int, last: Landing | None) -> Hold:
-        wrong = broken_bound(self._on, state, self._settings)
+    def _take(
+        self, state: LoadedState, route: Literal["warm", "led", "rest"], count: int, last: NewtonResult | None
+    ) -> HoldingLoad:
+        wrong = broken_bound(self._pushed, state, self._settings)
         if wrong:
             raise ControlError(f"the goal is out of bounds: {wrong}. Give another goal, or wider bounds")
-        self._at, self._last = state, last
-        return Hold(state.load[:2].copy(), float(state.load[2]), route, count)
+        self._state, self._last = state, last
+        return HoldingLoad(state.load[:2].copy(), float(state.load[2]), route, count)

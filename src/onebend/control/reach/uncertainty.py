@@ -21,7 +21,7 @@ SURE = 0.95  # probability of the ellipse that is shown and written
 
 
 @dataclass(frozen=True)
-class Ellipse:
+class ErrorEllipse:
     """Where a point lies with some probability."""
 
     semi_axes: Array  # (2,) m, the longer first
@@ -44,11 +44,11 @@ class PredictedError:
     covariance: Array  # (2, 2) m^2
     lost: float  # share of the beams within the band that do not stand in a shape near by: they would snap away
 
-    def ellipse(self, level: float = SURE) -> Ellipse:
+    def ellipse(self, level: float = SURE) -> ErrorEllipse:
         """The ellipse around `mean` that holds the real point with probability `level`."""
         values, vectors = np.linalg.eigh(self.covariance)
         size = np.sqrt(np.maximum(values[::-1], 0.0) * chi2.ppf(level, 2))
-        return Ellipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
+        return ErrorEllipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
 
     def distance(self, xy: Array) -> Array:
         """(...) squared Mahalanobis distance of places (..., 2): chi-square with 2 degrees of freedom."""
@@ -63,7 +63,7 @@ class PredictedError:
 def predicted_error(
     beam: Beam,
     uncertain: UncertainStiffness,
-    found: Reach,
+    result: Reach,
     *,
     same_sensor: bool = False,
     draws: int = 400,
@@ -85,30 +85,30 @@ def predicted_error(
             the shape that nothing can be said.
     """
     s = np.linspace(0.0, 1.0, 41)
-    if beam != found.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):
+    if beam != result.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):
         raise ControlError("the band is not that of the beam that was led: give beam, band and result of one model")
     known = replace(uncertain, gain_sd=0.0) if same_sensor else uncertain
     if draws == 0:
-        return PredictedError(found.reached[:2], found.reached[:2], _first_order(known, found), 0.0)
+        return PredictedError(result.reached[:2], result.reached[:2], _first_order(known, result), 0.0)
     beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=seed)]
-    problem = make_problems(beams, found.loads, found.resolution)
-    solved = refine(problem, np.repeat(found.solved.q, draws, axis=0))
+    problem = make_problems(beams, result.loads, result.resolution)
+    solved = refine(problem, np.repeat(result.solved.q, draws, axis=0))
     stands = solved.converged & solved.stable
     if np.sum(stands) < max(3, draws // 2):
         raise ControlError(
             f"{np.sum(~stands)} of {draws} beams within the band do not stand under this load: its error has no bound. "
             "Learn the beam better, or take a goal with a smaller force"
         )
-    places = solved.xy(np.array([found.point_s]))[stands, 0]
-    return PredictedError(found.reached[:2], np.mean(places, axis=0), np.cov(places.T), float(np.mean(~stands)))
+    places = solved.xy(np.array([result.point_s]))[stands, 0]
+    return PredictedError(result.reached[:2], np.mean(places, axis=0), np.cov(places.T), float(np.mean(~stands)))
 
 
-def _first_order(known: UncertainStiffness, found: Reach) -> Array:
+def _first_order(known: UncertainStiffness, result: Reach) -> Array:
     """(2, 2) m^2, by the derivatives of the equilibrium with log k."""
-    nodes = found.solved.problem.grid.nodes
+    nodes = result.solved.problem.grid.nodes
     basis = np.column_stack([known.basis(nodes), np.ones(len(nodes))])
-    functions = np.asarray(found.beam.stiffness(nodes))[:, None] * basis
-    moved = respond(found.solved, of_stiffness(found.solved, functions)).xy(np.array([found.point_s]))[0, 0]
+    functions = np.asarray(result.beam.stiffness(nodes))[:, None] * basis
+    moved = respond(result.solved, of_stiffness(result.solved, functions)).xy(np.array([result.point_s]))[0, 0]
     if not np.all(np.isfinite(moved)):
         raise ControlError("the shape is at a limit point, where the smallest error of k(s) is too much")
     common = known.gain_sd**2 * np.outer(moved[:, -1], moved[:, -1])

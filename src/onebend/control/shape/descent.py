@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.control.goals.targets import Misses, Targets, misses
-from onebend.control.shape.grip import Stand, moved
-from onebend.control.shape.steps import bounded_step, convex, model_of
+from onebend.control.goals.targets import TargetResiduals, Targets, target_residuals
+from onebend.control.shape.actuators import BeamState, next_state
+from onebend.control.shape.newton_step import bounded_step, convex, model_of
 from onebend.records import Array
 
 _LAST = 1e-9  # rad, of the last step
@@ -19,7 +19,7 @@ _BEND = 0.5  # share of a step's turn that the way back to the surface may add
 
 
 @dataclass(frozen=True)
-class Descent:
+class DescentSettings:
     """How the search goes. Angles in radians."""
 
     stride: float = 0.5  # the largest turn of a step
@@ -29,12 +29,12 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class Found:
+class DescentResult:
     """Where a search ended."""
 
-    stand: Stand
-    missed: Misses
-    multipliers: Array  # (n,) of the bounds in `stand.hands.bounds`; positive where one holds the shape back
+    state: BeamState
+    residuals: TargetResiduals
+    multipliers: Array  # (n,) of the bounds in `state.actuators.bounds`; positive where one holds the shape back
     converged: bool
     near_buckling: bool  # the way down was barred by instability
     steps: int
@@ -42,49 +42,49 @@ class Found:
     @property
     def cost(self) -> float:
         """Sum of the weighted squares, lengths over L."""
-        return float(self.missed.cost[0])
+        return float(self.residuals.cost[0])
 
 
-def descend(start: Stand, targets: Targets, arm: float, settings: Descent) -> Found:
+def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSettings) -> DescentResult:
     """Newton's method with a trust in the turn; a step counts if it leads down and the beam is stable there."""
-    stand, missed = start, misses(start.solved, targets, arm)
-    bounds, damping = start.hands.bounds, settings.damping
+    state, residuals = start, target_residuals(start.solved, targets, arm)
+    bounds, damping = start.actuators.bounds, settings.damping
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
     for step in range(settings.most):
-        model = model_of(stand, missed)
+        model = model_of(state, residuals)
         size = float(np.trace(np.abs(model.hessian))) + 1e-300
         z, multipliers = bounded_step(
-            model.slope, convex(model.hessian, damping * size), stand.u, stand.plane[1], bounds
+            model.slope, convex(model.hessian, damping * size), state.u, state.plane[1], bounds
         )
-        price = max(price, 2.0 * float(np.sum(multipliers * [one.most**2 for one in bounds])))
-        z = z * min(1.0, settings.stride / max(_turn(stand, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
-        turn = _turn(stand, z)
+        price = max(price, 2.0 * float(np.sum(multipliers * [bound.most**2 for bound in bounds])))
+        z = z * min(1.0, settings.stride / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
+        turn = _turn(state, z)
         if turn < _LAST and (damping < 1e-6 or np.linalg.norm(model.slope) < 1e-14):
-            return Found(stand, missed, multipliers, True, barred, step)
-        after = moved(stand, z, turn * (1.0 + _BEND) + 1e-3)
+            return DescentResult(state, residuals, multipliers, True, barred, step)
+        after = next_state(state, z, turn * (1.0 + _BEND) + 1e-3)
         stable = after is not None and after.margin > settings.least_margin
         if after is not None and stable:
-            seen = misses(after.solved, targets, arm)
-            gain = _merit(stand, missed, price) - _merit(after, seen, price)
+            new_residuals = target_residuals(after.solved, targets, arm)
+            gain = _merit(state, residuals, price) - _merit(after, new_residuals, price)
             promised = -float(model.slope @ z + 0.5 * z @ model.hessian @ z)
-            if gain > 1e-4 * abs(promised) or (turn < _TINY and gain > -1e-9 * _merit(stand, missed, price) - 1e-28):
-                stand, missed, barred = after, seen, False
+            if gain > 1e-4 * abs(promised) or (turn < _TINY and gain > -1e-9 * _merit(state, residuals, price) - 1e-28):
+                state, residuals, barred = after, new_residuals, False
                 damping *= 0.1 if gain > 0.5 * promised or turn < _TINY else 1.0
                 damping = damping if damping > 1e-14 else 0.0
                 continue
         barred = after is not None and not stable
         damping = max(8.0 * damping, _FIRST_DAMPING)
-        if damping > 1e8 or (barred and stand.margin < _AT_THE_EDGE * settings.least_margin):
-            return Found(stand, missed, multipliers, False, barred, step)
-    return Found(stand, missed, multipliers, False, barred, settings.most)
+        if damping > 1e8 or (barred and state.margin < _AT_THE_EDGE * settings.least_margin):
+            return DescentResult(state, residuals, multipliers, False, barred, step)
+    return DescentResult(state, residuals, multipliers, False, barred, settings.most)
 
 
-def _turn(stand: Stand, z: Array) -> float:
+def _turn(state: BeamState, z: Array) -> float:
     """rad, the largest turn of a node."""
-    return float(np.max(np.abs(stand.hands.problem.to_nodes @ (stand.plane[0] @ z))))
+    return float(np.max(np.abs(state.actuators.problem.to_nodes @ (state.plane[0] @ z))))
 
 
-def _merit(stand: Stand, missed: Misses, price: float) -> float:
+def _merit(state: BeamState, residuals: TargetResiduals, price: float) -> float:
     """Half the cost, and what lies beyond the bounds at its price."""
-    beyond = [np.linalg.norm(stand.u[one.columns]) / one.most - 1.0 for one in stand.hands.bounds]
-    return 0.5 * float(missed.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))
+    beyond = [np.linalg.norm(state.u[bound.columns]) / bound.most - 1.0 for bound in state.actuators.bounds]
+    return 0.5 * float(residuals.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, Rod
-from onebend.control.goals.targets import Targets, check_metres, misses
-from onebend.control.shape.descent import Descent, Found, descend
-from onebend.control.shape.grip import Grip, Hands, Push, Stand, refined, rest
-from onebend.control.shape.spread import Spread, spread
-from onebend.control.shape.steps import model_of
+from onebend.control.goals.targets import Targets, check_metres, target_residuals
+from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state, state_on_grid
+from onebend.control.shape.descent import DescentResult, DescentSettings, descend
+from onebend.control.shape.newton_step import model_of
+from onebend.control.shape.spread import ShapeSpread, spread
 from onebend.records import Array
 
 _FINEST = 1.0 / 16.0  # widest panel at the end of refinement
@@ -33,21 +33,21 @@ class ShapeSettings:
     starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
     seed: int = 0  # of those shapes
     warn_margin: float = 0.1  # of stability, below which is warned
-    descent: Descent = field(default_factory=Descent)
+    descent: DescentSettings = field(default_factory=DescentSettings)
     # To begin with; it is refined at the end.
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
 @dataclass(frozen=True)
-class Shaped:
+class ShapeResult:
     """A shape as close to the targets as was found, and what holds the beam in it."""
 
     targets: Targets
-    stand: Stand
+    state: BeamState
     xy_error: Array  # (N, 2) m: where the shape is less where it is wanted; NaN where of no concern
     angle_error: Array  # (N,) rad
     rms: float  # m: root of the weighted mean square, angles times the arm: as close as physics and the limits allow
-    spread: Spread | None  # what the band on k(s) makes of the shape; None where no band was given
+    spread: ShapeSpread | None  # what the band on k(s) makes of the shape; None where no band was given
     limits: tuple[str, ...]  # the limits that hold the shape back
     open_freedoms: int  # directions in which the controls may change without a change of the sum of squares
     converged: bool  # no stable shape nearby is closer
@@ -57,22 +57,22 @@ class Shaped:
     @property
     def forces(self) -> Array:
         """(a, 2) N: the pushes' forces on the beam."""
-        return np.asarray(self.stand.u[: 2 * len(self.stand.hands.pushes)].reshape(-1, 2))
+        return np.asarray(self.state.u[: 2 * len(self.state.actuators.pushes)].reshape(-1, 2))
 
     @property
     def wrench(self) -> Array | None:
         """(3,) N, N, N m: what the gripper puts on the beam; None without one."""
-        return None if self.stand.hands.grip is None else self.stand.u[-3:]
+        return None if self.state.actuators.grip is None else self.state.u[-3:]
 
     @property
     def pose(self) -> Array:
         """(3,) m, m, rad: the end s = 1; with a grip, where the gripper is to be."""
-        return self.stand.end
+        return self.state.end
 
     @property
     def margin(self) -> float:
         """Smallest eigenvalue of the tangent over that without loads: 1 far from buckling, 0 where it buckles."""
-        return self.stand.margin
+        return self.state.margin
 
     @property
     def load_left(self) -> float:
@@ -81,29 +81,29 @@ class Shaped:
 
     def xy(self, s: ArrayLike) -> Array:
         """(S, 2) m, positions at `s`."""
-        return np.asarray(self.stand.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))[0])
+        return np.asarray(self.state.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
     def angle(self, s: ArrayLike) -> Array:
         """(S,) rad, the tangent's angle at `s`."""
-        return np.asarray(self.stand.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
+        return np.asarray(self.state.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
 
 def shape(
     beam: Rod,
     targets: Targets,
     *,
-    pushes: Sequence[Push] = (),
+    pushes: Sequence[Pusher] = (),
     grip: Grip | None = None,
     gravity: ArrayLike | None = None,
     uncertain: UncertainStiffness | None = None,
-    start: Stand | None = None,
+    start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
-) -> Shaped:
+) -> ShapeResult:
     """The stable shape under these hands that is closest to the targets, weighted least squares.
 
-    The search goes over stable equilibria alone, from rest or from `start` (`Shaped.stand` of a shape before, under the
-    same hands); where it does not meet the targets, also from other bent shapes, and the best is taken. It is a local
-    optimum with an exact second derivative; that no other is better is not proved.
+    The search visits stable equilibria only. It starts from rest, or from `start` (`ShapeResult.state` of an earlier
+    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes, and the
+    best result is taken. The result is a local optimum, found with exact second derivatives; it need not be global.
 
     Args:
         beam: length, stiffness, rest curvature, clamp's angle, mass.
@@ -119,94 +119,94 @@ def shape(
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
-    resting = rest(beam, tuple(pushes), grip, gravity, settings.resolution)
+    resting = resting_state(beam, tuple(pushes), grip, gravity, settings.resolution)
     begin = resting if start is None else start
-    found = descend(begin, targets, arm, settings.descent)
+    result = descend(begin, targets, arm, settings.descent)
     tried = 1
     enough = _MET**2 * float(np.sum(targets.weight))
     for other in _bent(resting, settings) if start is None else ():
-        if found.converged and found.cost < enough:
+        if result.converged and result.cost < enough:
             break
         again, tried = descend(other, targets, arm, settings.descent), tried + 1
-        found = again if again.cost < found.cost * (1.0 - 1e-6) else found
-    found = _resolved(found, beam, gravity, targets, arm, settings)
-    return _result(found, targets, arm, tried, uncertain, settings)
+        result = again if again.cost < result.cost * (1.0 - 1e-6) else result
+    result = _resolved(result, beam, gravity, targets, arm, settings)
+    return _result(result, targets, arm, tried, uncertain, settings)
 
 
-def _bent(resting: Stand, settings: ShapeSettings) -> list[Stand]:
+def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
     """Stable shapes under controls drawn at random, within the bounds."""
-    hands, rng, out = resting.hands, np.random.default_rng(settings.seed), []
+    actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
     for _ in range(settings.starts):
-        u = _LIKE_AT_REST * hands.scale * rng.standard_normal(hands.count)
-        for one in hands.bounds:
-            u[one.columns] *= min(1.0, 0.9 * one.most / float(np.linalg.norm(u[one.columns])))
-        solved = follow(hands.loaded(u[None]))
+        u = _LIKE_AT_REST * actuators.scale * rng.standard_normal(actuators.count)
+        for bound in actuators.bounds:
+            u[bound.columns] *= min(1.0, 0.9 * bound.most / float(np.linalg.norm(u[bound.columns])))
+        solved = follow(actuators.loaded(u[None]))
         if solved.stable[0]:
-            out.append(Stand(hands, solved.q[0], u))
+            out.append(BeamState(actuators, solved.q[0], u))
     return out
 
 
 def _resolved(
-    found: Found, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
-) -> Found:
+    result: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
+) -> DescentResult:
     """The same on a grid that carries the curvature, as far as `_FINEST` goes."""
     resolution = settings.resolution
-    while not found.stand.solved.resolved[0] and resolution.widest > _FINEST:
+    while not result.state.solved.resolved[0] and resolution.widest > _FINEST:
         resolution = resolution.finer()
-        start = refined(found.stand, beam, gravity, resolution)
+        start = state_on_grid(result.state, beam, gravity, resolution)
         if start is None:
             break
-        found = descend(start, targets, arm, settings.descent)
-    return found
+        result = descend(start, targets, arm, settings.descent)
+    return result
 
 
 def _result(
-    found: Found,
+    result: DescentResult,
     targets: Targets,
     arm: float,
     tried: int,
     uncertain: UncertainStiffness | None,
     settings: ShapeSettings,
-) -> Shaped:
-    stand = found.stand
-    seen = misses(stand.solved, targets, arm)
-    values = np.abs(np.linalg.eigvalsh(model_of(stand, seen).hessian))
+) -> ShapeResult:
+    state = result.state
+    residuals = target_residuals(state.solved, targets, arm)
+    values = np.abs(np.linalg.eigvalsh(model_of(state, residuals).hessian))
     limits = tuple(
-        one.name
-        for one, price in zip(stand.hands.bounds, found.multipliers, strict=True)
-        if price > 0.0 and np.linalg.norm(stand.u[one.columns]) > (1.0 - _TIGHT) * one.most
+        bound.name
+        for bound, price in zip(state.actuators.bounds, result.multipliers, strict=True)
+        if price > 0.0 and np.linalg.norm(state.u[bound.columns]) > (1.0 - _TIGHT) * bound.most
     )
     open_freedoms = int(np.sum(values < _OPEN * np.max(values))) if not limits else 0
-    return Shaped(
+    return ShapeResult(
         targets=targets,
-        stand=stand,
-        xy_error=stand.solved.xy(targets.s)[0] - targets.xy,
-        angle_error=stand.solved.angle(targets.s)[0] - targets.angle,
-        rms=float(stand.hands.problem.length) * float(np.sqrt(found.cost / np.sum(targets.weight))),
-        spread=None if uncertain is None else spread(stand, targets.s, uncertain),
-        limits=(*limits, *(("stability",) if found.near_buckling else ())),
+        state=state,
+        xy_error=state.solved.xy(targets.s)[0] - targets.xy,
+        angle_error=state.solved.angle(targets.s)[0] - targets.angle,
+        rms=float(state.actuators.problem.length) * float(np.sqrt(result.cost / np.sum(targets.weight))),
+        spread=None if uncertain is None else spread(state, targets.s, uncertain),
+        limits=(*limits, *(("stability",) if result.near_buckling else ())),
         open_freedoms=open_freedoms,
-        converged=found.converged,
+        converged=result.converged,
         starts=tried,
-        warnings=_warnings(found, stand.hands, open_freedoms, settings),
+        warnings=_warnings(result, open_freedoms, settings),
     )
 
 
-def _warnings(found: Found, hands: Hands, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
-    out, margin = [], found.stand.margin
-    if found.near_buckling:
+def _warnings(result: DescentResult, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
+    out, margin, count = [], result.state.margin, result.state.actuators.count
+    if result.near_buckling:
         out.append("nearer to the targets the beam loses its stability; this is as close as it stands")
-    elif not found.converged:
+    elif not result.converged:
         out.append("the search ended before its optimum; what was found is stable, but may not be the closest")
     if margin < settings.warn_margin:
-        left = 1.0 / (1.0 - margin)
+        factor = 1.0 / (1.0 - margin)
         out.append(
             f"close to buckling: the tangent's smallest eigenvalue is {margin:.3f} of that without loads; "
-            f"{left:.3f} times these loads would buckle the beam"
+            f"{factor:.3f} times these loads would buckle the beam"
         )
     if open_freedoms:
         out.append(
-            f"the targets leave {open_freedoms} of {hands.count} freedoms of the forces and the gripper open: others "
-            "do as well; give more targets, or leave out a force or the gripper"
+            f"the targets leave {open_freedoms} of {count} freedoms of the forces and the gripper open: others do as "
+            "well; give more targets, or leave out a force or the gripper"
         )
     return tuple(out)

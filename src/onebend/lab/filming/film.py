@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.filming.actors import Cast, Pose, clamp_block, moment_of
 from onebend.lab.filming.film_setup import DOWN, Filming, check, frame_times, motive_of
 from onebend.lab.filming.force_log_file import in_log_axes, write_log
-from onebend.lab.filming.movement import PLACES, Shapes, shapes_at
+from onebend.lab.filming.movement import PLACES, BeamShapes, shapes_at
+from onebend.lab.filming.moving_scene import BeamPose, MovingScene, clamp_block, moment_of
 from onebend.lab.filming.printed_tag import as_printed, outlines, placed
 from onebend.lab.filming.recording_toml import recording_toml
-from onebend.lab.filming.render import Exposed, Moment, Stage, frame_of, stage
+from onebend.lab.filming.render import Drawing, StaticScene, YuvFrame, frame_of, stage
 from onebend.lab.filming.scene import Scene
-from onebend.lab.filming.truth_file import Made, write_truth
+from onebend.lab.filming.truth_file import FilmTruth, write_truth
 from onebend.lab.filming.video_file import write_video
 from onebend.lab.filming.viewpoint import calibration, view_from
 from onebend.lab.sensors import log_of
-from onebend.lab.virtual import DENSE, riding, tag_places, written
+from onebend.lab.virtual import DENSE, declared_recording, tag_places, tag_poses_on
 from onebend.progress import Progress, Silent, track
 from onebend.recording.camera.lens import project
 from onebend.recording.folder import FILE_NAME
@@ -68,12 +68,12 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     write_log(folder / "force.csv", log)
     (folder / FILE_NAME).write_text(recording_toml(entries(filming, folder)), encoding="utf-8")
     inner = slice(1, None, 3)
-    shown = Shapes(time, shapes.force[inner], shapes.xy[inner], shapes.angle[inner])
-    write_truth(folder / "truth", Made(filming, shown, tags[inner], view, log, clean, seed))
+    shown = BeamShapes(time, shapes.force[inner], shapes.xy[inner], shapes.angle[inner])
+    write_truth(folder / "truth", FilmTruth(filming, shown, tags[inner], view, log, clean, seed))
     return folder
 
 
-def refuse_sharp_bends(filming: Filming, shapes: Shapes) -> None:
+def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
     """An error where a bend's inner side would fold: no beam of this width bends so."""
     turn = np.abs(np.diff(shapes.angle, axis=1)) / np.diff(PLACES) / filming.bench.beam.length
     half = 0.5 * np.asarray(filming.width(0.5 * (PLACES[1:] + PLACES[:-1])))
@@ -86,12 +86,12 @@ def refuse_sharp_bends(filming: Filming, shapes: Shapes) -> None:
         )
 
 
-def tag_poses(filming: Filming, shapes: Shapes) -> Array:
+def tag_poses(filming: Filming, shapes: BeamShapes) -> Array:
     """(T, m + 1, 3) the base tag and those on the beam, clamp's frame."""
     bench = filming.bench
     xy, angle = shapes.at(tag_places(bench))
     base = np.tile(np.array(bench.base), (len(shapes.time), 1, 1))
-    return np.concatenate([base, riding(bench, xy, angle)], axis=1)
+    return np.concatenate([base, tag_poses_on(bench, xy, angle)], axis=1)
 
 
 def in_room(pose: Array, base_angle: float) -> Array:
@@ -101,22 +101,22 @@ def in_room(pose: Array, base_angle: float) -> Array:
     return np.concatenate([xy, pose[..., 2:] + base_angle], axis=-1)
 
 
-def cast_of(filming: Filming, rng: np.random.Generator) -> Cast:
+def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
     """What moves, but for its motion. Where each tag falls on the printer's grid of dots is drawn."""
-    told = written(filming.bench).tags
+    told = declared_recording(filming.bench).tags
     ids = [tag.id for tag in (*told.on_base, *told.on_beam)]
     made = [outlines(tag, told.family) for tag in ids]
     dot = INCH / filming.scene.print_dpi if filming.scene.print_dpi > 0.0 else 0.0
-    return Cast(
+    return MovingScene(
         scene=filming.scene,
         push=filming.bench.push,
         half_width=0.5 * np.asarray(filming.width(PLACES), dtype=float),
-        tags=tuple(as_printed(one, filming.tag_size, dot, rng.random(2)) for one in made),
+        tags=tuple(as_printed(outline, filming.tag_size, dot, rng.random(2)) for outline in made),
         base_angle=filming.base_angle,
     )
 
 
-def to_be_seen(cast: Cast, beam: Array, tags: Array) -> Array:
+def to_be_seen(cast: MovingScene, beam: Array, tags: Array) -> Array:
     """(N, 2) m: the paper of every tag at every time, and the beam."""
     corners = [
         placed(tag.paper[0], pose) for i, tag in enumerate(cast.tags) for pose in tags[:: max(1, len(tags) // 200), i]
@@ -124,7 +124,7 @@ def to_be_seen(cast: Cast, beam: Array, tags: Array) -> Array:
     return np.concatenate([*corners, beam[::5, :, :2].reshape(-1, 2)])
 
 
-def stage_of(filming: Filming, cast: Cast, view: View, beam: Array, seed: int) -> Stage:
+def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed: int) -> StaticScene:
     """The table with the clamp on it."""
     reach = 0.03 + float(np.max(cast.half_width)) + filming.tag_size
     xy = beam[:: max(1, len(beam) // 100), :, :2].reshape(-1, 2)
@@ -135,8 +135,8 @@ def stage_of(filming: Filming, cast: Cast, view: View, beam: Array, seed: int) -
 
 
 def pictures(
-    staged: Stage, cast: Cast, time: Array, beam: Array, tags: Array, rng: np.random.Generator
-) -> Iterator[tuple[float, Exposed]]:
+    staged: StaticScene, cast: MovingScene, time: Array, beam: Array, tags: Array, rng: np.random.Generator
+) -> Iterator[tuple[float, YuvFrame]]:
     """Frames in order with their times. `beam` (3 T, S, 3), `tags` (3 T, m, 3): begin, middle, end of exposures."""
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
@@ -145,7 +145,7 @@ def pictures(
         yield now, frame_of(staged, shown, now, rng)
 
 
-def moments_of(staged: Stage, beam: Array, tags: Array) -> list[float]:
+def moments_of(staged: StaticScene, beam: Array, tags: Array) -> list[float]:
     """Moments of one exposure that are drawn, -1 at its beginning and 1 at its end."""
     ends = project(staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
@@ -153,11 +153,11 @@ def moments_of(staged: Stage, beam: Array, tags: Array) -> list[float]:
     return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]
 
 
-def drawn(cast: Cast, scene: Scene, time: float, u: float, beam: Array, tags: Array) -> Moment:
+def drawn(cast: MovingScene, scene: Scene, time: float, u: float, beam: Array, tags: Array) -> Drawing:
     """All that moves at moment `u` of an exposure, by a parabola through its begin, middle and end."""
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
     shape, at = np.tensordot(weights, beam, 1), np.tensordot(weights, tags, 1)
-    return moment_of(cast, Pose(time + 0.5 * u * scene.exposure, shape[:, :2], shape[:, 2], at))
+    return moment_of(cast, BeamPose(time + 0.5 * u * scene.exposure, shape[:, :2], shape[:, 2], at))
 
 
 def force_log(filming: Filming, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
@@ -174,7 +174,7 @@ def force_log(filming: Filming, rng: np.random.Generator) -> tuple[ForceLog, For
 
 def entries(filming: Filming, folder: Path) -> Recording:
     """What `recording.toml` says."""
-    bench, told = filming.bench, written(filming.bench)
+    bench, told = filming.bench, declared_recording(filming.bench)
     assert told.video is not None
     assert told.force is not None
     mass = nan

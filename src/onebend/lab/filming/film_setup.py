@@ -10,10 +10,10 @@ import numpy as np
 
 from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.errors import RecordingError
-from onebend.lab.filming.movement import Motive
+from onebend.lab.filming.movement import MotionSettings
 from onebend.lab.filming.scene import Scene
 from onebend.lab.filming.viewpoint import Camera
-from onebend.lab.virtual import Bench
+from onebend.lab.virtual import VirtualBench
 from onebend.records import Array
 
 DOWN = -0.5 * pi  # rad, of gravity in the room
@@ -23,7 +23,7 @@ DOWN = -0.5 * pi  # rad, of gravity in the room
 class Filming:
     """A bench and all that a film shows of it. The bench's own camera (noise of poses) has no part in it."""
 
-    bench: Bench
+    bench: VirtualBench
     width: Profile = field(default_factory=lambda: Uniform(0.014))  # m, of the beam as drawn
     rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m, where it swings
     camera: Camera = field(default_factory=Camera)
@@ -68,7 +68,7 @@ def frame_times(filming: Filming, rng: np.random.Generator) -> Array:
     return np.asarray(np.flatnonzero(kept) / filming.bench.fps)
 
 
-def motive_of(filming: Filming) -> Motive:
+def motive_of(filming: Filming) -> MotionSettings:
     """What moves the beam apart from the push, in the clamp's frame."""
     pull = filming.gravity * np.array([np.cos(DOWN - filming.base_angle), np.sin(DOWN - filming.base_angle)])
-    return Motive((float(pull[0]), float(pull[1])), filming.swings, filming.damping, filming.rotary_inertia)
+    return MotionSettings((float(pull[0]), float(pull[1])), filming.swings, filming.damping, filming.rotary_inertia)

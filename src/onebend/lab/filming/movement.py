@@ -17,8 +17,8 @@ from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.problem import Resolution
 from onebend.errors import MechanicsError
-from onebend.lab.pushes import Push
-from onebend.lab.truths import RESOLUTION
+from onebend.lab.pushes import PushProfile
+from onebend.lab.random_beams import RESOLUTION
 from onebend.records import Array
 
 PLACES = np.linspace(0.0, 1.0, 121)
@@ -28,7 +28,7 @@ ORDER = 12  # curvature nodes of a moving beam
 
 
 @dataclass(frozen=True)
-class Motive:
+class MotionSettings:
     """What moves the beam apart from the push: its own weight and, if it `swings`, its inertia."""
 
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the clamp's frame
@@ -38,7 +38,7 @@ class Motive:
 
 
 @dataclass(frozen=True)
-class Shapes:
+class BeamShapes:
     """The beam at T times, in the clamp's frame, at `PLACES`."""
 
     time: Array  # (T,) s
@@ -68,7 +68,7 @@ def cubic(values: Array, s: Array) -> Array:
     return total
 
 
-def shapes_at(beam: Beam, pushing: Push, time: Array, motive: Motive = Motive()) -> Shapes:
+def shapes_at(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings = MotionSettings()) -> BeamShapes:
     """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest.
 
     Raises:
@@ -79,7 +79,7 @@ def shapes_at(beam: Beam, pushing: Push, time: Array, motive: Motive = Motive())
     return swinging(beam, pushing, time, motive) if motive.swings else standing(beam, pushing, time, motive)
 
 
-def standing(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
+def standing(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
     """Exact equilibria."""
     force = pushing.force(time)
     xy, angle = [], []
@@ -93,10 +93,10 @@ def standing(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
             raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller force")
         xy.append(solved.xy(PLACES))
         angle.append(solved.angle(PLACES))
-    return Shapes(time, force, np.concatenate(xy), np.concatenate(angle))
+    return BeamShapes(time, force, np.concatenate(xy), np.concatenate(angle))
 
 
-def swinging(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
+def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
     """The equation of motion, from rest under the weight."""
     damping = Scaled(motive.damping, beam.stiffness)
     moving = body(beam, rotary_inertia=motive.rotary_inertia, damping=damping, resolution=Resolution(ORDER))
@@ -111,4 +111,4 @@ def swinging(beam: Beam, pushing: Push, time: Array, motive: Motive) -> Shapes:
     theta = motion.states_at(np.clip(time, 0.0, until))
     xy = np.concatenate([moving.xy(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
     angle = np.concatenate([moving.angle(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
-    return Shapes(time, pushing.force(time), xy, angle)
+    return BeamShapes(time, pushing.force(time), xy, angle)

@@ -13,7 +13,7 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class Outlines:
+class TagOutlines:
     """In the tag's own frame, in sides of its detected square: origin in its middle, x to the print's right, y up."""
 
     paper: Array  # (1, 4, 2)
@@ -21,7 +21,7 @@ class Outlines:
 
 
 @cache
-def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Outlines:
+def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
     """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
 
     Raises:
@@ -32,19 +32,19 @@ def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Out
     beyond = max(margin - tag.margin, 0.0)
     scale, middle = np.array([1.0, -1.0]) / tag.border, 0.5 * count
     paper = (rectangle(-beyond, count + beyond, -beyond, count + beyond) - middle) * scale
-    return Outlines(paper[None], (tag.ink - middle) * scale)
+    return TagOutlines(paper[None], (tag.ink - middle) * scale)
 
 
-def as_printed(made: Outlines, size: float, dot: float, phase: Array) -> Outlines:
+def as_printed(made: TagOutlines, size: float, dot: float, phase: Array) -> TagOutlines:
     """In metres, of a tag whose square measures `size`: a printer sets every edge on its grid of dots.
 
     `dot` [m] is the grid's step (0: print without error), `phase` (2,) in [0, 1) where on it the tag's middle falls.
     Half the dots of a tag are so on either side of where they should be: each edge is up to `dot` / 2 off, evenly.
     """
     if dot == 0.0:
-        return Outlines(size * made.paper, size * made.ink)
+        return TagOutlines(size * made.paper, size * made.ink)
     on_grid = dot * (np.round(size * made.ink / dot + phase) - phase)
-    return Outlines(size * made.paper, on_grid)
+    return TagOutlines(size * made.paper, on_grid)
 
 
 def rectangle(left: float, right: float, top: float, bottom: float) -> Array:

@@ -18,7 +18,7 @@ LINES = 8  # a row of pixels
 
 
 @dataclass(frozen=True)
-class Box:
+class PixelBox:
     """Pixels from (left, top) up to but not including (right, bottom)."""
 
     left: int
@@ -37,23 +37,23 @@ class Box:
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     @property
-    def halved(self) -> Box:
+    def halved(self) -> PixelBox:
         """The same box in a picture of half the size; the edges are even."""
-        return Box(self.left // 2, self.top // 2, self.right // 2, self.bottom // 2)
+        return PixelBox(self.left // 2, self.top // 2, self.right // 2, self.bottom // 2)
 
-    def within(self, outer: Box) -> tuple[slice, slice]:
+    def within(self, outer: PixelBox) -> tuple[slice, slice]:
         """Rows and columns of `outer`, which holds this box."""
         down, across = self.top - outer.top, self.left - outer.left
         return slice(down, down + self.shape[0]), slice(across, across + self.shape[1])
 
 
-def box_around(points: Array, width: int, height: int, margin: float = 2.0) -> Box:
+def box_around(points: Array, width: int, height: int, margin: float = 2.0) -> PixelBox:
     """The box with even edges around pixels (..., 2), within a picture with even sides."""
     flat = points.reshape(-1, 2)
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
     left, top = (int(np.clip(2 * np.floor(v / 2), 0, side)) for v, side in zip(low, (width, height), strict=True))
     right, bottom = (int(np.clip(2 * np.ceil(v / 2), 0, side)) for v, side in zip(high, (width, height), strict=True))
-    return Box(left, top, max(right, left), max(bottom, top))
+    return PixelBox(left, top, max(right, left), max(bottom, top))
 
 
 def edges_of(loops: Array) -> Array:
@@ -62,7 +62,7 @@ def edges_of(loops: Array) -> Array:
     return np.concatenate([nodes, np.roll(nodes, -1, axis=1)], axis=-1).reshape(-1, 4)
 
 
-def coverage(loops: Array, box: Box) -> Image:
+def coverage(loops: Array, box: PixelBox) -> Image:
     """Share of each pixel of `box` (rows, columns) that polygons (..., corners, 2) [px] of one orientation cover."""
     rows, columns = box.shape
     if rows == 0 or columns == 0:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from onebend.lab.filming.raster import Box, Image, box_around, coverage
+from onebend.lab.filming.raster import Image, PixelBox, box_around, coverage
 from onebend.lab.filming.scene import Colour, Picture, Scene, backdrop, blend, lamp, light_at, yuv
 from onebend.recording.camera.lens import project
 from onebend.records import Array, View
@@ -22,7 +22,7 @@ GRAIN = 96  # px: the field of noise is so much larger than a picture
 
 
 @dataclass(frozen=True)
-class Layer:
+class ColourLayer:
     """Polygons of one colour, neighbours on the table: their boxes together are hardly larger than they are."""
 
     loops: Array  # (..., corners, 2) m
@@ -39,15 +39,15 @@ class Shadow:
 
 
 @dataclass(frozen=True)
-class Moment:
+class Drawing:
     """What is drawn of one moment, the nearest to the camera last."""
 
     shadows: list[Shadow]
-    layers: list[Layer]
+    layers: list[ColourLayer]
 
 
 @dataclass(frozen=True)
-class Exposed:
+class YuvFrame:
     """A frame as a video holds it: luma (H, W) and the two chroma planes at half the size."""
 
     y: Bytes
@@ -56,7 +56,7 @@ class Exposed:
 
 
 @dataclass(frozen=True)
-class Stage:
+class StaticScene:
     """What does not change over a film."""
 
     scene: Scene
@@ -64,28 +64,28 @@ class Stage:
     table: Picture
     light: Image  # (H, W)
     half_light: Image
-    scope: Box  # holds whatever moves
+    scope: PixelBox  # holds whatever moves
     grain: Image  # (H + GRAIN, W + GRAIN) of unit sd
 
 
-def stage(scene: Scene, view: View, size: tuple[int, int], still: Moment, moving: Array, seed: int) -> Stage:
+def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, moving: Array, seed: int) -> StaticScene:
     """The table with what stands `still`, seen in `size` (width, height); all that moves is within `moving` (N, 2) m.
 
     Two stages of one seed look alike.
     """
     width, height = size
     table = backdrop(scene, view, (height, width), np.random.default_rng([seed, 10]))
-    full = Box(0, 0, width, height)
+    full = PixelBox(0, 0, width, height)
     darken(table, still.shadows, view, full)
     draw(table, still.layers, view, full)
     light = lamp(scene, (height, width))
     scope = box_around(project(view, moving), width, height, margin=4.0 * BLURRED)
     rng = np.random.default_rng([seed, 11])
     grain = rng.standard_normal((height + GRAIN, width + GRAIN), dtype=np.float32)
-    return Stage(scene, view, table, light, light[::2, ::2], scope, grain)
+    return StaticScene(scene, view, table, light, light[::2, ::2], scope, grain)
 
 
-def draw(picture: Picture, layers: list[Layer], view: View, scope: Box) -> None:
+def draw(picture: Picture, layers: list[ColourLayer], view: View, scope: PixelBox) -> None:
     """Draw layers over `picture`, which shows the box `scope` of the whole, in place."""
     for layer in layers:
         px = project(view, layer.loops)
@@ -94,7 +94,7 @@ def draw(picture: Picture, layers: list[Layer], view: View, scope: Box) -> None:
             blend(picture, coverage(px, box), yuv(layer.colour), box.within(scope), box.halved.within(scope.halved))
 
 
-def darken(picture: Picture, shadows: list[Shadow], view: View, scope: Box) -> None:
+def darken(picture: Picture, shadows: list[Shadow], view: View, scope: PixelBox) -> None:
     """Lay shadows over `picture` in place. They are soft: half the resolution is enough."""
     for shadow in shadows:
         px = project(view, shadow.loops)
@@ -109,13 +109,13 @@ def darken(picture: Picture, shadows: list[Shadow], view: View, scope: Box) -> N
         picture.v[half] *= left
 
 
-def clipped(box: Box, scope: Box) -> Box:
+def clipped(box: PixelBox, scope: PixelBox) -> PixelBox:
     """The part of a box that is inside another; without area where none is."""
     left, top = max(box.left, scope.left), max(box.top, scope.top)
-    return Box(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
+    return PixelBox(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
 
 
-def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.Generator) -> Exposed:
+def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.random.Generator) -> YuvFrame:
     """The frame around `time` [s] as 8 bit planes: the mean over `moments` of its exposure, light, blur and noise.
 
     Shadows are those of the middle moment.
@@ -139,7 +139,7 @@ def frame_of(staged: Stage, moments: list[Moment], time: float, rng: np.random.G
     return exposed(staged, seen, np.float32(light_at(staged.scene, time)), rng)
 
 
-def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.Generator) -> Exposed:
+def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> YuvFrame:
     """Light, noise and rounding: planes of 8 bit; `seen` is used up. The noise is a part of one large field."""
     scene = staged.scene
     size = np.float32(scene.noise / 255.0)
@@ -161,7 +161,7 @@ def exposed(staged: Stage, seen: Picture, strength: np.float32, rng: np.random.G
         level *= np.float32(span)
         level += np.float32(low + 0.5)
         out.append(np.clip(level, 0.0, 255.0, out=level).astype(np.uint8))
-    return Exposed(out[0], out[1], out[2])
+    return YuvFrame(out[0], out[1], out[2])
 
 
 def grain_of(field: Image, shape: tuple[int, int], rng: np.random.Generator) -> Image:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.filming.movement import PLACES, Shapes
+from onebend.lab.filming.movement import PLACES, BeamShapes
 from onebend.records import Array, ForceLog, View
 from onebend.strict_json import plain
 
@@ -18,11 +18,11 @@ S = np.linspace(0.0, 1.0, 401)
 
 
 @dataclass(frozen=True)
-class Made:
+class FilmTruth:
     """What was filmed, as it truly was."""
 
     filming: Filming
-    shapes: Shapes  # at the frames, clamp's frame
+    shapes: BeamShapes  # at the frames, clamp's frame
     tags: Array  # (T, m + 1, 3) in the room, the base tag first
     view: View
     log: ForceLog  # as written
@@ -30,7 +30,7 @@ class Made:
     seed: int
 
 
-def write_truth(folder: Path, made: Made) -> None:
+def write_truth(folder: Path, made: FilmTruth) -> None:
     """Write both files into `folder`, which is made; they are to compare with, nothing that learns reads them."""
     folder.mkdir(parents=True, exist_ok=True)
     filming, shapes = made.filming, made.shapes
@@ -60,7 +60,7 @@ def write_truth(folder: Path, made: Made) -> None:
     (folder / "truth.json").write_text(text + "\n", encoding="utf-8")
 
 
-def facts_of(made: Made) -> dict[str, Any]:
+def facts_of(made: FilmTruth) -> dict[str, Any]:
     """What stands in `truth.json`."""
     filming, view = made.filming, made.view
     bench = filming.bench
@@ -74,8 +74,8 @@ def facts_of(made: Made) -> dict[str, Any]:
         "s_a": bench.push.at_s,
         "clock": {
             "log_minus_video_true": clock.offset,
-            "said": clock.said,
-            "error_said_minus_true": clock.said - clock.offset,
+            "said": clock.declared,
+            "error_said_minus_true": clock.declared - clock.offset,
         },
         "camera": {
             "K": view.matrix.tolist(),

@@ -10,14 +10,14 @@ import av
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.lab.filming.render import Exposed
+from onebend.lab.filming.render import YuvFrame
 
 TIME_BASE = Fraction(1, 90_000)
 PRESET = "veryfast"
 
 
 def write_video(
-    path: Path, frames: Iterable[tuple[float, Exposed]], size: tuple[int, int], fps: float, crf: int
+    path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
 ) -> int:
     """Write frames (time [s], 8 bit planes) that come in order; return their number.
 
@@ -43,7 +43,7 @@ def write_video(
     return count
 
 
-def video_frame(picture: Exposed) -> av.VideoFrame:
+def video_frame(picture: YuvFrame) -> av.VideoFrame:
     """The planes as the encoder takes them."""
     rows, columns = picture.y.shape
     stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])

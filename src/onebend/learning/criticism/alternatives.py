@@ -1,8 +1,8 @@
-"""What else beam, bench and tags might do: departures from the fit's model, each a pattern in the tags' poses.
+"""What else beam, clamp, sensors and tags might do: alternatives to the fit's model, each a pattern in the tags' poses.
 
-A departure is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D follows
-from the equilibrium's derivatives (implicit function theorem) at the optimum. Where the model already has the parameter
-under a prior, D is its own column: freeing it asks whether the prior is wrong.
+An alternative is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D follows
+from the equilibrium's derivatives (implicit function theorem) at the optimum. A parameter that the model has under a
+prior is no pattern of its own: freeing it asks whether the prior is wrong (`score_tests.pulls`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.perturbation import Perturbation, Perturbations
-from onebend.beam.statics.sensitivity import of_clamp_angle, of_moment, of_rest_curvature, respond
-from onebend.learning.model.fit_data import REST_MODES, Film
-from onebend.learning.model.forward import Prediction, tag_places
+from onebend.beam.statics.perturbation import Perturbation
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_rest_curvature
+from onebend.learning.model.fit_data import REST_MODES, FitData
+from onebend.learning.model.forward import Prediction, tag_places, tag_ride
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.tag_jacobian import along_and_across, place_responses, push_moment
 from onebend.records import Array
 
 Kind = Literal["prior", "mechanics", "change", "trend"]
@@ -49,7 +50,7 @@ class Suspect:
 
 
 @dataclass(frozen=True)
-class Departure:
+class Alternative:
     """n numbers that the model takes to be zero, and what they do to one film's tags."""
 
     suspect: Suspect
@@ -66,9 +67,9 @@ class Course:
     resting: Array  # (F,) 1 for the frame at rest
 
 
-def course(seen: Film, now: Prediction) -> Course:
+def course(recording: FitData, now: Prediction) -> Course:
     """From the fitted shapes and the frames' times."""
-    time = seen.observations.time[seen.frames]
+    time = recording.observations.time[recording.frames]
     frames, count = len(time), len(now.pose)
     q = now.solved.q - now.solved.problem.q0
     bend = np.sqrt(np.mean(q**2, axis=1))
@@ -82,38 +83,35 @@ def course(seen: Film, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def departures(seen: Film, at: Layout, x: Array, now: Prediction) -> list[Departure]:
+def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
     """All that are tested on one film."""
-    run, found = course(seen, now), mechanics(seen, at, x, now)
-    pliant = found["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
-    wanted = {name: found[name] for name in UNITS if name in found} | {"clamp gives": pliant}
-    if at.index["curvature", -1].start >= 0:
+    run, patterns = course(recording, now), mechanics(recording, layout, x, now)
+    pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
+    wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
+    if layout.index["curvature", -1].start >= 0:
         del wanted["rest shape"]
-    if seen.observations.static:  # poses have no order in time
+    if recording.observations.static:  # poses have no order in time
         del wanted["viscous"]
-        return [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
-    stiff = [Departure(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
-    return [*stiff, *_changes(seen, run, found), *_trends(seen, run)]
+        return [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+    stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+    return [*stiff, *_changes(recording, run, patterns), *_trends(recording, run)]
 
 
-def mechanics(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
-    changes = _entering(seen, now)
-    carried = _carried(seen, at, x, now)
-    everything = Perturbations(tuple(changes.values()))
-    response = respond(now.solved, everything).poses(tag_places(seen, at, x)[0])
-    found, start = {}, 0
-    for name, change in changes.items():
-        part = response[..., start : start + len(change.clamp)].copy()
+    carried, ride = _carried(recording, layout, x, now), tag_ride(recording, layout, x, now.solved)
+    patterns = {}
+    for name, part in place_responses(
+        now.solved, _entering(recording, now), tag_places(recording, layout, x)[0]
+    ).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
-        found[name] = _ridden(seen, at, x, now.solved, part)
-        start += len(change.clamp)
-    return found
+        patterns[name] = ride.carry(part)
+    return patterns
 
 
-def _entering(seen: Film, now: Prediction) -> dict[str, Perturbation]:
-    """How the departures enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
+def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
+    """How the alternatives enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
 
     A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
     """
@@ -121,32 +119,28 @@ def _entering(seen: Film, now: Prediction) -> dict[str, Perturbation]:
     u, n = _tangents(solved)
     force = problem.dead_force
     product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
-    pushed = seen.beyond[..., None] * now.force[:, None, :]
+    pushed = recording.beyond[..., None] * now.force[:, None, :]
     turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
-    angle = solved.angle(seen.push_s[:, None])[:, 0]
-    cos, sin = np.cos(angle), np.sin(angle)
-    along, across = (now.force[:, 0] * a + now.force[:, 1] * b for a, b in ((cos, sin), (-sin, cos)))
-    lever = of_moment(problem, seen.push_s).moment
-    assert lever is not None
-    loaded = (np.arange(len(force)) < int(np.sum(seen.frames))).astype(float)
+    along, across = along_and_across(now.force, solved.angle(recording.push_s[:, None])[:, 0])
+    loaded = (np.arange(len(force)) < int(np.sum(recording.frames))).astype(float)
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
     return {
         "stretch": _force(product),
         "shear": _force(-product),
         "length": _force(force),
-        "push place": Perturbation(None, float(problem.length) * across[:, None, None] * lever, None, np.zeros(1)),
-        "push beside": Perturbation(None, -along[:, None, None] * lever, None, np.zeros(1)),
+        "push place": push_moment(problem, recording.push_s, float(problem.length) * across),
+        "push beside": push_moment(problem, recording.push_s, -along),
         "force direction": _force(turned),
         "weight": Perturbation(sag, None, None, np.zeros(2)),
-        "viscous": Perturbation(None, None, (_rate(seen, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
+        "viscous": Perturbation(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
     }
 
 
-def _carried(seen: Film, at: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
-    solved, s = now.solved, tag_places(seen, at, x)[0]
+    solved, s = now.solved, tag_places(recording, layout, x)[0]
     u, n = _tangents(solved)
     force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
     length = float(solved.problem.length)
@@ -167,27 +161,27 @@ def _clamp_moment(solved: Equilibrium) -> Array:
     return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
 
 
-def _changes(seen: Film, run: Course, found: dict[str, Array]) -> list[Departure]:
+def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
     """What may change in the course of one recording: by the bending so far, and after the largest one."""
-    name = seen.observations.name
-    frames, tags = found["clamp"].shape[:2]
+    name = recording.observations.source.name
+    frames, tags = patterns["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
     place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
-    slip = np.concatenate([found["clamp"], place], axis=-1)
+    slip = np.concatenate([patterns["clamp"], place], axis=-1)
     out = [
-        Departure(Suspect("change", "creep", recording=name), _in_time(found["rest shape"], run)),
-        Departure(Suspect("change", "slip", recording=name), _in_time(slip, run)),
+        Alternative(Suspect("change", "creep", recording=name), _in_time(patterns["rest shape"], run)),
+        Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
     ]
-    for i, tag in enumerate(seen.observations.tag_id.tolist()):
+    for i, tag in enumerate(recording.observations.tag_id.tolist()):
         own = np.zeros((frames, tags, 3, 3))
         own[:, i] = np.eye(3)
-        out.append(Departure(Suspect("change", "loose", tag, name), _in_time(own, run)))
+        out.append(Alternative(Suspect("change", "loose", tag, name), _in_time(own, run)))
     return out
 
 
-def _trends(seen: Film, run: Course) -> list[Departure]:
+def _trends(recording: FitData, run: Course) -> list[Alternative]:
     """Every coordinate of every tag: smooth in the bending, apart on the way out and back, and in time."""
-    side, tags = run.after - 0.5, seen.observations.tag_id.tolist()
+    side, tags = run.after - 0.5, recording.observations.tag_id.tolist()
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
     functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
     out = []
@@ -195,7 +189,7 @@ def _trends(seen: Film, run: Course) -> list[Departure]:
         for c, axis in enumerate(AXES):
             pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
             pattern[:, i, c] = functions
-            out.append(Departure(Suspect("trend", axis, tag, seen.observations.name), pattern))
+            out.append(Alternative(Suspect("trend", axis, tag, recording.observations.source.name), pattern))
     return out
 
 
@@ -215,20 +209,10 @@ def _force(force: Array) -> Perturbation:
     return Perturbation(force[..., None], None, None, np.zeros(1))
 
 
-def _rate(seen: Film, solved: Equilibrium) -> Array:
+def _rate(recording: FitData, solved: Equilibrium) -> Array:
     """(F, Q) rad/s of the curvature; zero at rest."""
-    time = seen.observations.time[seen.frames]
+    time = recording.observations.time[recording.frames]
     out = np.zeros_like(solved.q)
     if len(time) > 1:
         out[: len(time)] = np.gradient(solved.q[: len(time)], time, axis=0)
     return out
-
-
-def _ridden(seen: Film, at: Layout, x: Array, solved: Equilibrium, response: Array) -> Array:
-    """(F, m, 3, n) of the tags, which ride on the beam, from that of the beam's places under them."""
-    s, over = tag_places(seen, at, x)
-    angle, across = solved.angle(s), at.get(x, "across")
-    cos, sin = np.cos(angle), np.sin(angle)
-    lever = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
-    turn = response[:, :, 2:]
-    return np.concatenate([response[:, :, :2] + lever[..., None] * turn, turn], axis=2)

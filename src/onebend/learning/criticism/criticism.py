@@ -1,25 +1,24 @@
 """Does the fit's own model hold? Score tests of what may be otherwise, and what they make of the band.
 
-The band of k(s) is right only if the model is. `criticise` tests a list of departures from it (`alternatives.py`) and
-every prior, each by `score_tests.py`; where one stands out from what clean recordings show, the band is not to be
-trusted, and the suspects that explain the misfit best are named. It does not widen the band: a wrong model moves k(s)
-by an unknown amount, of which `Criticism.widening` is the part that the named cause would account for.
+The band of k(s) is right only if the model is. `criticise` tests the model against a list of alternatives
+(`alternatives.py`) and against every prior, each by a score test (`score_tests.py`). Where a test is more striking than
+any in clean recordings, the band is not to be trusted, and the suspects that explain the misfit best are named. The
+band is not widened: a wrong model moves k(s) by an unknown amount, and `Criticism.widening` covers only the part that
+the named cause accounts for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.learning.criticism.alternatives import departures
-from onebend.learning.criticism.score_tests import Score, linear, pulls, scores
+from onebend.learning.criticism.alternatives import alternatives
+from onebend.learning.criticism.score_tests import Score, linearised, pulls, scores
+from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.optimizer import Optimum
-from onebend.learning.model.fit_data import Film
-from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
 # log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
@@ -29,8 +28,8 @@ ALARM_WRITTEN = -2.5
 WRITTEN = ("push place", "force direction")
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
 _SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
-_MOST = 3  # causes and symptoms that are named
-_MATTERS = 0.5  # sd of log k: what is smaller takes a 95 % band to 92 % at most, and is only remarked on
+_MOST_NAMED = 3  # causes and symptoms that are named
+_MATTERS = 0.5  # sd of log k: a smaller shift lowers the coverage of a 95 % band to 92 % at most, and gets a note only
 
 
 @dataclass(frozen=True)
@@ -81,13 +80,13 @@ class Criticism:
             return ()
         most = able[0].score.gain
         least = min(most - _AS_LIKELY, _SHARE * most)
-        return tuple(f for f in able if f.score.gain >= least)[:_MOST]
+        return tuple(f for f in able if f.score.gain >= least)[:_MOST_NAMED]
 
     @property
     def symptoms(self) -> tuple[Finding, ...]:
         """Tags and coordinates whose residuals are no noise, the largest first."""
-        seen = [f for f in self.alarms if f.score.suspect.kind == "trend"]
-        return tuple(sorted(seen, key=lambda f: -f.score.size))[:_MOST]
+        trends = [f for f in self.alarms if f.score.suspect.kind == "trend"]
+        return tuple(sorted(trends, key=lambda f: -f.score.size))[:_MOST_NAMED]
 
     @property
     def widening(self) -> float:
@@ -109,19 +108,18 @@ class Criticism:
         }
 
 
-def criticise(
-    films: Sequence[Film], at: Layout, optimum: Optimum, level: float, stiffness: UncertainStiffness
-) -> Criticism:
-    """Test a fit that has ended; `level`: prior mean of log k."""
-    line = linear(films, at, optimum, level)
-    every = zip(line.films, optimum.predictions, strict=True)
-    tests = [*scores(line, [departures(f, at, optimum.x, now) for f, now in every]), *pulls(line)]
+def criticise(problem: FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
+    """Test the model of a fit that has ended."""
+    fit, layout = linearised(problem, optimum), problem.layout
+    pairs = zip(problem.recordings, optimum.predictions, strict=True)
+    patterns = [alternatives(recording, layout, optimum.x, now) for recording, now in pairs]
+    tests = [*scores(fit, patterns), *pulls(fit)]
     s = np.linspace(0.0, 1.0, 101)
-    known = stiffness.band(s).identified
-    s = s[known] if np.any(known) else s
-    sd, basis = stiffness.log_at(s)[1], at.spline.basis(s)
-    found = [_finding(one, basis @ one.shift, sd) for one in tests]
-    return Criticism(tuple(sorted(found, key=lambda f: f.score.log10_p)))
+    identified = stiffness.band(s).identified
+    s = s[identified] if np.any(identified) else s
+    sd, basis = stiffness.log_at(s)[1], layout.spline.basis(s)
+    findings = [_finding(score, basis @ score.shift, sd) for score in tests]
+    return Criticism(tuple(sorted(findings, key=lambda f: f.score.log10_p)))
 
 
 def _finding(score: Score, shift: Array, sd: Array) -> Finding:

@@ -1,11 +1,14 @@
-"""Score tests: would freeing a few more numbers lower the misfit by more than chance does?
+"""Score tests: would a few more free numbers lower the misfit by more than chance does?
 
-The linearised model at the optimum is `r = J x + D b + noise` with the priors on x, all scales as the fit chose them.
+The linearised model at the optimum is `r = J x + D b + noise` with the priors on x, at the hyperparameters of the fit.
 With x integrated out, b has the information `C^-1 = H_bb - H_bx (H_xx + P)^-1 H_xb`, the estimate `C g` from the score
 g, and `g' C g` is chi-squared with as many degrees of freedom as b has numbers, if the model is right (Rao 1948).
-A misfit that lasts has raised the noise that the fit found. So the noise is taken as what is left once b is free, its
-correlation in time included, and F takes the place of chi-squared, with the count of numbers that this correlation
-leaves. For a parameter that the model has under a prior, freeing it is the same as asking whether the prior is wrong:
+
+A lasting misfit has raised the noise that the fit found. So the noise is estimated anew with b free, its correlation
+in time included, and the F distribution takes the place of chi-squared, with as many degrees of freedom as independent
+numbers remain.
+
+For a parameter that the model has under a prior, freeing it is the same as asking whether the prior is wrong:
 `x' (prior - posterior covariance)^-1 x` is chi-squared.
 """
 
@@ -18,26 +21,24 @@ import numpy as np
 from scipy.stats import chi2 as chi_squared
 from scipy.stats import f as f_distribution
 
-from onebend.learning.criticism.alternatives import Departure, Suspect
+from onebend.learning.criticism.alternatives import Alternative, Suspect
+from onebend.learning.inference.fit_problem import FitProblem, prior
 from onebend.learning.inference.hyperparameters import correlation_time
 from onebend.learning.inference.linear_gaussian import (
-    Rows,
-    prior,
-    quadratic,
-    rest_quadratic,
-    rows_of,
-    shrink,
-    split,
-    together,
+    ResidualRows,
+    data_information,
+    force_shrinkage,
+    posterior_of,
+    residual_rows,
+    split_off_force,
 )
 from onebend.learning.inference.optimizer import Optimum
-from onebend.learning.model.fit_data import Film
-from onebend.learning.model.parameters import Layout
+from onebend.learning.model.fit_data import FitData
 from onebend.records import Array, IntArray
 
-_BLIND = 1e-8  # of the information on b: what is left where the model's own parameters do the same
-_TOLD = 0.05  # of the prior variance: what the data must have taken away for a pull to be judged
-_WORTH = -2.0  # log10 of chi-squared's p: above it the noise is not looked at anew
+_BLIND = 1e-8  # share of the information on b: less remains only where the model's own parameters do the same
+_LEAST_REMOVED = 0.05  # share of the prior variance: a pull is judged where the data have removed more than this
+_NEW_NOISE = -2.0  # log10 of chi-squared's p: the noise is estimated anew below it
 
 
 @dataclass(frozen=True)
@@ -55,145 +56,145 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """The linearised model at the optimum of several films."""
+class LinearisedFit:
+    """The linearised model at the optimum."""
 
-    films: tuple[Film, ...]
-    at: Layout
+    problem: FitProblem
     optimum: Optimum
-    rows: tuple[Rows, ...]
-    known: tuple[IntArray, ...]  # indices of the parameters that each film knows
-    covariance: Array  # (P, P) at the optimum's scales
+    rows: tuple[ResidualRows, ...]  # of each recording
+    known: tuple[IntArray, ...]  # indices of the parameters that each recording depends on
+    covariance: Array  # (P, P) at the optimum's hyperparameters
     step: Array  # (P,) to where the slope is zero
 
 
-def linear(films: Sequence[Film], at: Layout, optimum: Optimum, level: float) -> Linear:
-    """Rows, covariance and the step that the search left undone; `level`: prior mean of log k."""
-    own, best = list(films), optimum.x
-    every = list(zip(own, optimum.predictions, optimum.scales.films, strict=True))
-    rows = tuple(rows_of(p, n) for _, p, n in every)
-    data = [quadratic(r, at, f.number, best, n) for r, (f, _, n) in zip(rows, every, strict=True)]
-    total = together([*data, rest_quadratic(own, at)])
-    precision, mean, _ = prior(own, at, level, optimum.scales)
-    covariance = np.linalg.inv(total.information + precision)
-    covariance = 0.5 * (covariance + covariance.T)
-    step = covariance @ (total.b - total.information @ best - precision @ (best - mean))
-    return Linear(tuple(own), at, optimum, rows, tuple(at.known_to(f.number) for f in own), covariance, step)
+def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
+    """The linearised model at an optimum."""
+    layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
+    rows = tuple(residual_rows(now, n) for now, n in zip(optimum.predictions, noise, strict=True))
+    data = data_information(problem, rows, x, optimum.hyperparameters)
+    posterior = posterior_of(data, prior(problem, optimum.hyperparameters))
+    known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
+    return LinearisedFit(problem, optimum, rows, known, posterior.covariance, posterior.mean - x)
 
 
-def pulls(line: Linear) -> list[Score]:
+def pulls(fit: LinearisedFit) -> list[Score]:
     """How far the nuisances came out from their priors: tags one by one, the parts of other blocks together.
 
-    Directions of which the data say nothing are left out. Place and direction of the push are among the departures.
+    Directions without information from the data are left out. Place and direction of the push are among the
+    alternatives.
     """
     out = []
-    for block in line.at.blocks:
+    for block in fit.problem.layout.blocks:
         if block.start < 0 or block.name in ("stiffness", "force", "place", "direction", "end", "end turn"):
             continue
-        whose = "" if block.recording < 0 else line.films[block.recording].observations.name
-        tags = line.films[0].observations.tag_id.tolist() if block.name in ("along", "across", "turn") else [-1]
+        whose = "" if block.recording < 0 else fit.problem.recordings[block.recording].observations.source.name
+        tags = (
+            fit.problem.recordings[0].observations.tag_id.tolist()
+            if block.name in ("along", "across", "turn")
+            else [-1]
+        )
         for i, tag in enumerate(tags):
             own = np.array([i]) if tag >= 0 else np.arange(len(block.labels))
             suspect = Suspect("prior", block.name, tag, whose)
-            out.append(_pull(line, suspect, block.start + own, block.prior_sd[own], block.unit))
+            out.append(_pull(fit, suspect, block.start + own, block.prior_sd[own], block.unit))
     return out
 
 
-def _pull(line: Linear, suspect: Suspect, index: IntArray, before: Array, unit: str) -> Score:
-    x = line.optimum.x[index]
-    told = np.eye(len(index)) - line.covariance[np.ix_(index, index)] / np.outer(before, before)
-    values, vectors = np.linalg.eigh(0.5 * (told + told.T))
-    seen = values > _TOLD
-    freed = vectors[:, seen] @ ((vectors[:, seen].T @ (x / before)) / values[seen])  # in prior sds
-    gain, count = float(freed @ (x / before)), int(np.sum(seen))
+def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, unit: str) -> Score:
+    x = fit.optimum.x[index]
+    removed = np.eye(len(index)) - fit.covariance[np.ix_(index, index)] / np.outer(before, before)
+    values, vectors = np.linalg.eigh(0.5 * (removed + removed.T))
+    judged = values > _LEAST_REMOVED
+    freed = vectors[:, judged] @ ((vectors[:, judged].T @ (x / before)) / values[judged])  # in prior sds
+    gain, count = float(freed @ (x / before)), int(np.sum(judged))
     log10_p = float(chi_squared.logsf(gain, count)) / np.log(10.0) if count else 0.0
-    shift = line.covariance[: line.at.spline.count, index] @ (freed / before)
+    shift = fit.covariance[: fit.problem.layout.spline.count, index] @ (freed / before)
     size = float(np.linalg.norm(x)) if unit == "m" else 0.0
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
 
 
 @dataclass(frozen=True)
 class _Extended:
-    """The information on all departures' numbers, B together."""
+    """The information on the numbers of all alternatives, B together."""
 
     where: dict[Suspect, slice]
-    d: tuple[Array, ...]  # (F, R, B) of each film, whitened
+    d: tuple[Array, ...]  # (F, R, B) of each recording, whitened
     information: Array  # (B,) of each number alone
     mixed: Array  # (B, P)
-    left: Array  # (B, B) with the parameters integrated out
+    marginal: Array  # (B, B) with the parameters integrated out
     score: Array  # (B,)
 
 
-def scores(line: Linear, patterns: Sequence[Sequence[Departure]]) -> list[Score]:
-    """The tests of the departures of each film; those of one suspect belong together."""
-    every = _extended(line, patterns)
-    return [_score(line, every, suspect) for suspect in every.where]
+def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
+    """The tests of the alternatives of each recording; those of one suspect belong together."""
+    every = _extended(fit, patterns)
+    return [_score(fit, every, suspect) for suspect in every.where]
 
 
-def _extended(line: Linear, patterns: Sequence[Sequence[Departure]]) -> _Extended:
+def _extended(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> _Extended:
     where: dict[Suspect, slice] = {}
     count = 0
-    for one in (d for film in patterns for d in film):
+    for one in (d for recording in patterns for d in recording):
         if one.suspect not in where:
             where[one.suspect] = slice(count, count + one.pattern.shape[-1])
             count += one.pattern.shape[-1]
-    bb, bx, g = np.zeros((count, count)), np.zeros((count, line.at.size)), np.zeros(count)
+    bb, bx, g = np.zeros((count, count)), np.zeros((count, fit.problem.layout.size)), np.zeros(count)
     whole = []
-    for i, (seen, rows, known) in enumerate(zip(line.films, line.rows, line.known, strict=True)):
-        noise = line.optimum.scales.films[i]
+    for i, (recording, rows, known) in enumerate(zip(fit.problem.recordings, fit.rows, fit.known, strict=True)):
+        noise = fit.optimum.hyperparameters.noise[i]
         d = np.zeros((*rows.r.shape, count))
         for one in patterns[i]:
-            flat = (seen.whiten @ one.pattern).reshape(*rows.r.shape, -1)
+            flat = (recording.whiten @ one.pattern).reshape(*rows.r.shape, -1)
             d[..., where[one.suspect]] = rows.root_weight[..., None] * flat
-        across = d - rows.a @ (shrink(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
-        weighted = across.reshape(-1, count) / noise.marker**2
+        unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
+        weighted = unexplained.reshape(-1, count) / noise.marker**2
         bb += weighted.T @ d.reshape(-1, count)
         bx[:, known] += weighted.T @ rows.slopes.written.reshape(-1, len(known))
         g += weighted.T @ rows.r.ravel()
         whole.append(d)
-    left = bb - bx @ line.covariance @ bx.T
-    return _Extended(where, tuple(whole), np.diag(bb).copy(), bx, left, g - bx @ line.step)
+    marginal = bb - bx @ fit.covariance @ bx.T
+    return _Extended(where, tuple(whole), np.diag(bb).copy(), bx, marginal, g - bx @ fit.step)
 
 
-def _score(line: Linear, every: _Extended, suspect: Suspect) -> Score:
-    part, p = every.where[suspect], line.at.spline.count
+def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
+    part, p = every.where[suspect], fit.problem.layout.spline.count
     size = np.sqrt(np.maximum(every.information[part], 1e-300))
-    scaled = every.left[part, part] / np.outer(size, size)
+    scaled = every.marginal[part, part] / np.outer(size, size)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    seen = values > _BLIND
-    count = int(np.sum(seen))
+    visible = values > _BLIND
+    count = int(np.sum(visible))
     if count == 0:
         unknown = np.full(len(size), np.nan)
         return Score(suspect, unknown, unknown, 0.0, 0.0, 0.0, np.zeros(p))
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
+    inverse = (vectors[:, visible] / values[visible]) @ vectors[:, visible].T / np.outer(size, size)
     b = inverse @ every.score[part]
     chi2 = float(every.score[part] @ b)
-    step = -line.covariance @ (every.mixed[part].T @ b)
+    step = -fit.covariance @ (every.mixed[part].T @ b)
     log10_p = float(chi_squared.logsf(chi2, count)) / np.log(10.0)
-    films = zip(every.d, line.rows, line.known, strict=True)
-    changes = [d[..., part] @ b + r.slopes.times(step[k]) for d, r, k in films]
+    recordings = zip(every.d, fit.rows, fit.known, strict=True)
+    changes = [d[..., part] @ b + r.slopes.times(step[k]) for d, r, k in recordings]
     ratio = 1.0
-    if log10_p < _WORTH:
-        ratio, numbers = _noise_left(line, changes)
+    if log10_p < _NEW_NOISE:
+        ratio, numbers = _noise_left(fit, changes)
         chi2 *= ratio
         freedom = max(numbers - len(b), 5.0)
         log10_p = float(f_distribution.logsf(chi2 / count, count, freedom)) / np.log(10.0)
-    moved = max(_moved(f, r, c) for f, r, c in zip(line.films, line.rows, changes, strict=True))
+    moved = max(_moved(f, r, c) for f, r, c in zip(fit.problem.recordings, fit.rows, changes, strict=True))
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return Score(suspect, b, sd, chi2, log10_p, moved, step[:p], max(ratio, 1.0))
 
 
-def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
+def _noise_left(fit: LinearisedFit, changes: Sequence[Array]) -> tuple[float, float]:
     """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals,
     correlation in time included; and how many independent numbers are left.
 
-    Afterwards the coordinate with the longest correlation counts: a departure that is smooth in time would else pass
-    for signal where one tag's noise is slow and the others' is not.
+    Afterwards the coordinate with the longest correlation counts: otherwise an alternative that is smooth in time would
+    pass for signal where the noise of one tag is slow and that of the others is not.
     """
     before, after, numbers = 0.0, 0.0, 0.0
-    for rows, known, change, noise in zip(line.rows, line.known, changes, line.optimum.scales.films, strict=True):
-        plain = rows.r - rows.slopes.times(line.step[known])
-        old, new = (split(rows, r, noise)[0] for r in (plain, plain - change))
+    for rows, known, change, noise in zip(fit.rows, fit.known, changes, fit.optimum.hyperparameters.noise, strict=True):
+        plain = rows.r - rows.slopes.times(fit.step[known])
+        old, new = (split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
         time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)
         after += float(np.sum(new**2)) * time
@@ -201,11 +202,11 @@ def _noise_left(line: Linear, changes: Sequence[Array]) -> tuple[float, float]:
     return before / max(after, 1e-300), numbers
 
 
-def _moved(seen: Film, rows: Rows, change: Array) -> float:
+def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
-    there = np.any(seen.whiten != 0.0, axis=-1)  # (F, m, 3): a pose may lack its angle, or a coordinate
-    safe = seen.whiten + ~there[..., None] * np.eye(3)
-    away = np.linalg.solve(safe, (change / weight).reshape(*there.shape, 1))[..., :2, 0]
-    squares, known = np.sum(np.where(there[..., :2], away, 0.0) ** 2, axis=-1), np.any(there, axis=-1)
+    measured = np.any(recording.whiten != 0.0, axis=-1)  # (F, m, 3): a pose may lack its angle, or a coordinate
+    safe = recording.whiten + ~measured[..., None] * np.eye(3)
+    away = np.linalg.solve(safe, (change / weight).reshape(*measured.shape, 1))[..., :2, 0]
+    squares, known = np.sum(np.where(measured[..., :2], away, 0.0) ** 2, axis=-1), np.any(measured, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))

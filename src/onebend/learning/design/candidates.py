@@ -11,7 +11,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import make_problem
 from onebend.learning.design.identifiability import RESOLUTION, loads_of
-from onebend.learning.design.instruments import Bench, Push
+from onebend.learning.design.instruments import Instruments, PlannedPush
 from onebend.records import Array, BoolArray
 
 _COARSE = np.geomspace(0.02, 40.0, 40)  # forces, in units of what turns a linear beam's loaded place by one radian
@@ -31,7 +31,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Reach:
+class LargestPush:
     """The largest force at a place in a direction, or why there is none."""
 
     at_s: float
@@ -40,38 +40,40 @@ class Reach:
     why_not: str = ""
 
 
-def same_push(one: Push, other: Push) -> bool:
+def same_push(one: PlannedPush, other: PlannedPush) -> bool:
     """Whether two pushes are the same to within what a hand can tell."""
     turn = np.angle(np.exp(1j * (one.direction - other.direction)))
     force = abs(one.largest - other.largest) / max(one.largest, other.largest)
     return bool(abs(one.at_s - other.at_s) < 0.03 and abs(turn) < np.deg2rad(10.0) and force < 0.1)
 
 
-def reaches(beam: Beam, bench: Bench, at_s: tuple[float, ...], directions: Array, limits: Limits) -> list[Reach]:
+def largest_pushes(
+    beam: Beam, bench: Instruments, at_s: tuple[float, ...], directions: Array, limits: Limits
+) -> list[LargestPush]:
     """Every place and direction [rad]."""
     return [reach for s in at_s for reach in _reach_at(beam, bench, s, directions, limits)]
 
 
-def _reach_at(beam: Beam, bench: Bench, at_s: float, directions: Array, limits: Limits) -> list[Reach]:
+def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, limits: Limits) -> list[LargestPush]:
     """All directions at one place: a coarse ramp to find the limit, a finer one below it."""
     unit = _softness(beam, at_s)
     rough = [_first_break(beam, bench, at_s, d, unit * _COARSE, limits) for d in directions]
     out = []
     for direction, (safe, over, why) in zip(directions.tolist(), rough, strict=True):
         if why == BUCKLES or safe == 0.0:
-            out.append(Reach(at_s, direction, 0.0, why))
+            out.append(LargestPush(at_s, direction, 0.0, why))
             continue
         fine, _, _ = _first_break(beam, bench, at_s, direction, np.linspace(safe, over, _FINE), limits)
         largest = min(max(safe, fine), _most_force(bench, limits))
         if not _stands(beam, bench, at_s, direction, _MARGIN * largest):
-            out.append(Reach(at_s, direction, 0.0, BUCKLES))
+            out.append(LargestPush(at_s, direction, 0.0, BUCKLES))
             continue
-        out.append(Reach(at_s, direction, largest))
+        out.append(LargestPush(at_s, direction, largest))
     return out
 
 
 def _first_break(
-    beam: Beam, bench: Bench, at_s: float, direction: float, sizes: Array, limits: Limits
+    beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
 ) -> tuple[float, float, str]:
     """Largest force within the limits, the next one, and what that one breaks ("" if none does)."""
     unit = np.array([np.cos(direction), np.sin(direction)])
@@ -86,7 +88,9 @@ def _first_break(
     return (float(sizes[at - 1]) if at else 0.0), float(sizes[at]), why
 
 
-def _broken(solved: Equilibrium, bench: Bench, at_s: float, direction: float, limits: Limits) -> dict[str, BoolArray]:
+def _broken(
+    solved: Equilibrium, bench: Instruments, at_s: float, direction: float, limits: Limits
+) -> dict[str, BoolArray]:
     """Which frames break which limit; the last is the beam at rest."""
     here, tip = solved.angle(np.array([at_s, 1.0])).T
     turn = np.abs(tip - tip[-1])
@@ -102,13 +106,13 @@ def _broken(solved: Equilibrium, bench: Bench, at_s: float, direction: float, li
     }
 
 
-def _most_force(bench: Bench, limits: Limits) -> float:
+def _most_force(bench: Instruments, limits: Limits) -> float:
     if limits.force is not None:
         return limits.force
     return 2.0 * max((p.largest for p in bench.pushes), default=np.inf)
 
 
-def _stands(beam: Beam, bench: Bench, at_s: float, direction: float, force: float) -> bool:
+def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
     unit = np.array([[np.cos(direction), np.sin(direction)]])
     solved = follow(make_problem(beam, loads_of(bench, at_s, force * unit), RESOLUTION))
     return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))

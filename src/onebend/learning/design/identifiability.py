@@ -14,24 +14,28 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import BSpline
 
+from onebend.beam.grid import apply
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.sensitivity import (
-    of_clamp_angle,
-    of_force,
-    of_mass,
-    of_moment,
-    of_rest_curvature,
-    of_stiffness,
-    respond,
-)
+from onebend.beam.statics.sensitivity import of_mass
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.design.instruments import Bench, ForceDoubt, Push
+from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
+from onebend.learning.model.tag_jacobian import (
+    BentBeam,
+    TagMotion,
+    TagRide,
+    along_and_across,
+    balance_changes,
+    place_responses,
+    push_blocks,
+    push_moment,
+    tag_blocks,
+)
 from onebend.records import Array, IntArray
 
 STEPS = 24  # frames that stand for all of a push
@@ -42,28 +46,26 @@ _REST_SHARE = 0.1  # of the coloured doubt: how well the log in a rest shows the
 
 
 @dataclass(frozen=True)
-class Seen:
+class TagDerivatives:
     """Derivatives of tags' poses along one push: F frames, the last being the beam at rest; M places of tags."""
 
     tags: Array  # (M,)
-    functions: Array  # (F, M, 3, C) with the coefficients
-    curvature: Array  # (F, M, 3, 3) with the states of the rest shape
-    mass: Array  # (F, M, 3, 4) with the parts of the mass, in units of all of it
-    clamp: Array  # (F, M, 3, 1) with the clamp's angle
-    force: Array  # (F, M, 3, 2) per N, with each frame's force; zero at rest
-    place: Array  # (F, M, 3, 1) per metre that the push acts farther out
-    axes: Array  # (F, M, 3, 1) with the turn of the force log's axes
-    bend: Array  # (F, M) 1/m, the beam's curvature under the tags
-    pose: Array  # (F, M, 3) m, m, rad
+    blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by the names of `balance_changes` and `push_blocks`
+    motion: TagMotion  # with what holds the tags
+
+    @property
+    def push(self) -> Array:
+        """(F, M, 3, 2) per N, with each frame's force; zero at rest."""
+        return self.blocks["push"]
 
 
-def loads_of(bench: Bench, at_s: float, forces: Array) -> Loads:
+def loads_of(bench: Instruments, at_s: float, forces: Array) -> Loads:
     """Forces (F, 2) N at one place, under the bench's gravity."""
     acting = push(forces, at_s)
     return acting + weight(np.asarray(bench.gravity)) if any(bench.gravity) else acting
 
 
-def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
+def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equilibrium:
     """The push in `STEPS` steps, each in the middle of its share of the push, and the beam at rest.
 
     Raises:
@@ -78,47 +80,39 @@ def solve_push(beam: Beam, bench: Bench, candidate: Push) -> Equilibrium:
     return solved
 
 
-def _forces(candidate: Push) -> Array:
+def _forces(candidate: PlannedPush) -> Array:
     """(F, 2) N in the steps of a push, and none at rest."""
     steps = (np.arange(STEPS) + 0.5) / STEPS
     unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
     return np.vstack([candidate.largest * steps[:, None] * unit, np.zeros(2)])
 
 
-def see(solved: Equilibrium, bench: Bench, candidate: Push, mass: float, on_nodes: Array, tags: Array) -> Seen:
+def tag_derivatives(
+    solved: Equilibrium, bench: Instruments, candidate: PlannedPush, mass: float, on_nodes: Array, tags: Array
+) -> TagDerivatives:
     """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C), and with
     all else. `mass` [kg] is the beam's."""
     problem, nodes = solved.problem, solved.problem.grid.nodes
     per_length = mass / bench.length * MASS_MODES.curvature(nodes)
-    change = (
-        of_stiffness(solved, problem.k[..., None] * on_nodes)
-        + of_rest_curvature(problem, REST_MODES.curvature(nodes))
-        + of_mass(problem, per_length, np.asarray(bench.gravity)[None])
-        + of_clamp_angle(problem)
-        + of_force(problem, np.asarray(candidate.at_s))
-        + of_moment(problem, np.asarray(candidate.at_s))
+    pushed, push_s = _forces(candidate), np.asarray(candidate.at_s)
+    _, across = along_and_across(pushed, solved.angle(push_s[None])[:, 0])
+    beam = BentBeam(
+        solved,
+        on_nodes,
+        REST_MODES.curvature(nodes),
+        pushed,
+        np.any(pushed != 0.0, axis=1)[:, None] * np.asarray(nodes < push_s, dtype=float),
+        np.zeros_like(nodes),
+        of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
     )
-    response = respond(solved, change)
-    moved = np.concatenate([response.xy(tags), response.angle(tags)[:, :, None, :]], axis=2)
-    sizes = np.cumsum([on_nodes.shape[1], 3, 4, 1, 2])
-    functions, curvature, weights, clamp, force, moment = np.split(moved, sizes, axis=-1)
-    force[-1] = 0.0  # at rest nothing pushes
-    there = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
-    pushed, here = _forces(candidate), solved.angle(np.array([candidate.at_s]))
-    lever = np.cos(here) * pushed[:, 1:] - np.sin(here) * pushed[:, :1]  # (F, 1) N: a metre farther out adds it
-    across = pushed[:, ::-1] * np.array([-1.0, 1.0])
-    return Seen(
-        tags=tags,
-        functions=functions,
-        curvature=curvature,
-        mass=weights,
-        clamp=clamp,
-        force=force,
-        place=moment * lever[:, :, None, None],
-        axes=force @ across[:, None, :, None],
-        bend=solved.q @ problem.grid.value_at(tags).T / bench.length,
-        pose=there,
-    )
+    changes = balance_changes(beam) | {"place": push_moment(problem, push_s, across)}  # between nodes, too
+    blocks = place_responses(solved, changes, tags)
+    blocks |= push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
+    pose = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
+    bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
+    nothing = np.zeros(len(tags))
+    motion = TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
+    return TagDerivatives(tags, blocks, motion)
 
 
 def mass_of(beam: Beam) -> float:
@@ -127,7 +121,7 @@ def mass_of(beam: Beam) -> float:
     return float(0.5 * beam.length * w @ np.asarray(beam.mass_per_length(0.5 * (x + 1.0))))
 
 
-def joint_information(seen: Seen, bench: Bench, candidate: Push, chosen: IntArray) -> Array:
+def joint_information(seen: TagDerivatives, bench: Instruments, candidate: PlannedPush, chosen: IntArray) -> Array:
     """(C + N, C + N) of coefficients and the bench's shared nuisances; `chosen` rows of `seen.tags` are watched.
 
     The first of them are the bench's own tags, in order; any further ones are put on for this push.
@@ -139,14 +133,14 @@ def joint_information(seen: Seen, bench: Bench, candidate: Push, chosen: IntArra
     counts = np.append(np.full(frames - 1, bench.frames / (frames - 1)), 1.0)
     root = np.sqrt(counts)[:, None] / sd  # (F, R)
     j = root[..., None] * jacobian.reshape(frames, rows, columns)
-    a = root[:-1, :, None] * seen.force[:-1, chosen].reshape(frames - 1, rows, 2)
+    a = root[:-1, :, None] * seen.push[:-1, chosen].reshape(frames - 1, rows, 2)
     flat = j.reshape(-1, columns)
     aj = (np.swapaxes(a, 1, 2) @ j[:-1]).reshape(-1, columns)  # (2 (F - 1), columns)
     information = flat.T @ flat - aj.T @ _doubt_left(a, force_covariance(bench, candidate)) @ aj
     return eliminate(information, len(own_sd), 1.0 / own_sd**2)
 
 
-def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
+def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array:
     """(p, p) Fisher information of one push on the coefficients of log k, every nuisance marginalised.
 
     Taken by itself, as on a bench without earlier pushes: tags and rest shape are known by their tolerances alone.
@@ -164,7 +158,7 @@ def information(beam: Beam, bench: Bench, candidate: Push) -> Array:
     return _of_coefficients(solved, beam, bench, candidate, on_nodes)
 
 
-def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array, Array]:
+def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) -> tuple[Array, Array]:
     """Places s (Q,) along the beam and the Fisher information (Q,) about log k there, per unit of s squared.
 
     A bump of log k of height h over a short stretch w at s changes the data's log likelihood by h^2 w^2 / 2 times this.
@@ -178,7 +172,7 @@ def information_along(beam: Beam, bench: Bench, candidate: Push) -> tuple[Array,
     return solved.problem.grid.nodes, np.diag(told)
 
 
-def force_covariance(bench: Bench, candidate: Push) -> Array:
+def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
     """(2 STEPS, 2 STEPS) N^2: the force's doubt in the steps of a push, x and y in turn, after the rests' say.
 
     The clock's doubt acts as a force along the push.
@@ -227,7 +221,7 @@ def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Arra
     return np.asarray(0.5 * (out + out.T))
 
 
-def alone(bench: Bench) -> Array:
+def alone(bench: Instruments) -> Array:
     """(N,) prior precisions of the shared nuisances before any push."""
     m = len(bench.tags)
     sd = {
@@ -240,55 +234,34 @@ def alone(bench: Bench) -> Array:
     return np.array([one for name in bench.shared for one in sd[name]]) ** -2.0
 
 
-def with_better_sensor(bench: Bench, times: float) -> Bench:
+def with_better_sensor(bench: Instruments, times: float) -> Instruments:
     """The bench with a force sensor whose every error is `times` smaller."""
     return replace(bench, force=bench.force.times(1.0 / times), gain_sd=bench.gain_sd / times)
 
 
-def _of_coefficients(solved: Equilibrium, beam: Beam, bench: Bench, candidate: Push, on_nodes: Array) -> Array:
+def _of_coefficients(
+    solved: Equilibrium, beam: Beam, bench: Instruments, candidate: PlannedPush, on_nodes: Array
+) -> Array:
     tags = np.asarray(bench.tags)
-    seen = see(solved, bench, candidate, mass_of(beam), on_nodes, tags)
+    seen = tag_derivatives(solved, bench, candidate, mass_of(beam), on_nodes, tags)
     joint = joint_information(seen, bench, candidate, np.arange(len(tags), dtype=np.int64))
     return eliminate(joint, bench.shared_size, alone(bench))
 
 
-def _columns(seen: Seen, bench: Bench, chosen: IntArray) -> tuple[Array, Array]:
+def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tuple[Array, Array]:
     """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
-    there, own = seen.pose[:, chosen], len(bench.tags)
-    along = _sideways(there, 0.0)
-    along[:, np.arange(len(chosen)), 2, np.arange(len(chosen))] = seen.bend[:, chosen]
-    by_tag = {"along": along, "across": _sideways(there, 0.5 * np.pi), "turn": _turns(there)}
-    shared = {name: part[..., :own] for name, part in by_tag.items()}
-    shared |= {"curvature": seen.curvature[:, chosen], "mass": seen.mass[:, chosen]}
-    parts = [seen.functions[:, chosen], *(shared[name] for name in bench.shared)]
-    origin = np.zeros((*there.shape, 2))
-    origin[..., 0, 0] = origin[..., 1, 1] = 1.0
-    scale = there[..., None] * np.array([1.0, 1.0, 0.0])[:, None]
-    wanted = [(by_tag[name][..., own:], bench.placement_sd) for name in ("along", "across")]
-    wanted += [(by_tag["turn"][..., own:], bench.turn_sd), (seen.clamp[:, chosen], bench.clamp_sd)]
-    wanted += [(origin, bench.origin_sd), (scale, bench.scale_sd)]
-    wanted += [(seen.place[:, chosen], bench.place_sd), (seen.axes[:, chosen], bench.direction_sd)]
+    own, motion = len(bench.tags), seen.motion
+    watched = TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
+    blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | tag_blocks(watched)
+    by_tag = ("along", "across", "turn")
+    shared = [blocks[name][..., :own] if name in by_tag else blocks[name] for name in bench.shared]
+    wanted = [(blocks[name][..., own:], bench.placement_sd) for name in ("along", "across")]
+    wanted += [(blocks["turn"][..., own:], bench.turn_sd), (blocks["clamp"], bench.clamp_sd)]
+    wanted += [(blocks["origin"], bench.origin_sd), (blocks["scale"], bench.scale_sd)]
+    wanted += [(blocks["place"], bench.place_sd), (blocks["direction"], bench.direction_sd)]
     free = [(part, np.full(part.shape[-1], sd)) for part, sd in wanted if sd > 0.0]
     sds = np.concatenate([np.zeros(0), *(sd for _, sd in free)])
-    return np.concatenate([*parts, *(part for part, _ in free)], axis=-1), sds
-
-
-def _sideways(there: Array, turn: float) -> Array:
-    """(F, M, 3, M): each tag shifted in its own frame, along the beam (`turn` 0) or to its left (pi / 2)."""
-    m = there.shape[1]
-    out = np.zeros((*there.shape, m))
-    each = np.arange(m)
-    out[:, each, 0, each] = np.cos(there[..., 2] + turn)
-    out[:, each, 1, each] = np.sin(there[..., 2] + turn)
-    return out
-
-
-def _turns(there: Array) -> Array:
-    """(F, M, 3, M): each tag turned on the beam."""
-    m = there.shape[1]
-    out = np.zeros((*there.shape, m))
-    out[:, np.arange(m), 2, np.arange(m)] = 1.0
-    return out
+    return np.concatenate([blocks["stiffness"], *shared, *(part for part, _ in free)], axis=-1), sds
 
 
 def _doubt_left(a: Array, covariance: Array) -> Array:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.inference.linear_gaussian import Scales
-from onebend.learning.model.fit_data import Film
+from onebend.learning.inference.fit_problem import Hyperparameters
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import expected_noise, filtered
 from onebend.learning.model.frames import typical
 from onebend.learning.model.parameters import Layout
@@ -20,7 +20,7 @@ SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on 
 
 
 @dataclass(frozen=True)
-class Push:
+class PlannedPush:
     """A force at one place and in one direction that grows evenly from nothing."""
 
     at_s: float
@@ -54,7 +54,7 @@ class ForceDoubt:
 
 
 @dataclass(frozen=True)
-class Bench:
+class Instruments:
     """All that decides what one more push would tell. m tags, p coefficients of log k, N shared nuisances."""
 
     length: float  # m
@@ -77,7 +77,7 @@ class Bench:
     gain_sd: float  # of the force's common scale
     gravity: tuple[float, float]  # m/s^2 in the beam's frame
     curvature: float  # rad, the largest |q - q0| so far
-    pushes: tuple[Push, ...]  # made so far
+    pushes: tuple[PlannedPush, ...]  # made so far
     shared: tuple[str, ...]  # which of `SHARED` are unknown, in that order
     shared_slope: Array  # (N, p) of their mean with the coefficients
     shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known
@@ -107,7 +107,7 @@ class Bench:
         return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(self).items()}
 
     @staticmethod
-    def from_dict(data: dict[str, Any]) -> Bench:
+    def from_dict(data: dict[str, Any]) -> Instruments:
         """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
         try:
             entries = {**data, "force": ForceDoubt(**data["force"])}
@@ -117,29 +117,29 @@ class Bench:
                 entries[name] = np.asarray(data[name], dtype=float)
             entries["shared_slope"] = entries["shared_slope"].reshape(len(data["shared_slope"]), -1)
             entries["shared_covariance"] = entries["shared_covariance"].reshape(2 * (len(data["shared_slope"]),))
-            entries["pushes"] = tuple(Push(**{k: float(v) for k, v in one.items()}) for one in data["pushes"])
-            bench = Bench(**entries)
+            entries["pushes"] = tuple(PlannedPush(**{k: float(v) for k, v in one.items()}) for one in data["pushes"])
+            bench = Instruments(**entries)
             _check_finite(bench)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LearningError(f"describes no bench ({error})") from error
         return bench
 
 
-def bench_of(posterior: Posterior) -> Bench:
+def instruments_of(posterior: Posterior) -> Instruments:
     """The bench on which the recordings of a fit were made; what differs between them by its median.
 
     Raises:
         LearningError: no recording has a force log with a push.
     """
-    at, films, scales = posterior.at, posterior.films, posterior.optimum.scales
+    at, films, scales = posterior.layout, posterior.recordings, posterior.optimum.hyperparameters
     seen = [f.observations for f in films]
     names = tuple(name for name in SHARED if at.index[name, -1].start >= 0)
     slope, left = _given_coefficients(posterior, names)
-    tag_sd = [n.marker * _tag_sd(f.observations) for f, n in zip(films, scales.films, strict=True)]
+    tag_sd = [n.marker * _tag_sd(f.observations) for f, n in zip(films, scales.noise, strict=True)]
     bent = [np.max(np.abs(p.solved.q - p.solved.problem.q0)) for p in posterior.optimum.predictions]
     gravity = np.mean([np.mean(o.gravity, axis=0) for o in seen], axis=0)
     rests = np.median([_rests(o) for o in seen], axis=0)
-    return Bench(
+    return Instruments(
         length=seen[0].length,
         tags=tuple(float(s) for s in seen[0].marker_s),
         tag_sd=typical(np.asarray(tag_sd)),
@@ -169,41 +169,41 @@ def bench_of(posterior: Posterior) -> Bench:
     )
 
 
-def bench_if_pushed(posterior: Posterior) -> Bench | None:
-    """`bench_of`, or None where no recording has a force log with a push."""
-    return bench_of(posterior) if any(len(f.error.knots) for f in posterior.films) else None
+def instruments_if_pushed(posterior: Posterior) -> Instruments | None:
+    """`instruments_of`, or None where no recording has a force log with a push."""
+    return instruments_of(posterior) if any(len(f.error.knots) for f in posterior.recordings) else None
 
 
-def push_of(observations: Observations) -> Push:
+def push_of(observations: Observations) -> PlannedPush:
     """The push of a recording: its largest force, and the mean direction of what often turns with the beam."""
     size = np.where(observations.loaded, np.linalg.norm(observations.force, axis=1), np.nan)
     if not np.any(np.isfinite(size)):
-        return Push(1.0, 0.0, 0.0)
+        return PlannedPush(1.0, 0.0, 0.0)
     top = int(np.nanargmax(size))
     x, y = np.mean(observations.force[np.isfinite(size)], axis=0)
     place = float(observations.push_s[top])
-    return Push(place if np.isfinite(place) else 1.0, float(np.arctan2(y, x)), float(size[top]))
+    return PlannedPush(place if np.isfinite(place) else 1.0, float(np.arctan2(y, x)), float(size[top]))
 
 
 def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Slope (N, f) and left covariance (N, N) of the shared nuisances, given the f coefficients of log k's band."""
-    index = posterior.at.index
-    first = np.arange(posterior.at.size)[index["stiffness", -1].where]
-    rest = [np.arange(posterior.at.size)[index[name, -1].where] for name in names]
+    index = posterior.layout.index
+    first = np.arange(posterior.layout.size)[index["stiffness", -1].where]
+    rest = [np.arange(posterior.layout.size)[index[name, -1].where] for name in names]
     others = np.concatenate([np.zeros(0, dtype=np.int64), *rest])
-    across = posterior.covariance[np.ix_(others, first)] @ posterior.at.spline.on_finer.T
+    across = posterior.covariance[np.ix_(others, first)] @ posterior.layout.spline.on_finer.T
     slope = across @ np.linalg.pinv(posterior.stiffness.covariance, rcond=1e-11, hermitian=True)
     left = posterior.covariance[np.ix_(others, others)] - slope @ across.T
     return slope, np.asarray(0.5 * (left + left.T))
 
 
-def _force_doubt(films: tuple[Film, ...], scales: Scales) -> ForceDoubt:
+def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDoubt:
     """The expected noise of the force logs, as large as the fit found it."""
-    pushed = [(f, n) for f, n in zip(films, scales.films, strict=True) if len(f.error.knots)]
+    pushed = [(f, n) for f, n in zip(films, scales.noise, strict=True) if len(f.error.knots)]
     if not pushed:
         raise LearningError("no recording has a force log with a push, so nothing says how well a force can be known")
     noises = [expected_noise(f.observations, push_of(f.observations).largest) for f, _ in pushed]
-    logs = [f.observations.clean_force for f, _ in pushed]
+    logs = [f.observations.source.clean_force for f, _ in pushed]
     cutoffs = [log.cutoff for log in logs if log is not None and np.isfinite(log.cutoff)]
     return ForceDoubt(
         level=float(np.median([f.error.level for f, _ in pushed])),
@@ -216,7 +216,7 @@ def _force_doubt(films: tuple[Film, ...], scales: Scales) -> ForceDoubt:
     )
 
 
-def _prior_sd(at: Layout, films: tuple[Film, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
+def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
     """One sd of a kind of nuisance before the data; 0 where it is frozen."""
     blocks = [at.index[name, number] for number in ([-1] if shared else [f.number for f in films])]
     return float(np.median([b.prior_sd[part] if b.start >= 0 else 0.0 for b in blocks]))
@@ -229,7 +229,7 @@ def _tag_sd(observations: Observations) -> Array:
 
 def _rests(observations: Observations) -> tuple[float, float]:
     """Seconds of force log before and after the push."""
-    clean, loaded = observations.clean_force, observations.time[observations.loaded]
+    clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or len(loaded) == 0:
         return 0.0, 0.0
     before = 0.0 if observations.loaded[0] else max(float(loaded[0] - clean.time[0]), 0.0)
@@ -237,7 +237,7 @@ def _rests(observations: Observations) -> tuple[float, float]:
     return before, after
 
 
-def _check_finite(bench: Bench) -> None:
+def _check_finite(bench: Instruments) -> None:
     for record in (bench, bench.force):
         for item in fields(record):
             value = getattr(record, item.name)

@@ -15,16 +15,16 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.design.candidates import Limits, Reach, reaches, same_push
+from onebend.learning.design.candidates import LargestPush, Limits, largest_pushes, same_push
 from onebend.learning.design.identifiability import (
-    Seen,
+    TagDerivatives,
     joint_information,
     mass_of,
-    see,
     solve_push,
+    tag_derivatives,
     with_better_sensor,
 )
-from onebend.learning.design.instruments import Bench, Push
+from onebend.learning.design.instruments import Instruments, PlannedPush
 from onebend.learning.design.proposals import PLACES, Plan, Proposal, Quality
 from onebend.progress import Progress, Silent, track
 from onebend.records import Array
@@ -49,8 +49,8 @@ class PlanSettings:
 class _Thought:
     """A candidate that has been solved."""
 
-    push: Push
-    seen: Seen
+    push: PlannedPush
+    seen: TagDerivatives
     tip_moves: float
     tip_turns: float
     repeats: bool
@@ -98,7 +98,7 @@ class _Known:
 def plan(
     uncertain: UncertainStiffness,
     beam: Beam,
-    bench: Bench,
+    bench: Instruments,
     settings: PlanSettings = PlanSettings(),
     *,
     progress: Progress = Silent(),
@@ -114,7 +114,7 @@ def plan(
         raise LearningError("the bench does not belong to this stiffness: learn the beam again, and plan from that")
     beam = replace(beam, stiffness=uncertain.profile)
     now = _Known(bench.joint(uncertain.covariance), uncertain.gain_sd, uncertain.basis(PLACES))
-    found = reaches(beam, bench, settings.at_s, np.deg2rad(settings.directions_deg), settings.limits)
+    found = largest_pushes(beam, bench, settings.at_s, np.deg2rad(settings.directions_deg), settings.limits)
     left_out = _left_out(found)
     thoughts = list(_thoughts(uncertain, beam, bench, found, settings, progress))
     if not thoughts:
@@ -128,7 +128,7 @@ def plan(
     return Plan(now.quality(), now.sd(), ranked, (first, second), left_out)
 
 
-def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Bench, push: Push) -> UncertainStiffness:
+def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Instruments, push: PlannedPush) -> UncertainStiffness:
     """What would be known of k(s) after one push with today's sensor; its mean stays where it is.
 
     Raises:
@@ -137,7 +137,7 @@ def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Bench, push: Pu
     beam = replace(beam, stiffness=uncertain.profile)
     solved = solve_push(beam, bench, push)
     tags = np.asarray(bench.tags)
-    seen = see(solved, bench, push, mass_of(beam), uncertain.basis(solved.problem.grid.nodes), tags)
+    seen = tag_derivatives(solved, bench, push, mass_of(beam), uncertain.basis(solved.problem.grid.nodes), tags)
     told = joint_information(seen, bench, push, np.arange(len(tags)))
     p = len(uncertain.mean)
     return replace(uncertain, covariance=_updated(bench.joint(uncertain.covariance), told)[:p, :p])
@@ -146,13 +146,15 @@ def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Bench, push: Pu
 def _thoughts(
     uncertain: UncertainStiffness,
     beam: Beam,
-    bench: Bench,
-    found: list[Reach],
+    bench: Instruments,
+    found: list[LargestPush],
     settings: PlanSettings,
     progress: Progress,
 ) -> Iterator[_Thought]:
     """Every candidate within the limits, solved; and the pushes made before, once more."""
-    new = [Push(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes]
+    new = [
+        PlannedPush(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes
+    ]
     again = [p for i, p in enumerate(bench.pushes) if p.largest > 0.0 and p not in bench.pushes[:i]]
     tags, mass = np.concatenate([bench.tags, _gaps(bench)]), mass_of(beam)
     candidates = [(p, True) for p in again] + [(p, False) for p in new if not any(same_push(p, a) for a in again)]
@@ -161,30 +163,30 @@ def _thoughts(
             solved = solve_push(beam, bench, candidate)
         except MechanicsError:
             continue  # a push that was made once stands on its way there, but perhaps not when it grows straight
-        seen = see(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
+        seen = tag_derivatives(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
         ends = solved.xy(np.ones(1))[[-2, -1], 0]
         turns = solved.angle(np.ones(1))[[-2, -1], 0]
         yield _Thought(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)
 
 
-def _gaps(bench: Bench) -> Array:
+def _gaps(bench: Instruments) -> Array:
     """Where one more tag could go: the middle of each gap from the clamp to the last tag, and the tip if it is bare."""
     edges = np.concatenate([[0.0], np.sort(bench.tags)])
     middles = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 0.1]
     return np.append(middles, 1.0) if edges[-1] < 0.9 else middles
 
 
-def _told(thought: _Thought, bench: Bench, more: int | None = None) -> Array:
+def _told(thought: _Thought, bench: Instruments, more: int | None = None) -> Array:
     own = len(bench.tags)
     chosen = np.arange(own) if more is None else np.append(np.arange(own), more)
     return joint_information(thought.seen, bench, thought.push, chosen)
 
 
-def _propose(thought: _Thought, now: _Known, bench: Bench) -> Proposal:
+def _propose(thought: _Thought, now: _Known, bench: Instruments) -> Proposal:
     return _proposal(thought, now, now.after(_told(thought, bench)))
 
 
-def _with_more(thought: _Thought, now: _Known, bench: Bench, settings: PlanSettings) -> Iterator[Proposal]:
+def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
     """The same push with one more tag, and with a better force sensor."""
     for i in range(len(bench.tags), len(thought.seen.tags)):
         after = now.after(_told(thought, bench, i))
@@ -247,7 +249,7 @@ def _updated(covariance: Array, told: Array) -> Array:
     return np.asarray(0.5 * (out + out.T))
 
 
-def _left_out(found: list[Reach]) -> tuple[str, ...]:
+def _left_out(found: list[LargestPush]) -> tuple[str, ...]:
     """One sentence for each reason why pushes were left out."""
     out = []
     for why in dict.fromkeys(r.why_not for r in found if r.why_not):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from onebend.learning.design.instruments import Push
+from onebend.learning.design.instruments import PlannedPush
 from onebend.records import Array
 
 PLACES = np.linspace(0.0, 1.0, 101)  # where the band is looked at
@@ -28,7 +28,7 @@ class Quality:
 class Proposal:
     """One push, what it needs, and what it would leave of the band."""
 
-    push: Push
+    push: PlannedPush
     added_tag: float | None  # place of one more tag
     better_sensor: float | None  # times smaller errors than today's; None: today's sensor
     repeats: bool  # a push made before, once more

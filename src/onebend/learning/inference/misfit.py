@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.model.fit_data import Film
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.model.frames import distances, marker_rms
 from onebend.records import Array
 
 MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
-_SEEN = 3.0  # times the tags' own noise: less is no miss, however little they move
+_LEAST_MISS = 3.0  # times a tag's own noise: a smaller distance is no miss, however little the tag moves
 
 
 @dataclass(frozen=True)
@@ -41,27 +41,28 @@ class Miss:
         )
 
 
-def film_rms(film: Film, fitted: Prediction) -> Array:
+def recording_rms(recording: FitData, fitted: Prediction) -> Array:
     """(m,) m: distance of the tags from the fit; NaN for a tag that was never seen."""
-    return marker_rms((film.measured - fitted.pose)[..., :2])
+    return marker_rms((recording.measured - fitted.pose)[..., :2])
 
 
-def misses(films: Sequence[Film], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:
-    """The recordings that the fit cannot explain, its nuisances applied (`fitted`); empty as a rule."""
-    found = [_miss(film, film_rms(film, one)) for film, one in zip(films, fitted, strict=True)]
-    return tuple(one for one in found if one is not None)
+def misses(recordings: Sequence[FitData], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:
+    """The recordings that the fit cannot explain, its nuisances applied in `fitted`; empty as a rule."""
+    pairs = zip(recordings, fitted, strict=True)
+    every = [_miss(recording, recording_rms(recording, prediction)) for recording, prediction in pairs]
+    return tuple(miss for miss in every if miss is not None)
 
 
-def _miss(film: Film, rms: Array) -> Miss | None:
-    o, xy = film.observations, film.measured[..., :2]
+def _miss(recording: FitData, rms: Array) -> Miss | None:
+    o, xy = recording.observations, recording.measured[..., :2]
     motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
     if o.static:  # points near the clamp hardly move, and a ruler reads them no better
         straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
     variance = np.trace(o.covariance[..., :2, :2], axis1=2, axis2=3)
-    missing = np.where(rms > _SEEN * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
+    missing = np.where(rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
     worst = int(np.argmax(missing))
     if not missing[worst] > MISS:
         return None
     share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
-    return Miss(o.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+    return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)

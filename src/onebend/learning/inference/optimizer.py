@@ -1,67 +1,74 @@
-"""The search for the optimum: Gauss-Newton at fixed scales, scales at fixed shapes, from coarse noise to fine."""
+"""The maximum a posteriori: Gauss-Newton at fixed hyperparameters, hyperparameters at fixed shapes, in turn."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from onebend.errors import LearningError
-from onebend.learning.inference.hyperparameters import Known, averaged, choose_scales, new_noise
-from onebend.learning.inference.linear_gaussian import (
-    FilmNoise,
-    Quadratic,
-    Rows,
-    Scales,
-    prior,
-    quadratic,
-    residuals,
-    rest_quadratic,
-    rows_of,
-    split,
-    together,
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise, prior
+from onebend.learning.inference.hyperparameters import (
+    Evidence,
+    averaged_posterior,
+    choose_hyperparameters,
+    new_noise,
 )
-from onebend.learning.model.fit_data import Film
+from onebend.learning.inference.linear_gaussian import (
+    Quadratic,
+    ResidualRows,
+    data_information,
+    posterior_of,
+    residual_rows,
+    residuals,
+    rest_information,
+    split_off_force,
+    tag_information,
+    total,
+)
 from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.parameters import Layout
 from onebend.progress import Progress
 from onebend.records import Array
 
-_HELD = 1e-5  # of log k: held in its place
-_STEADY = 0.1  # of the log of a film's noise from round to round
+_HELD_SD = 1e-5  # of log k where it is held in its place
+_STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
+_STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
+_LARGEST_DAMPING = 1e9
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How hard to search."""
+class OptimizerSettings:
+    """When the optimizer stops."""
 
     most_steps: int = 60
-    coarse_rounds: int = 3  # far from the optimum the markers' fine print misleads
-    rounds: int = 6  # at most; each ends with new scales, until the noise is steady
+    coarse_rounds: int = 3  # first rounds, in which the tags' noise is taken as large as their residuals
+    rounds: int = 6  # at most; each but the last ends with new hyperparameters, until the noise is steady
     on_the_way: float = 0.3  # as `tolerance`, in all rounds but the last
     tolerance: float = 0.02  # expected gain of the last step, as a share of one sd
 
 
 @dataclass(frozen=True)
-class Found:
-    """Where the search ended."""
+class MapEstimate:
+    """The most probable parameters found so far."""
 
-    x: Array  # (P,) the most probable parameters under `scales`
-    scales: Scales
-    predictions: tuple[Prediction, ...]
-    steps: int
-    converged: bool
+    x: Array  # (P,)
+    hyperparameters: Hyperparameters
+    predictions: tuple[Prediction, ...]  # of each recording at x
+    steps: int = 0
+    converged: bool = False
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """The posterior, and why the search ended."""
+    """The posterior, and why the optimizer stopped."""
 
-    x: Array  # (P,) log k's mean, its scales averaged over, and what is most probable with it
+    x: Array  # (P,) log k's mean over its hyperparameters, and all else where it is most probable with that
     covariance: Array  # (P, P)
-    jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, what is smooth apart
+    jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
     shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
-    scales: Scales
+    hyperparameters: Hyperparameters
     predictions: tuple[Prediction, ...]
     log_evidence: float
     steps: int
@@ -69,166 +76,176 @@ class Optimum:
     stopped: str
 
 
-def search(
-    films: list[Film],
-    at: Layout,
-    x: Array,
-    level: float,
-    scales: Scales,
-    expected: Scales,
-    effort: Effort,
-    progress: Progress,
-    shapes: list[Array] | None = None,
-) -> Found:
-    """From parameters x and scales to the maximum a posteriori; `level`: prior mean of log k; `shapes`: (F, Q) of each
-    film at x, where they are known.
+def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array] | None = None) -> MapEstimate:
+    """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
 
     Raises:
-        LearningError: the start has no equilibrium under the measured forces.
+        LearningError: the beam has no equilibrium there under the measured forces.
     """
-    steps, converged, steady = 0, False, False
-    begin: list[Array | None] = [None] * len(films) if shapes is None else [*shapes]
-    now = [predict(seen, at, x, q) for seen, q in zip(films, begin, strict=True)]
-    if not all(np.all(p.solved.converged) for p in now):
+    warm: Sequence[Array | None] = [None] * len(problem.recordings) if shapes is None else shapes
+    predictions = tuple(predict(r, problem.layout, x, q) for r, q in zip(problem.recordings, warm, strict=True))
+    if not _all_converged(predictions):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
         )
-    for round_number in range(effort.rounds):
-        last = steady or round_number == effort.rounds - 1
-        if round_number < effort.coarse_rounds:
-            size = [float(np.sqrt(np.mean(residuals(p) ** 2))) for p in now]
-            coarse = tuple(replace(n, marker=max(s, 1.5)) for n, s in zip(expected.films, size, strict=True))
-            scales = replace(expected, films=coarse)
-        most, tolerance = (effort.most_steps, effort.tolerance) if last else (20, effort.on_the_way)
-        x, now, taken, converged = _descend(films, at, x, now, level, scales, most, tolerance)
-        steps += taken
-        rows = [rows_of(p, n) for p, n in zip(now, scales.films, strict=True)]
+    return MapEstimate(x, problem.expected, predictions)
+
+
+def find_maximum(
+    problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
+) -> MapEstimate:
+    """The maximum a posteriori, from an estimate to begin with."""
+    steady = False
+    for round_number in range(settings.rounds):
+        last = steady or round_number == settings.rounds - 1
+        if round_number < settings.coarse_rounds:
+            estimate = replace(estimate, hyperparameters=_coarse(problem, estimate.predictions))
+        most, tolerance = (
+            (settings.most_steps, settings.tolerance) if last else (_STEPS_ON_THE_WAY, settings.on_the_way)
+        )
+        estimate = _descend(problem, estimate, prior(problem, estimate.hyperparameters), most, tolerance)
         progress.advance()
         if last:
             break
-        if round_number >= effort.coarse_rounds - 1:
-            before, scales = scales, _new_scales(films, at, rows, x, level, scales, expected)
-            steady = round_number >= effort.coarse_rounds and _alike(before, scales)
-    return Found(x, scales, tuple(now), steps, converged)
+        if round_number >= settings.coarse_rounds - 1:
+            before, after = estimate.hyperparameters, _new_hyperparameters(problem, estimate)
+            estimate = replace(estimate, hyperparameters=after)
+            steady = round_number >= settings.coarse_rounds and _noise_is_steady(before, after)
+    return estimate
 
 
-def conclude(films: list[Film], at: Layout, found: Found, level: float, expected: Scales, effort: Effort) -> Optimum:
-    """The posterior around where the search ended, what the scales leave open included."""
-    scales, now = found.scales, found.predictions
-    rows = [rows_of(p, n) for p, n in zip(now, scales.films, strict=True)]
-    known = Known(_data(films, at, rows, found.x, scales), films, at, level, expected)
-    of_k, covariance = averaged(known, scales)
-    x, now = _settled(films, at, found, of_k.mean, covariance)
+def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings) -> Optimum:
+    """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
+    hyperparameters = estimate.hyperparameters
+    evidence = Evidence(problem, data_information(problem, _rows(estimate), estimate.x, hyperparameters))
+    stiffness, covariance = averaged_posterior(evidence, hyperparameters)
+    x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
         covariance=covariance,
-        jumps=of_k.steps,
-        shape=of_k.shape,
-        scales=scales,
-        predictions=now,
-        log_evidence=known.solve(scales)[1],
-        steps=found.steps,
-        converged=found.converged,
-        stopped=f"the last step was worth less than {effort.tolerance:g} of a sd"
-        if found.converged
-        else f"{effort.most_steps} steps were not enough",
+        jumps=stiffness.steps,
+        shape=stiffness.shape,
+        hyperparameters=hyperparameters,
+        predictions=predictions,
+        log_evidence=evidence.posterior(hyperparameters).log_evidence,
+        steps=estimate.steps,
+        converged=estimate.converged,
+        stopped=f"the last step was worth less than {settings.tolerance:g} of a sd"
+        if estimate.converged
+        else f"{settings.most_steps} steps were not enough",
     )
 
 
-def _settled(
-    films: list[Film], at: Layout, found: Found, k: Array, covariance: Array
+def _all_converged(predictions: Sequence[Prediction]) -> bool:
+    return all(np.all(p.solved.converged) for p in predictions)
+
+
+def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:
+    """What is expected, the tags' noise as large as their residuals: far from the maximum the tags' small differences
+    mislead."""
+    sizes = [float(np.sqrt(np.mean(residuals(p) ** 2))) for p in predictions]
+    pairs = zip(problem.expected.noise, sizes, strict=True)
+    return replace(problem.expected, noise=tuple(replace(noise, marker=max(size, 1.5)) for noise, size in pairs))
+
+
+def _at_mean_stiffness(
+    problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: Array
 ) -> tuple[Array, tuple[Prediction, ...]]:
-    """All else where the tags want it with log k's coefficients at k (p,); as found where the beam would not stand."""
-    p, parts = at.spline.count, found.scales.parts
-    x = found.x + np.linalg.solve(covariance[:p, :p], covariance[:p]).T @ (k - found.x[:p])
-    now = [predict(f, at, x, one.solved.q, one.own) for f, one in zip(films, found.predictions, strict=True)]
-    if not all(np.all(one.solved.converged) for one in now):
-        return found.x, found.predictions
-    held = replace(found.scales, parts=np.full_like(parts, _HELD**2))
-    x, now, _, _ = _descend(films, at, x, now, k, held, 10, 0.1)
-    return x, tuple(now)
+    """Log k's coefficients at their mean (p,), and all else where it is most probable with them; the estimate itself
+    where that beam would not stand."""
+    p = problem.layout.spline.count
+    x = estimate.x + np.linalg.solve(covariance[:p, :p], covariance[:p]).T @ (log_k - estimate.x[:p])
+    pairs = zip(problem.recordings, estimate.predictions, strict=True)
+    moved = tuple(predict(r, problem.layout, x, now.solved.q, now.own) for r, now in pairs)
+    if not _all_converged(moved):
+        return estimate.x, estimate.predictions
+    variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
+    held = replace(estimate.hyperparameters, part_variances=variances)
+    settled = _descend(problem, MapEstimate(x, held, moved), prior(problem, held, log_k), 10, 0.1)
+    return settled.x, settled.predictions
 
 
-def _alike(before: Scales, after: Scales) -> bool:
-    """Whether the tags' noise has come to rest: what the beam could not follow yet counts as noise."""
-    pairs = zip(before.films, after.films, strict=True)
-    return all(abs(np.log(b.marker / a.marker)) < _STEADY for b, a in pairs)
+def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
+    """Whether the tags' noise has settled: what the beam does not follow yet counts as noise."""
+    pairs = zip(before.noise, after.noise, strict=True)
+    return all(abs(np.log(b.marker / a.marker)) < _STEADY_NOISE for b, a in pairs)
 
 
-def _new_scales(
-    films: list[Film], at: Layout, rows: list[Rows], x: Array, level: float, scales: Scales, expected: Scales
-) -> Scales:
-    """Noise of every film from its residuals, then the evidence's choice of the rest."""
-    every = zip(films, rows, scales.films, strict=True)
-    said = [quadratic(r, at, f.number, x, noise) for f, r, noise in every]
-    precision, _, _ = prior(films, at, level, scales)
-    left = np.linalg.inv(together([*said, rest_quadratic(films, at)]).information + precision)
-    spent = [float(np.sum(left * one.information)) for one in said]  # parameters that each film's tags settled
-    noise = tuple(new_noise(*every) for every in zip(films, rows, scales.films, spent, strict=True))
-    scales = replace(scales, films=noise)
-    return choose_scales(Known(_data(films, at, rows, x, scales), films, at, level, expected), scales)
+def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
+    """Noise of every recording from its residuals, then all else by the evidence."""
+    hyperparameters, layout = estimate.hyperparameters, problem.layout
+    rows = _rows(estimate)
+    every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
+    tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
+    data = total([*tags, rest_information(problem)])
+    covariance = posterior_of(data, prior(problem, hyperparameters)).covariance
+    spent = [float(np.sum(covariance * one.information)) for one in tags]  # parameters that each recording settled
+    noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
+    hyperparameters = replace(hyperparameters, noise=noise)
+    data = data_information(problem, rows, estimate.x, hyperparameters)
+    return choose_hyperparameters(Evidence(problem, data), hyperparameters)
 
 
-def _data(films: list[Film], at: Layout, rows: list[Rows], x: Array, scales: Scales) -> Quadratic:
-    """What all films' tags and rests say."""
-    every = zip(films, rows, scales.films, strict=True)
-    tags = [quadratic(r, at, f.number, x, noise) for f, r, noise in every]
-    return together([*tags, rest_quadratic(films, at)])
+def _rows(estimate: MapEstimate) -> list[ResidualRows]:
+    """Of every recording, its tags weighted by their noise at the estimate."""
+    pairs = zip(estimate.predictions, estimate.hyperparameters.noise, strict=True)
+    return [residual_rows(prediction, noise) for prediction, noise in pairs]
 
 
 def _descend(
-    films: list[Film],
-    at: Layout,
-    x: Array,
-    now: list[Prediction],
-    level: float | Array,
-    scales: Scales,
-    most: int,
-    tolerance: float,
-) -> tuple[Array, list[Prediction], int, bool]:
-    """Levenberg-Marquardt at fixed scales; weights and frames' covariances are renewed at every step."""
-    precision, mean, _ = prior(films, at, level, scales)
-    rests = rest_quadratic(films, at)
-    damping = 1e-4
-
-    def cost(rows: list[Rows], shapes: list[Prediction], at_x: Array) -> float:
-        if not all(np.all(p.solved.converged) for p in shapes):
-            return np.inf
-        every = zip(rows, shapes, scales.films, strict=True)
-        tags = sum(_misfit(r.root_weight * residuals(p), p.own, noise) for r, p, noise in every)
-        away = at_x - mean
-        return float(tags + away @ precision @ away + at_x @ rests.information @ at_x - 2.0 * rests.b @ at_x)
-
-    for step_number in range(1, most + 1):
-        rows = [rows_of(p, n) for p, n in zip(now, scales.films, strict=True)]
-        data = _data(films, at, rows, x, scales)
-        hessian = data.information + precision
-        slope = data.b - data.information @ x - precision @ (x - mean)
-        diagonal, before = np.diag(hessian), cost(rows, now, x)
+    problem: FitProblem, estimate: MapEstimate, before: Prior, most_steps: int, tolerance: float
+) -> MapEstimate:
+    """Levenberg-Marquardt at fixed hyperparameters; weights and frames' covariances are renewed at every step."""
+    noise, damping, rests = estimate.hyperparameters.noise, 1e-4, rest_information(problem)
+    identity = np.eye(len(estimate.x))
+    for _ in range(most_steps):
+        rows = _rows(estimate)
+        data = data_information(problem, rows, estimate.x, estimate.hyperparameters)
+        hessian = before.root.T @ data.information @ before.root + identity  # of z, see `Prior`
+        slope = before.root.T @ (data.b - data.information @ estimate.x) - before.whiten(estimate.x)
+        diagonal = np.diag(data.information) + before.precisions  # damped in the parameters' own units (Marquardt)
+        damped, cost = (before.root.T * diagonal) @ before.root, _cost(before, rests, rows, estimate)
+        estimate = replace(estimate, steps=estimate.steps + 1)
         while True:
-            step = np.linalg.solve(hessian + damping * np.diag(diagonal), slope)
-            tried = x + step * min(1.0, 1.5 / max(float(np.max(np.abs(step[: at.spline.count]))), 1e-300))
-            every = zip(rows, now, scales.films, strict=True)
-            forces = [_own(r, p, noise, tried - x, damping) for r, p, noise in every]
-            there = [predict(f, at, tried, p.solved.q, own) for f, p, own in zip(films, now, forces, strict=True)]
-            if cost(rows, there, tried) <= before + 1e-6:
+            in_z = cho_solve(cho_factor(hessian + damping * damped), slope)
+            step = before.root @ in_z
+            longest = float(np.max(np.abs(step[: problem.layout.spline.count])))
+            x = estimate.x + step * min(1.0, 1.5 / max(longest, 1e-300))
+            every = zip(rows, estimate.predictions, noise, strict=True)
+            forces = [_own_force(r, now, n, x - estimate.x, damping) for r, now, n in every]
+            pairs = zip(problem.recordings, estimate.predictions, forces, strict=True)
+            moved = tuple(predict(r, problem.layout, x, now.solved.q, own) for r, now, own in pairs)
+            tried = replace(estimate, x=x, predictions=moved)
+            if _cost(before, rests, rows, tried) <= cost + 1e-6:
                 break
             damping *= 8.0
-            if damping > 1e9:
-                return x, now, step_number, False
-        decrease = float(step @ slope)  # twice the cost's expected decrease, in units of one sd squared
-        x, now, damping = tried, there, max(damping / 16.0, 1e-12)
+            if damping > _LARGEST_DAMPING:
+                return replace(estimate, converged=False)
+        decrease = float(in_z @ slope)  # twice the cost's expected decrease, in units of one sd squared
+        estimate, damping = tried, max(damping / 16.0, 1e-12)
         if decrease < tolerance**2:
-            return x, now, step_number, True
-    return x, now, most, False
+            return replace(estimate, converged=True)
+    return replace(estimate, converged=False)
 
 
-def _misfit(left: Array, own: Array, noise: FilmNoise) -> float:
-    """Minus twice the log probability of what is left of the tags (F, R), and of the frames' own forces (F, 2)."""
-    return float(np.sum(left**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
+def _cost(before: Prior, rests: Quadratic, rows: Sequence[ResidualRows], estimate: MapEstimate) -> float:
+    """Minus twice the log posterior at the weights of some rows, but for a constant; infinite without equilibrium."""
+    if not _all_converged(estimate.predictions):
+        return np.inf
+    x = estimate.x
+    every = zip(rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
+    tags = sum(_misfit(r.root_weight * residuals(p), p.own, noise) for r, p, noise in every)
+    z = before.whiten(x)
+    return float(tags + z @ z + x @ rests.information @ x - 2.0 * rests.b @ x)
 
 
-def _own(rows: Rows, now: Prediction, noise: FilmNoise, step: Array, damping: float) -> Array:
+def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
+    """Minus twice the log probability of the tags' residuals (F, R), and of the frames' own forces (F, 2)."""
+    return float(np.sum(residual**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
+
+
+def _own_force(rows: ResidualRows, now: Prediction, noise: RecordingNoise, step: Array, damping: float) -> Array:
     """(F, 2) N: each frame's own force after a step of the parameters, to first order the most probable one."""
-    best = split(rows, rows.r - rows.slopes.times(step[now.at.known_to(now.seen.number)]), noise)[1]
+    mine = now.layout.known_to(now.recording.number)
+    best = split_off_force(rows, rows.r - rows.slopes.times(step[mine]), noise)[1]
     return np.asarray(now.own + (best - now.own) / (1.0 + damping))

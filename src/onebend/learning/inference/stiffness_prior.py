@@ -26,8 +26,8 @@ TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per un
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
 _TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
-WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
-MIX = 0.3  # share of wide proposals
+STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
+WIDE_SHARE = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
 
 
@@ -41,7 +41,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Mixed:
+class StiffnessMixture:
     """log k's coefficients, its scales averaged over."""
 
     mean: Array  # (p,)
@@ -117,8 +117,8 @@ class _Target:
     def moved(self, now: _Chains, rng: np.random.Generator) -> _Chains:
         """One step of every chain."""
         count = len(now.logs)
-        stride = np.where(rng.random((count, 1)) < MIX, 1.5, 0.5) * SPREAD
-        ways = WAYS[rng.integers(0, 3, count)]
+        stride = np.where(rng.random((count, 1)) < WIDE_SHARE, 1.5, 0.5) * SPREAD
+        ways = STEP_DIRECTIONS[rng.integers(0, 3, count)]
         tried = self.at(now.logs + ways * stride * rng.standard_normal((count, 2)), now.own)
         taken = np.log(rng.random(count)) < tried.value - now.value
         logs = np.where(taken[:, None], tried.logs, now.logs)
@@ -151,7 +151,7 @@ class Draws:
     kept: int
 
 
-def drawn_parts(
+def mean_part_variances(
     spline: Spline, told: Told, level: float, draws: Draws, start: Array | None = None
 ) -> tuple[Array, Array]:
     """(n,) mean variances of the parts of log k, and (B, 2 p + 1) where the chains stand.
@@ -162,8 +162,10 @@ def drawn_parts(
     return np.mean([one.variance.mean(axis=0) for one in chains], axis=0), chains[-1].stand
 
 
-def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, start: Array | None = None) -> Mixed:
-    """What is known of log k around `level`; `start` as for `drawn_parts`."""
+def stiffness_mixture(
+    spline: Spline, told: Sequence[Told], level: float, draws: Draws, start: Array | None = None
+) -> StiffnessMixture:
+    """What is known of log k around `level`; `start` as for `mean_part_variances`."""
     target, p = _Target(spline, told, level, draws.chains), spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
@@ -184,7 +186,7 @@ def mixed(spline: Spline, told: Sequence[Told], level: float, draws: Draws, star
     covariance = second - np.outer(mean, mean)
     means, sds = np.concatenate(marginals, axis=1)
     shape = _shape(means, sds, np.tile(target.share, draws.kept) / draws.kept)
-    return Mixed(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape)
+    return StiffnessMixture(mean + level, 0.5 * (covariance + covariance.T), parts[p : 2 * p - 1], shape)
 
 
 def _drawn_chains(target: _Target, draws: Draws, start: Array | None) -> Iterator[_Chains]:

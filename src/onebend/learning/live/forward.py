@@ -8,10 +8,20 @@ import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import tangent
+from onebend.beam.statics.equilibrium import Equilibrium, tangent
+from onebend.beam.statics.perturbation import Perturbation, minus_gradient
 from onebend.beam.statics.problem import Problem
 from onebend.learning.live.session import Place, Setting
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.tag_jacobian import (
+    BentBeam,
+    TagMotion,
+    balance_changes,
+    push_blocks,
+    put_blocks,
+    put_tags,
+    response_columns,
+)
 from onebend.records import Array, BoolArray
 
 _MOST = 8  # Newton iterations before the search from rest
@@ -62,23 +72,26 @@ def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Ar
 
     Tags are fewer than parameters: the tangent is solved for the former (adjoint), and for the force.
     """
-    at, p, m = setting.at, setting.at.spline.count, len(setting.marker_s)
+    at, m = setting.at, len(setting.marker_s)
     axes = _axes(at, x)
     force = (given.force + given.rate * at.get(x, "clock")) @ axes.T
     load = _load(setting, place, x, force, given)
     q, converged, factors = _shapes(place, load, start)
-    right, cos, sin = _turning(place, load, q)
-    pose, by_shape, of_tags = _tags(setting, place, x, (q, cos, sin))
+    bent = _bent(place, load, q, converged)
+    columns = response_columns(balance_changes(bent))
+    right = minus_gradient(bent.solved, columns.changes)
+    pose, by_shape, of_tags = _tags(setting, place, x, q)
+    push = right[..., columns.slices["push"]].swapaxes(1, 2)
     both = np.empty((len(q), 3 * m + 2, q.shape[1]))
-    both[:, : 3 * m] = by_shape.reshape(len(q), 3 * m, -1)
-    both[:, 3 * m :] = right[..., p + 4 : p + 6].swapaxes(1, 2)
+    both[:, : 3 * m], both[:, 3 * m :] = by_shape.reshape(len(q), 3 * m, -1), push
     for one, factor in zip(both, factors, strict=True):
         one[:] = dpotrs(factor, one.T, lower=1, overwrite_b=1)[0].T
-    mechanics = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
-    mechanics[..., p + 3] += of_tags.clamp
-    j, a = _by_parameters(at, mechanics, given.rate, force, axes)
-    _put_tags(j, at, of_tags)
-    return Linear(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, a)
+    response = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
+    response[..., columns.slices["clamp"].start] += of_tags.clamp
+    blocks, j = columns.split(response), np.zeros((len(q), m, 3, at.size))
+    put_blocks(j, setting.columns, blocks | push_blocks(blocks["push"], force, axes, given.rate))
+    put_tags(j, setting.columns, of_tags.motion)
+    return Linear(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, blocks["push"] @ axes)
 
 
 @dataclass(frozen=True)
@@ -86,16 +99,13 @@ class _OfTags:
     """How tags move with what holds them, the shape staying as it is."""
 
     clamp: Array  # (B, m, 3) with the clamp's angle
-    along: Array  # (2, B, m) per metre along the beam
-    across: Array  # (2, B, m) to its left
-    bend: Array  # (B, m) 1/m: turn per metre along
-    xy: Array  # (2, B, m) m: with the camera's scale
+    motion: TagMotion
 
 
-def _tags(setting: Setting, place: Place, x: Array, shape: tuple[Array, Array, Array]) -> tuple[Array, Array, _OfTags]:
-    """Poses (B, m, 3) of the tags on shapes (curvature, cosine and sine of the angle: (B, Q) each), and their
-    derivatives (B, m, 3, Q) with the curvature."""
-    at, m, (q, cos, sin) = setting.at, len(setting.marker_s), shape
+def _tags(setting: Setting, place: Place, x: Array, q: Array) -> tuple[Array, Array, _OfTags]:
+    """Poses (B, m, 3) of the tags on shapes q (B, Q), and their derivatives (B, m, 3, Q) with the curvature."""
+    at, m = setting.at, len(setting.marker_s)
+    cos, sin = _directions(place, float(at.get(x, "clamp")[0]), q)
     ways = np.concatenate([cos[:, None] * place.steps, sin[:, None] * place.steps], axis=1)  # (B, 2 m, Q)
     xy = ways.sum(axis=2).reshape(-1, 2, m).swapaxes(0, 1)
     moves, out = ways @ place.to_nodes, q @ place.reach.T
@@ -119,25 +129,9 @@ def _tags(setting: Setting, place: Place, x: Array, shape: tuple[Array, Array, A
     origin = at.get(x, "origin")
     pose[..., 0], pose[..., 1] = scale * xy[0] + origin[0], scale * xy[1] + origin[1]
     pose[..., 2] = angle + at.get(x, "turn")
-    stride = u + half * np.array([-u[1], u[0]]) - (across * curved) * np.array([v[1], -v[0]])
-    return pose, by_shape, _OfTags(clamp, scale * stride, scale * v, curved, xy)
-
-
-def _by_parameters(at: Layout, mechanics: Array, rate: Array, force: Array, axes: Array) -> tuple[Array, Array]:
-    """Derivatives (B, m, 3, n) with the parameters, from those in `_turning`'s order; (B, m, 3, 2) with the log."""
-    p = at.spline.count
-    j = np.zeros((*mechanics.shape[:-1], at.size))
-    by_force = mechanics[..., p + 4 : p + 6]
-    a = by_force @ axes
-    j[..., :p] = mechanics[..., :p]
-    _put(j, at, "curvature", mechanics[..., p : p + 3])
-    _put(j, at, "clamp", mechanics[..., p + 3 : p + 4])
-    _put(j, at, "place", mechanics[..., p + 6 : p + 7])
-    _put(j, at, "mass", mechanics[..., p + 7 :])
-    _put(j, at, "clock", a @ rate[:, None, :, None])
-    across = np.stack([-force[:, 1], force[:, 0]], axis=-1)
-    _put(j, at, "direction", by_force @ across[:, None, :, None])
-    return j, a
+    stride = scale * (u + half * np.array([-u[1], u[0]]) - (across * curved) * np.array([v[1], -v[0]]))
+    motion = TagMotion(stride.transpose(1, 2, 0), curved, (scale * v).transpose(1, 2, 0), xy.transpose(1, 2, 0))
+    return pose, by_shape, _OfTags(clamp, motion)
 
 
 def _shapes(place: Place, load: _Load, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
@@ -176,8 +170,7 @@ def _shapes(place: Place, load: _Load, start: Array | None) -> tuple[Array, Bool
 
 def _balance(load: _Load, place: Place, q: Array) -> tuple[Array, Array]:
     """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
-    alpha = load.alpha0 + q @ place.to_nodes.T
-    cos, sin = np.cos(alpha), np.sin(alpha)
+    cos, sin = _directions(place, load.alpha0, q)
     x, y = load.pull
     matrices = (x * cos + y * sin) @ place.squares
     matrices[:, :: q.shape[1] + 1] += load.stiff
@@ -206,7 +199,7 @@ def _load(setting: Setting, place: Place, x: Array, force: Array, given: Inputs)
 
 
 def _problem(place: Place, load: _Load) -> Problem:
-    """The problem of B frames, for the search from rest."""
+    """The problem of B frames."""
     size, nodes = load.pushed.shape
     return Problem(
         grid=place.grid,
@@ -216,7 +209,7 @@ def _problem(place: Place, load: _Load) -> Problem:
         k=load.stiff / place.weights,
         q0=load.q0,
         alpha0=np.asarray(load.alpha0),
-        dead_force=np.stack(tuple(load.dead), axis=-1),
+        dead_force=load.dead.transpose(1, 2, 0),
         moment=np.zeros((size, nodes)),
         follower=np.zeros((size, 0, 2)),
         follower_beyond=np.zeros((size, 0, nodes)),
@@ -224,30 +217,20 @@ def _problem(place: Place, load: _Load) -> Problem:
     )
 
 
-def _turning(place: Place, load: _Load, q: Array) -> tuple[Array, Array, Array]:
-    """(B, Q, P) what the parameters put out of balance: the tangent's inverse times it is the curvature's response; and
-    cosine and sine of the beam's angle (B, Q).
+def _bent(place: Place, load: _Load, q: Array, converged: BoolArray) -> BentBeam:
+    """What the parameters change in the balance of shapes q (B, Q)."""
+    reached, by_mass = converged.astype(float), None
+    solved = Equilibrium(_problem(place, load), q, converged, converged, reached, reached, ~converged, 0)
+    if load.masses.shape[1]:
+        pull = load.gravity[:, None, :, None] * load.masses[:, None, :]
+        by_mass = Perturbation(pull, None, None, np.zeros(load.masses.shape[1]))
+    return BentBeam(solved, place.on_nodes, place.rest_on_nodes, load.force, load.pushed, place.farther, by_mass)
 
-    Parameters in this order: log k's coefficients, q0's, the clamp's angle, the force, its place, the mass's parts.
-    """
-    p, b, masses = place.on_nodes.shape[1], place.to_nodes, load.masses
-    alpha = load.alpha0 + q @ b.T
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    force, arm = load.force, load.length * place.weights * load.pushed
-    right = np.empty((*q.shape, p + 7 + masses.shape[1]))
-    np.multiply((load.stiff * (load.q0 - q))[..., None], place.on_nodes, out=right[..., :p])
-    right[..., p : p + 3] = load.stiff[:, None] * place.rest_on_nodes
-    lever = np.empty((*q.shape, 4 + masses.shape[1]))  # what turns the nodes, to be summed up
-    x, y = load.pull
-    lever[..., 0] = -x * cos - y * sin
-    lever[..., 1], lever[..., 2] = -arm * sin, arm * cos
-    across = force[:, 1:] * cos - force[:, :1] * sin
-    lever[..., 3] = (load.length * place.weights * place.farther) * across
-    if masses.shape[1]:
-        falling = load.gravity[:, 1:] * cos - load.gravity[:, :1] * sin
-        lever[..., 4:] = (load.length * place.weights * falling)[..., None] * masses
-    np.matmul(b.T, lever, out=right[..., p + 3 :])
-    return right, cos, sin
+
+def _directions(place: Place, clamp: float, q: Array) -> tuple[Array, Array]:
+    """(B, Q) cosine and sine of the beam's angle at the nodes."""
+    alpha = clamp + q @ place.to_nodes.T
+    return np.cos(alpha), np.sin(alpha)
 
 
 def _axes(at: Layout, x: Array) -> Array:
@@ -255,29 +238,3 @@ def _axes(at: Layout, x: Array) -> Array:
     turn = float(at.get(x, "direction")[0])
     cos, sin = np.cos(turn), np.sin(turn)
     return np.array([[cos, -sin], [sin, cos]])
-
-
-def _put(j: Array, at: Layout, name: str, values: Array) -> None:
-    columns = at.columns(name)
-    if columns is not None:
-        j[..., columns] = values
-
-
-def _put_tags(j: Array, at: Layout, of_tags: _OfTags) -> None:
-    """Derivatives with each tag's place and turn, the origin and the camera's scale."""
-    tags = np.arange(j.shape[1])
-    along, across, turn = at.columns("along"), at.columns("across"), at.columns("turn")
-    origin, size = at.columns("origin"), at.columns("scale")
-    for i in range(2):
-        if along is not None:
-            j[:, tags, i, along.start + tags] = of_tags.along[i]
-        if across is not None:
-            j[:, tags, i, across.start + tags] = of_tags.across[i]
-        if origin is not None:
-            j[:, :, i, origin.start + i] = 1.0
-        if size is not None:
-            j[:, :, i, size.start] = of_tags.xy[i]
-    if along is not None:
-        j[:, tags, 2, along.start + tags] = of_tags.bend
-    if turn is not None:
-        j[:, tags, 2, turn.start + tags] = 1.0

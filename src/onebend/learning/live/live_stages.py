@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from onebend.learning.model.force_error import ANEW, RELEASED
-from onebend.recording.force.load_stages import BEFORE, CLEAR, EARLY, TURN, Change
+from onebend.recording.force.load_stages import BEFORE, CLEAR, EARLY, TURN, LoadChange
 from onebend.records import Array, BoolArray
 
 _FINE = 0.005  # of the scale: displacements that differ by less are one
@@ -32,8 +32,8 @@ class LoadStages:
         self._loaded = False
         self._rising, self._extreme, self._peak = True, 0.0, 0.0  # m, and when
         self._path: deque[tuple[float, float]] = deque(maxlen=_KEPT)  # s, m
-        self._changes: deque[tuple[float, Change]] = deque()
-        self._past: deque[tuple[float, Change]] = deque()
+        self._changes: deque[tuple[float, LoadChange]] = deque()
+        self._past: deque[tuple[float, LoadChange]] = deque()
         self._open: float | None = None  # m, displacement that a change has begun from and is not over
 
     def see(self, time: float, xy: Array, seen: BoolArray, loaded: bool) -> None:
@@ -55,7 +55,7 @@ class LoadStages:
             self._loaded = self._rising = True
             self._extreme, self._peak, self._open = size, time, 0.0
             self._path.clear()
-            self._add(ANEW, Change(time - EARLY, time, release=False))
+            self._add(ANEW, LoadChange(time - EARLY, time, release=False))
         elif self._open is not None:
             self._go_on(time, abs(size - self._open) > CLEAR * self._largest)
         if not self._path or abs(size - self._path[-1][1]) > _FINE * self._largest:
@@ -68,14 +68,14 @@ class LoadStages:
     def _go_on(self, time: float, over: bool) -> None:
         """The change that is on lasts to now."""
         amount, change = self._changes[-1]
-        self._changes[-1] = amount, Change(change.begin, time, change.release)
+        self._changes[-1] = amount, LoadChange(change.begin, time, change.release)
         self._open = None if over else self._open
 
     def _turn(self, time: float, size: float) -> None:
         """The load has reversed: from where it was last clear of the turning point."""
         before = [t for t, d in self._path if t < self._peak and abs(d - self._extreme) > BEFORE * self._largest]
         low = before[-1] if before else (self._path[0][0] if self._path else self._peak)
-        self._add(ANEW, Change(min(low, self._peak), time, release=False))
+        self._add(ANEW, LoadChange(min(low, self._peak), time, release=False))
         self._open = self._extreme
         self._rising, self._extreme, self._peak = not self._rising, size, time
         self._path = deque([one for one in self._path if one[0] >= low], maxlen=_KEPT)
@@ -83,10 +83,10 @@ class LoadStages:
     def _release(self) -> None:
         clear = [t for t, d in self._path if d > CLEAR * self._largest]
         end = self._path[-1][0]
-        self._add(RELEASED, Change(clear[-1] if clear else end, end + EARLY, release=True))
+        self._add(RELEASED, LoadChange(clear[-1] if clear else end, end + EARLY, release=True))
         self._open = None
 
-    def _add(self, amount: float, change: Change) -> None:
+    def _add(self, amount: float, change: LoadChange) -> None:
         if len(self._changes) == _CHANGES:
             self._past.append(self._changes.popleft())
         self._changes.append((amount, change))
@@ -102,8 +102,8 @@ class LoadStages:
         return out
 
 
-def _sum(changes: Iterable[tuple[float, Change]], time: Array) -> Array:
+def _sum(changes: Iterable[tuple[float, LoadChange]], time: Array) -> Array:
     out = np.zeros(len(time))
     for amount, change in changes:
-        out += amount * change.part(time)
+        out += amount * change.fraction(time)
     return out

@@ -4,6 +4,7 @@ anywhere on the beam."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from onebend.beam.grid import Grid, make_grid
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.model.parameters import Block, Layout, Priors
 from onebend.learning.model.spline import Spline
+from onebend.learning.model.tag_jacobian import free_columns
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, SCALE_SD, TURN_SD, Array
 
 ORDER, WIDEST = 12, 0.5
@@ -25,6 +27,11 @@ class Setting:
     marker_s: Array  # (m,)
     mass: float  # kg
     at: Layout
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Columns of all parameters that are not frozen."""
+        return free_columns(self.at)
 
     @property
     def weighs(self) -> bool:

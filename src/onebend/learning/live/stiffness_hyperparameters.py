@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
 
-from onebend.learning.inference.stiffness_prior import MIX, RHO, SPREAD, TAU, WAYS, drawn_sizes, part_variances
+from onebend.learning.inference.stiffness_prior import (
+    RHO,
+    SPREAD,
+    STEP_DIRECTIONS,
+    TAU,
+    WIDE_SHARE,
+    drawn_sizes,
+    part_variances,
+)
 from onebend.learning.model.spline import Spline
 from onebend.records import Array
 
@@ -100,8 +108,8 @@ class Sizes:
     def _moved(self, data: _Data, logs: Array, own: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """One step of chains at sizes (B, 2) and (B, 2 p - 1)."""
         b = len(logs)
-        stride = np.where(rng.random((b, 1)) < MIX, 1.5, 0.5) * SPREAD
-        tried = logs + WAYS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
+        stride = np.where(rng.random((b, 1)) < WIDE_SHARE, 1.5, 0.5) * SPREAD
+        tried = logs + STEP_DIRECTIONS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
         both = np.concatenate([logs, tried])
         variance, capped = part_variances(self._spline, both, np.concatenate([own, own]))
         factors, value = self._density(both, capped, variance, data)

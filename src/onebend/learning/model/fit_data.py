@@ -27,7 +27,7 @@ _SLOW = 0.5  # of the cut-off, which is twice the bandwidth of the tags' motion
 
 
 @dataclass(frozen=True)
-class Film:
+class FitData:
     """One recording as the fit sees it: F frames, the last being the beam at rest where it was seen."""
 
     observations: Observations
@@ -50,7 +50,7 @@ class Film:
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
 
 
-def film(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> Film:
+def fit_data(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> FitData:
     """Prepare a recording: everything that does not depend on the parameters."""
     o = observations
     time = o.time[frames]
@@ -69,15 +69,15 @@ def film(observations: Observations, number: int, frames: BoolArray, spline: Spl
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
         other = _rested(other)
     weighs = bool(np.any(gravity != 0.0))
-    if weighs and not np.isfinite(o.mass):
-        raise LearningError(f"{o.name}: {NEEDS_MASS}")
+    if weighs and not np.isfinite(o.stated.mass):
+        raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
     line = mass_profile(o)
-    written = line if weighs and o.mass_along not in POWERS else Uniform(0.0)
+    written = line if weighs and o.stated.mass_along not in POWERS else Uniform(0.0)
     carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    return Film(
+    return FitData(
         observations=o,
         number=number,
         frames=frames,
@@ -116,9 +116,9 @@ def _rate(o: Observations) -> Array:
     """(T, 2) N/s: slope of the force at the frames, from its slow part: the slope of the log's noise would tell the
     clock that it is right as it is.
     """
-    if o.clean_force is None:
+    if o.source.clean_force is None:
         return np.gradient(o.force, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(o.force)
-    clean = o.clean_force
+    clean = o.source.clean_force
     known = np.all(np.isfinite(clean.force), axis=1)
     time = clean.time[known]
     slow = low_pass(time, clean.force[known], _SLOW * clean.cutoff, longest_gap=np.inf)

@@ -14,7 +14,7 @@ noise of each frame. In the rests the true force is zero, so there the log shows
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -31,7 +31,6 @@ _FINE = 4  # steps between knots, where the load's error is filtered
 LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
-_LEAST = 1e-5  # of the largest force: a log that is more exact is made by a simulator, and rounding decides below this
 
 
 @dataclass(frozen=True)
@@ -103,18 +102,18 @@ class ForceError:
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:
     """What the clock search found; a stated share of the largest force where it found nothing."""
-    clean = observations.clean_force
+    clean = observations.source.clean_force
     if clean is not None and clean.noise is not None:
-        return replace(clean.noise, coloured=max(clean.noise.coloured, _LEAST * largest))
+        return clean.noise
     size = float(np.nanmean(observations.force_sd)) if np.any(np.isfinite(observations.force_sd)) else 0.0
-    size = max(size, _LEAST * largest) if size > 0.0 else _UNKNOWN_NOISE * largest
+    size = size if size > 0.0 else _UNKNOWN_NOISE * largest
     seconds = float(np.ptp(observations.time)) if len(observations.time) > 1 else 1.0
     return ForceNoise(white=0.0, coloured=size, tau=0.2, walk=size / np.sqrt(max(seconds, 1.0)))
 
 
 def force_error(observations: Observations, time: Array) -> ForceError:
     """Knots for the frames at `time` (T,) and the rests of the recording's force log."""
-    clean = observations.clean_force
+    clean = observations.source.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
     if largest == 0.0 or observations.static:  # only the weight acts, or loads that were weighed
         nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
@@ -140,7 +139,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         noise=noise,
         filtered=filtered(knots - knots[0], cutoff),
         level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=LOAD * largest if np.isnan(observations.load_error_sd) else observations.load_error_sd,
+        load=LOAD * largest if np.isnan(observations.stated.load_error_sd) else observations.stated.load_error_sd,
         stages=_stages(observations, knots, cutoff),
         mean=ramp(clean, knots),
     )
@@ -148,7 +147,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
 
 def _in_rests(observations: Observations, step: float) -> tuple[Array, Array]:
     """(R,) s and (R, 2) N: instants at least `step` [s] apart at which nothing touches the beam, and the log there."""
-    clean, loaded = observations.clean_force, observations.time[observations.loaded]
+    clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or not len(loaded):
         return np.zeros(0), np.zeros((0, 2))
     free = np.zeros(len(clean.time), dtype=bool)
@@ -178,7 +177,7 @@ def _own_time(observations: Observations, time: Array) -> Array:
     o = observations
     out = np.zeros(len(time))
     for change in load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded):
-        out += (RELEASED if change.release else ANEW) * change.part(time)
+        out += (RELEASED if change.release else ANEW) * change.fraction(time)
     return out
 
 

@@ -10,18 +10,20 @@ import numpy as np
 from onebend.beam.grid import apply
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.perturbation import Perturbation, Perturbations
-from onebend.beam.statics.sensitivity import (
-    of_clamp_angle,
-    of_force,
-    of_moment,
-    of_rest_curvature,
-    of_stiffness,
-    respond,
-)
-from onebend.learning.model.fit_data import Film
+from onebend.beam.statics.sensitivity import of_force, of_moment, respond
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.tag_jacobian import (
+    BentBeam,
+    TagRide,
+    balance_changes,
+    free_columns,
+    push_blocks,
+    put_blocks,
+    put_tags,
+    response_columns,
+)
 from onebend.records import Array
 
 
@@ -55,8 +57,8 @@ class Slopes:
 class Prediction:
     """Tags where the parameters put them."""
 
-    seen: Film
-    at: Layout
+    recording: FitData
+    layout: Layout
     x: Array  # (P,) the parameters
     solved: Equilibrium
     pose: Array  # (F, m, 3)
@@ -69,137 +71,100 @@ class Prediction:
         return _slopes(self)
 
 
-def predict(seen: Film, at: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
     warm-started from shapes `start` (F, Q) where given."""
-    r = seen.number
-    own = np.zeros_like(seen.force) if own is None else own
-    errors = at.get(x, "force", r).reshape(-1, 2)
-    force = (seen.force - seen.error_weights @ errors + seen.rate * at.get(x, "clock", r)) @ _axes(at, x, r).T + own
-    k = np.exp(seen.on_nodes @ at.get(x, "stiffness"))
-    weight_beyond = seen.weight
-    if seen.mass is not None:
-        weight_beyond = weight_beyond + seen.mass.force(seen.problem, k, at.get(x, "mass"))
+    r = recording.number
+    own = np.zeros_like(recording.force) if own is None else own
+    slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
+    force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ _axes(layout, x, r).T + own
+    k = np.exp(recording.on_nodes @ layout.get(x, "stiffness"))
+    weight_beyond = recording.weight
+    if recording.mass is not None:
+        weight_beyond = weight_beyond + recording.mass.force(recording.problem, k, layout.get(x, "mass"))
     problem = replace(
-        seen.problem,
+        recording.problem,
         k=k,
-        q0=seen.rest_on_nodes @ at.get(x, "curvature"),
-        alpha0=np.asarray(at.get(x, "clamp", r)[0]),
-        dead_force=_pushed(seen, at, x)[..., None] * force[:, None, :] + weight_beyond,
+        q0=recording.rest_on_nodes @ layout.get(x, "curvature"),
+        alpha0=np.asarray(layout.get(x, "clamp", r)[0]),
+        dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
     )
-    if seen.ends is not None:
-        solved = solve(problem, seen.ends, moved(seen.ends, at, x, r), start)
+    if recording.ends is not None:
+        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start)
     else:
         solved = follow(problem) if start is None else refine(problem, start)
-    s, over = tag_places(seen, at, x)
-    angle = solved.angle(s)
-    across = at.get(x, "across")
-    cos, sin = np.cos(angle), np.sin(angle)
-    ride = np.stack([cos * over - sin * across, sin * over + cos * across], axis=-1)
-    xy = (1.0 + at.get(x, "scale", r)) * (solved.xy(s) + ride) + at.get(x, "origin", r)
-    pose = np.concatenate([xy, (angle + at.get(x, "turn"))[..., None]], axis=-1)
-    return Prediction(seen, at, x, solved, pose, force, own)
+    s, _ = tag_places(recording, layout, x)
+    ride = tag_ride(recording, layout, x, solved)
+    xy = ride.scale * (solved.xy(s) + ride.offset) + layout.get(x, "origin", r)
+    pose = np.concatenate([xy, (ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
+    return Prediction(recording, layout, x, solved, pose, force, own)
 
 
 def _slopes(now: Prediction) -> Slopes:
-    seen, at, x, r, solved = now.seen, now.at, now.x, now.seen.number, now.solved
-    s, over = tag_places(seen, at, x)
-    change = _changes(seen, at, x, now)
-    if seen.ends is None:
-        response = respond(solved, change).poses(s)
+    recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
+    s, _ = tag_places(recording, layout, x)
+    changes = balance_changes(_bent(now))
+    columns, ride = response_columns(changes), tag_ride(recording, layout, x, solved)
+    free, error = free_columns(layout, r), layout.columns("force", r)
+    out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
+    if recording.ends is None:
+        response = respond(solved, columns.changes).poses(s)
     else:
-        change = change + of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
-        response, by_end = with_ends_held(respond(solved, change).poses(np.append(s, 1.0)), seen.ends)
-    angle, across = solved.angle(s), at.get(x, "across")
-    cos, sin = np.cos(angle), np.sin(angle)
-    turned = np.stack([-sin * over - cos * across, cos * over - sin * across], axis=-1)
-    scale = 1.0 + at.get(x, "scale", r)[0]
-    mechanics = _ridden(response, turned, scale)  # (F, m, 3, p + 3 + 1 + 2 + 1 (+ 4))
-    knots = at.columns("force", r)
-    out = np.zeros((*now.pose.shape, len(at.known_to(r)) if knots is None else knots.start))
-    p = seen.on_nodes.shape[-1]
-    by_force = mechanics[..., p + 4 : p + 6]
-    _put(out, at.columns("stiffness"), mechanics[..., :p])
-    _put(out, at.columns("curvature"), mechanics[..., p : p + 3])
-    _put(out, at.columns("clamp", r), mechanics[..., p + 3 : p + 4])
-    if seen.mass is not None:
-        _put(out, at.columns("mass"), mechanics[..., p + 7 :])
-    _put(out, at.columns("place", r), mechanics[..., p + 6 : p + 7])
-    if seen.ends is not None:
-        put_ends(out, seen.ends, at, r, _ridden(by_end, turned[seen.ends.frames], scale))
-    across_force = np.stack([-now.force[:, 1], now.force[:, 0]], axis=-1)
-    _put(out, at.columns("direction", r), np.einsum("tmad,td->tma", by_force, across_force)[..., None])
-    axes = _axes(at, x, r)
-    _put(out, at.columns("clock", r), np.einsum("tmad,td->tma", by_force, seen.rate @ axes.T)[..., None])
-    bend = np.where(over > 0.0, 0.0, apply(solved.problem.grid.value_at(s), solved.q)) / seen.observations.length
-    _put_tags(out, at, (cos, sin), (1.0 - across * bend) * scale, scale, bend)
-    columns = at.columns("origin", r)
-    if columns is not None:
-        out[:, :, 0, columns.start], out[:, :, 1, columns.start + 1] = 1.0, 1.0
-    columns = at.columns("scale", r)
-    if columns is not None:
-        out[:, :, :2, columns.start] = (now.pose[..., :2] - at.get(x, "origin", r)) / scale
-    return Slopes(out, by_force, axes, seen.error_weights)
+        wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
+        poses = respond(solved, columns.changes + wrench).poses(np.append(s, 1.0))
+        response, by_end = with_ends_held(poses, recording.ends)
+        held = replace(ride, angle=ride.angle[recording.ends.frames])
+        put_ends(out, recording.ends, layout, r, held.carry(by_end))
+    blocks, axes = columns.split(ride.carry(response)), _axes(layout, x, r)
+    put_blocks(out, free, blocks | push_blocks(blocks["push"], now.force, axes, recording.rate))
+    bend = apply(solved.problem.grid.value_at(s), solved.q) / recording.observations.length
+    xy = (now.pose[..., :2] - layout.get(x, "origin", r)) / ride.scale
+    put_tags(out, free, ride.motion(xy, np.where(ride.over > 0.0, 0.0, bend)))
+    return Slopes(out, blocks["push"], axes, recording.error_weights)
 
 
-def _changes(seen: Film, at: Layout, x: Array, now: Prediction) -> Perturbations:
-    """How the coefficients of log k, rest curvature, clamp angle, force, its place, and the mass where something weighs
-    enter the balance."""
-    solved, k = now.solved, now.solved.problem.k
-    by_k = of_stiffness(solved, k[..., None] * seen.on_nodes)
-    if seen.mass is not None:
-        by_k = replace(by_k, force=seen.mass.by_stiffness(seen.problem, k, seen.on_nodes, at.get(x, "mass")))
-    change = (
-        by_k
-        + of_rest_curvature(solved.problem, seen.rest_on_nodes)
-        + of_clamp_angle(solved.problem)
-        + Perturbation(_pushed(seen, at, x)[..., None, None] * np.eye(2), None, None, np.zeros(2))
-        + Perturbation((seen.farther[..., None] * now.force[:, None, :])[..., None], None, None, np.zeros(1))
+def _bent(now: Prediction) -> BentBeam:
+    """What the parameters change in the balance of the fitted shapes."""
+    recording, layout, x, solved = now.recording, now.layout, now.x, now.solved
+    on_nodes, by_mass, weight_by_k = recording.on_nodes, None, None
+    if recording.mass is not None:
+        k = solved.problem.k
+        by_mass = recording.mass.by_mass(recording.problem, k)
+        weight_by_k = recording.mass.by_stiffness(recording.problem, k, on_nodes, layout.get(x, "mass"))
+    return BentBeam(
+        solved,
+        on_nodes,
+        recording.rest_on_nodes,
+        now.force,
+        _pushed(recording, layout, x),
+        recording.farther,
+        by_mass,
+        weight_by_k,
     )
-    return change if seen.mass is None else change + seen.mass.by_mass(seen.problem, k)
 
 
-def tag_places(seen: Film, at: Layout, x: Array) -> tuple[Array, Array]:
+def tag_places(recording: FitData, layout: Layout, x: Array) -> tuple[Array, Array]:
     """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
-    length = seen.observations.length
-    s = seen.observations.marker_s + at.get(x, "along") / length
+    length = recording.observations.length
+    s = recording.observations.marker_s + layout.get(x, "along") / length
     return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
 
 
-def _ridden(response: Array, turned: Array, scale: float) -> Array:
-    """(F, m, 3, P) of tags in the picture, from that of the beam's places under them; `turned` (F, m, 2) m: their way
-    by a turn."""
-    moved = response[:, :, :2] + turned[..., None] * response[:, :, 2:]
-    return np.concatenate([scale * moved, response[:, :, 2:]], axis=2)
+def tag_ride(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> TagRide:
+    """The tags on fitted shapes."""
+    s, over = tag_places(recording, layout, x)
+    return TagRide(
+        solved.angle(s), over, layout.get(x, "across"), 1.0 + float(layout.get(x, "scale", recording.number)[0])
+    )
 
 
-def _put_tags(out: Array, at: Layout, turned: tuple[Array, Array], stride: Array, scale: float, bend: Array) -> None:
-    """Derivatives with each tag's own place and turn; `stride` and `bend` (F, m): its way and turn per metre along."""
-    along, across, turn = at.columns("along"), at.columns("across"), at.columns("turn")
-    cos, sin = turned
-    for i in range(cos.shape[1]):
-        if along is not None:
-            column = along.start + i
-            out[:, i, 0, column], out[:, i, 1, column] = stride[:, i] * cos[:, i], stride[:, i] * sin[:, i]
-            out[:, i, 2, column] = bend[:, i]
-        if across is not None:
-            out[:, i, 0, across.start + i], out[:, i, 1, across.start + i] = -scale * sin[:, i], scale * cos[:, i]
-        if turn is not None:
-            out[:, i, 2, turn.start + i] = 1.0
-
-
-def _put(out: Array, columns: slice | None, values: Array) -> None:
-    if columns is not None:
-        out[..., columns] = values
-
-
-def _pushed(seen: Film, at: Layout, x: Array) -> Array:
+def _pushed(recording: FitData, layout: Layout, x: Array) -> Array:
     """(F, Q) share of the push that acts beyond the node."""
-    return np.asarray(seen.beyond + at.get(x, "place", seen.number)[0] * seen.farther)
+    return np.asarray(recording.beyond + layout.get(x, "place", recording.number)[0] * recording.farther)
 
 
-def _axes(at: Layout, x: Array, r: int) -> Array:
+def _axes(layout: Layout, x: Array, r: int) -> Array:
     """(2, 2) by which the logged force is turned."""
-    turn = float(at.get(x, "direction", r)[0])
+    turn = float(layout.get(x, "direction", r)[0])
     cos, sin = np.cos(turn), np.sin(turn)
     return np.array([[cos, -sin], [sin, cos]])

@@ -55,7 +55,7 @@ def learnable_frames(observations: Observations) -> BoolArray:
     The tags are not filtered. Frames beside a change that is faster than the filter would make every force look too
     large or too small there. What the filter takes off a second time tells where that is.
     """
-    usable, clean = usable_frames(observations), observations.clean_force
+    usable, clean = usable_frames(observations), observations.source.clean_force
     if clean is None or not np.isfinite(clean.cutoff) or not usable.any():
         return usable
     known = np.all(np.isfinite(clean.force), axis=1)
@@ -84,8 +84,8 @@ def chosen_frames(o: Observations, most: int) -> BoolArray:
     least = 1 if o.static else _FEWEST
     if len(usable) < least:
         raise LearningError(
-            f"{o.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. Push "
-            "for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
+            f"{o.source.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. "
+            "Push for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
         )
     return evenly_spread(usable, most, len(o.time))
 
@@ -105,8 +105,8 @@ def check_same_beam(recordings: Sequence[Observations]) -> None:
     for o in recordings[1:]:
         if o.length != first.length or not np.array_equal(o.tag_id, first.tag_id):
             raise LearningError(
-                f"{o.name} is not of the beam of {first.name}: length {o.length} m against {first.length} m, "
-                f"tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
+                f"{o.source.name} is not of the beam of {first.source.name}: length {o.length} m against "
+                f"{first.length} m, tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
             )
 
 
@@ -125,7 +125,7 @@ def loads_of(observations: Observations, frames: BoolArray) -> Loads:
 
 def known_loads(observations: Observations, frames: BoolArray) -> Loads:
     """What acts in those frames besides the logged force and the weight."""
-    known = observations.known
+    known = observations.known_loads
     if known is None:
         return Loads()
     return Loads(known.force[frames], known.force_s[frames], known.moment[frames], known.moment_s[frames])
@@ -133,7 +133,7 @@ def known_loads(observations: Observations, frames: BoolArray) -> Loads:
 
 def mass_profile(observations: Observations) -> Profile:
     """kg/m along the beam, as written down; zero where no mass is known."""
-    line, mass = observations.mass_line, observations.mass
+    line, mass = observations.stated.mass_line, observations.stated.mass
     if line is not None:
         return Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
     return Uniform(mass / observations.length if np.isfinite(mass) else 0.0)

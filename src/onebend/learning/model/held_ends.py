@@ -167,7 +167,7 @@ def _closer(xy: Array, s: Array, solved: Equilibrium, ends: HeldEnds) -> Array:
 
 def stated_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
     """That k was taken as one number; and what can be said of it where nothing sets its scale."""
-    even = any(o.stiffness_along == "even" for o in recordings)
+    even = any(o.stated.stiffness_along == "even" for o in recordings)
     text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
     said = (Remark("note", text),) if even else ()
     return said + (_no_scale(stiffness) if sets_no_scale(recordings) else ())

@@ -78,23 +78,23 @@ def weighs(observations: Observations) -> bool:
 
 def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
     """What one recording says of how the mass is spread holds for all."""
-    said = sorted({o.mass_along for o in recordings} - {"unknown"})
+    said = sorted({o.stated.mass_along for o in recordings} - {"unknown"})
     if len(said) > 1:
-        names = ", ".join(o.name for o in recordings)
+        names = ", ".join(o.source.name for o in recordings)
         raise LearningError(f"{names}: mass_along is {' and '.join(said)}. It is one beam: write the same in each")
-    return [replace(o, mass_along=said[0]) for o in recordings] if said else recordings
+    return [replace(o, stated=replace(o.stated, mass_along=said[0])) for o in recordings] if said else recordings
 
 
 def mass_is_open(recordings: Sequence[Observations]) -> bool:
     """Whether weight acts and no recording of the beam says its mass."""
-    return any(weighs(o) for o in recordings) and not any(np.isfinite(o.mass) for o in recordings)
+    return any(weighs(o) for o in recordings) and not any(np.isfinite(o.stated.mass) for o in recordings)
 
 
 def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
     """Raises `LearningError` where an unknown weight is all that bends the beam."""
     if not mass_is_open(recordings) or any(forced(o) for o in recordings):
         return
-    names = ", ".join(o.name for o in recordings)
+    names = ", ".join(o.source.name for o in recordings)
     raise LearningError(
         f"{names}: the beam's own weight is all that bends it, and its mass is not written down. Such data hold only "
         "the ratio k/mu of stiffness to mass per metre. Give mass_kg in [beam], or learn together with a push or a "
@@ -104,19 +104,22 @@ def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
 
 def forced(observations: Observations) -> bool:
     """Whether something other than the beam's own weight acts on it."""
-    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0 or observations.known is not None)
+    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0 or observations.known_loads is not None)
 
 
 def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
     """The recordings, those without a mass with that of the others; where none says it, with a `guess` [kg]."""
     recordings = _alike(recordings)
-    known = [o for o in recordings if np.isfinite(o.mass)]
+    known = [o for o in recordings if np.isfinite(o.stated.mass)]
     if known:
         first = known[0]
         given = [
-            o if np.isfinite(o.mass) else replace(o, mass=first.mass, mass_line=first.mass_line) for o in recordings
+            o
+            if np.isfinite(o.stated.mass)
+            else replace(o, stated=replace(o.stated, mass=first.stated.mass, mass_line=first.stated.mass_line))
+            for o in recordings
         ]
         return tuple(given)
     if not mass_is_open(recordings) or not np.isfinite(guess):
         return tuple(recordings)
-    return tuple(replace(o, mass=guess, mass_sd=FREE) for o in recordings)
+    return tuple(replace(o, stated=replace(o.stated, mass=guess, mass_sd=FREE)) for o in recordings)

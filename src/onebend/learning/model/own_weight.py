@@ -61,15 +61,15 @@ class OwnWeight:
 
 def own_weight(o: Observations, problem: Problem, gravity: Array, even: Array, written: Profile) -> OwnWeight:
     """Of a recording whose mass is known or guessed; `even` (Q, 4) or (F, Q, 4): Legendre functions at the nodes."""
-    modes = o.mass / o.length * even
-    if o.mass_along == "table":  # the whole table is heavier or lighter
+    modes = o.stated.mass / o.length * even
+    if o.stated.mass_along == "table":  # the whole table is heavier or lighter
         modes = np.concatenate([np.asarray(written(problem.grid.nodes))[..., None], modes[..., 1:]], axis=-1)
-    return OwnWeight(gravity, modes, problem.weights, POWERS.get(o.mass_along))
+    return OwnWeight(gravity, modes, problem.weights, POWERS.get(o.stated.mass_along))
 
 
 def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Profile | None:
     """kg/m of `mass` [kg] where it follows k(s); None where it does not."""
-    power = POWERS.get(o.mass_along)
+    power = POWERS.get(o.stated.mass_along)
     if power is None:
         return None
     if power == 0.0:

@@ -62,10 +62,11 @@ class Layout:
     even: bool = False  # k is one number, as somebody knows
 
     @property
-    def evenness(self) -> Array:
-        """(p, p) precision of the differences between the coefficients of log k; zero unless `even`."""
+    def differences(self) -> Array:
+        """(p, p) by which the coefficients of log k become their differences from their mean, in prior sds; zero unless
+        k is even."""
         count = self.spline.count
-        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN**2 if self.even else 0.0))
+        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN if self.even else 0.0))
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
         """Values of a block; zeros (of the right length) where it is frozen."""
@@ -95,15 +96,15 @@ class Layout:
         return (own[0].start, own[-1].where.stop) if own else (self.shared, self.shared)
 
 
-def layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
+def make_layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
     """The vector for several recordings of one beam; `knots` counts the force errors' knots of each."""
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]
-    placement = first.placement_sd if priors.placement is None else priors.placement
-    mounting = first.turn_sd if priors.mounting is None else priors.mounting
+    placement = first.stated.placement_sd if priors.placement is None else priors.placement
+    mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
     curvature = max(curvature_sd(r, priors) for r in recordings)
     heavy = any(weighs(r) for r in recordings)
-    mass = max((r.mass_sd for r in recordings if np.isfinite(r.mass_sd)), default=priors.mass)
+    mass = max((r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
@@ -113,17 +114,18 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
         ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),
     ]
     for r, one in enumerate(recordings):
-        origin = one.placement_sd if priors.origin is None else priors.origin
+        name = one.source.name
+        origin = one.stated.placement_sd if priors.origin is None else priors.origin
         wanted += [
-            ("clamp", r, "rad", clamp_sd(one, priors), (f"{one.name}: clamp angle",)),
-            ("origin", r, "m", origin, (f"{one.name}: origin x", f"{one.name}: origin y")),
-            ("scale", r, "1", scale_sd(one, priors), (f"{one.name}: camera scale",)),
-            ("clock", r, "s", _clock_sd(one, priors), (f"{one.name}: clock offset",)),
-            ("place", r, "m", _pushed(one, one.place_sd, priors.place), (f"{one.name}: push place",)),
-            ("direction", r, "rad", _pushed(one, one.direction_sd, priors.direction), (f"{one.name}: force axes",)),
+            ("clamp", r, "rad", clamp_sd(one, priors), (f"{name}: clamp angle",)),
+            ("origin", r, "m", origin, (f"{name}: origin x", f"{name}: origin y")),
+            ("scale", r, "1", scale_sd(one, priors), (f"{name}: camera scale",)),
+            ("clock", r, "s", _clock_sd(one, priors), (f"{name}: clock offset",)),
+            ("place", r, "m", _pushed(one, one.stated.place_sd, priors.place), (f"{name}: push place",)),
+            ("direction", r, "rad", _pushed(one, one.stated.direction_sd, priors.direction), (f"{name}: force axes",)),
             ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
             ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
-            ("force", r, "N", 1.0, tuple(f"{one.name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+            ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:
@@ -133,7 +135,7 @@ def layout(spline: Spline, recordings: list[Observations], knots: list[int], pri
             sds[1:] = _mass_spread(recordings, priors)
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
-    even = any(r.stiffness_along == "even" for r in recordings)
+    even = any(r.stated.stiffness_along == "even" for r in recordings)
     return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, even)
 
 
@@ -144,51 +146,51 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
     from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
     no more is known than how well a base tag is put on. Of poses the stated sd is all. 0 freezes it.
     """
-    stated = one.clamp_sd if priors.clamp is None else priors.clamp
+    stated = one.stated.clamp_sd if priors.clamp is None else priors.clamp
     if stated == 0.0 or (one.static and np.isfinite(stated)):
         return stated
     own = stated if np.isfinite(stated) else CLAMP_SD
     reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
     if curvature_sd(one, priors) > 0.0 or not np.any(reach > 0.0):
         return float(np.hypot(own, MOUNTING_SD))
-    placement = one.placement_sd if priors.placement is None else priors.placement
+    placement = one.stated.placement_sd if priors.placement is None else priors.placement
     return float(np.hypot(own, 2.0 * placement / np.linalg.norm(reach)))
 
 
 def curvature_sd(one: Observations, priors: Priors) -> float:
     """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
-    if one.rest == "straight":
+    if one.stated.rest == "straight":
         return 0.0
-    return one.curvature_sd if priors.curvature is None else priors.curvature
+    return one.stated.curvature_sd if priors.curvature is None else priors.curvature
 
 
 def scale_sd(one: Observations, priors: Priors) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
-    if one.view is None:
+    if one.source.view is None:
         return 0.0
-    usual = 0.0 if one.view.calibrated else SCALE_SD
-    stated = one.scale_sd if np.isfinite(one.scale_sd) else usual
-    return stated if priors.scale is None or one.view.calibrated else priors.scale
+    usual = 0.0 if one.source.view.calibrated else SCALE_SD
+    stated = one.stated.scale_sd if np.isfinite(one.stated.scale_sd) else usual
+    return stated if priors.scale is None or one.source.view.calibrated else priors.scale
 
 
 def _ends(one: Observations, *what: str) -> tuple[str, ...]:
     """Labels of the ends that an unknown wrench holds, pose by pose."""
     held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
-    return tuple(f"{one.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
+    return tuple(f"{one.source.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
 
 
 def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
-    if any(r.mass_along != "unknown" for r in recordings):
+    if any(r.stated.mass_along != "unknown" for r in recordings):
         return _STATED
-    return priors.mass_line if any(r.mass_line is not None for r in recordings) else priors.mass_spread
+    return priors.mass_line if any(r.stated.mass_line is not None for r in recordings) else priors.mass_spread
 
 
 def _clock_sd(one: Observations, priors: Priors) -> float:
     if priors.clock is not None:
         return priors.clock
-    if one.clock is None:
+    if one.source.clock is None:
         return 0.0
-    return _CLOCK_DOUBT * float(one.clock.sd) if np.isfinite(one.clock.sd) else 1.0
+    return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
 
 
 def _pushed(one: Observations, said: float, wanted: float | None) -> float:

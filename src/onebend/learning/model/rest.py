@@ -73,7 +73,7 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
 def _rest_states(observations: Observations, known: BoolArray, bent_sd: float) -> Array:
     """States that balance curvature (one sd `bent_sd`, rad) against mounting, each measured by its own sd."""
     at = places(observations.length, _REST_MODES, observations.marker_s[known])
-    of_tags = np.repeat([observations.placement_sd, observations.turn_sd], [2 * len(at.s), len(at.s)])
+    of_tags = np.repeat([observations.stated.placement_sd, observations.stated.turn_sd], [2 * len(at.s), len(at.s)])
     sd = np.maximum(of_tags, _EXACT)
     theta = np.zeros(_REST_MODES.n)
     for _ in range(5):

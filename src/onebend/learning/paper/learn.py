@@ -7,13 +7,15 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.learning.model.rest import AtRest, at_rest
 from onebend.learning.outcome import Learned
-from onebend.learning.paper.selection import Settings, choose, table
+from onebend.learning.paper.selection import RegressionSettings, choose, table
 from onebend.progress import Progress, Silent
 from onebend.records import Observations, Remark
 
 
 @one_blas_thread
-def learn(observations: Observations, settings: Settings = Settings(), *, progress: Progress = Silent()) -> Learned:
+def learn(
+    observations: Observations, settings: RegressionSettings = RegressionSettings(), *, progress: Progress = Silent()
+) -> Learned:
     """The stiffness distribution of the observed beam.
 
     Raises:
@@ -45,6 +47,6 @@ def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
     shift = float(np.max(np.linalg.norm(rest.offset, axis=1)))
     turn = float(np.rad2deg(np.max(np.abs(rest.turn))))
     text = f"at rest the tags sit up to {1e3 * shift:.2f} mm and {turn:.2f} deg off their places; taken off every frame"
-    if shift > 4.0 * observations.placement_sd:
+    if shift > 4.0 * observations.stated.placement_sd:
         return (Remark("warning", text + ". That is more than the placement tolerance allows: check the tags' s"),)
     return (Remark("note", text),)

@@ -31,7 +31,7 @@ _GRID = make_grid(order=32)
 
 
 @dataclass(frozen=True)
-class Rows:
+class MomentRows:
     """Rows of `X gamma = Y` before a family is chosen; Q nodes on the beam, test functions in Legendre form."""
 
     elastic: Array  # (T, n, Q): weight times (q - q0) phi_j at the nodes; X = elastic @ Pi
@@ -41,7 +41,7 @@ class Rows:
     states: States
 
 
-def assemble(observations: Observations, states: States) -> Rows:
+def assemble(observations: Observations, states: States) -> MomentRows:
     """Rows of all T frames (NaN where a frame has no states). Equations (9)-(11)."""
     grid, modes, length = _GRID, states.modes, observations.length
     phi, a = modes.curvature(grid.nodes), modes.angle(grid.nodes)  # (Q, n)
@@ -58,7 +58,7 @@ def assemble(observations: Observations, states: States) -> Rows:
     along = to_push * np.einsum("tqc,tc->tq", u, observations.force)
     along = along + grid.weights * np.einsum("tqc,tqc->tq", u, beyond)
     geometric = length * np.einsum("tq,qi,qj->tij", along, a, a, optimize=True)
-    return Rows(elastic, load, load_per_force, geometric, states)
+    return MomentRows(elastic, load, load_per_force, geometric, states)
 
 
 def basis(family: Family, m: int, width: float | None) -> tuple[Array, float]:
@@ -75,12 +75,12 @@ def profile(family: Family, coefficients: Array, sigma: float) -> Profile:
     return Powers(gamma) if family == "powers" else Gaussians(equidistant(len(gamma)), sigma, gamma)
 
 
-def literal(rows: Rows, use: BoolArray, pi: Array) -> tuple[Array, float]:
+def literal(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, float]:
     """gamma (m,) of (18) with the paper's rows: powers as test functions, no weights; and the condition of X."""
     return _orthogonal(*literal_rows(rows, use, pi))
 
 
-def literal_rows(rows: Rows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
+def literal_rows(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
     """X (R, m) and Y (R,) as the paper writes them, with powers of s as test functions; n rows a frame."""
     to_legendre = Modes(rows.states.modes.n, "powers").to_legendre
     x = np.einsum("lj,tlq,qw->tjw", to_legendre, rows.elastic[use], pi, optimize=True).reshape(-1, pi.shape[1])
@@ -88,7 +88,7 @@ def literal_rows(rows: Rows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
 
 
 def weighted(
-    rows: Rows, use: BoolArray, pi: Array, *, force_sd: Array, tag_noise: float = 1.0, rounds: int = 8
+    rows: MomentRows, use: BoolArray, pi: Array, *, force_sd: Array, tag_noise: float = 1.0, rounds: int = 8
 ) -> tuple[Array, float]:
     """gamma (m,) with each frame's rows weighted by the covariance that noise gives them; and the condition of X.
 
@@ -144,6 +144,6 @@ def _weight_beyond(observations: Observations) -> Array:
     """(T, Q, 2) N: the weight of the beam beyond each node, its mass spread evenly."""
     if not weighs(observations):
         return np.zeros((len(observations.time), len(_GRID.nodes), 2))
-    if not np.isfinite(observations.mass):
-        raise LearningError(f"{observations.name}: {NEEDS_MASS}")
-    return observations.mass * (1.0 - _GRID.nodes)[None, :, None] * observations.gravity[:, None, :]
+    if not np.isfinite(observations.stated.mass):
+        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    return observations.stated.mass * (1.0 - _GRID.nodes)[None, :, None] * observations.gravity[:, None, :]

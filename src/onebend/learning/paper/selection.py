@@ -27,7 +27,7 @@ _FINE = np.linspace(0.0, 1.0, 401)
 
 
 @dataclass(frozen=True)
-class Settings:
+class RegressionSettings:
     """How k(s) is learned from states and forces."""
 
     method: Method = "regression"  # "paper": the literal rows of (17), tags' positions only
@@ -53,7 +53,7 @@ class Candidate:
     comparison: Comparison | None
 
 
-def pairs(settings: Settings, tags: int) -> list[tuple[int, int]]:
+def pairs(settings: RegressionSettings, tags: int) -> list[tuple[int, int]]:
     """All (n, m) to try (20): n in 2..z, m in 2..n. Raises `LearningError` on a fixed n or m that cannot be."""
     limit = (3 if settings.with_angles else 2) * tags
     z = min(limit, 8) if settings.most_n is None else settings.most_n
@@ -85,17 +85,19 @@ def information_criterion(rms: Array, observed: int, parameters: int, kind: Bic)
     return float(observed * np.log(mean_square) + parameters * np.log(observed))
 
 
-def table(observations: Observations, rest: AtRest, settings: Settings, progress: Progress) -> list[Candidate]:
+def table(
+    observations: Observations, rest: AtRest, settings: RegressionSettings, progress: Progress
+) -> list[Candidate]:
     """Every (n, m): learned, simulated, compared. Raises `LearningError` where the frames are too few for any."""
     frames = usable_frames(observations)
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
     if still := nothing_moves(observations):
-        raise LearningError(f"{observations.name}: {still}. Film a push, and let the force log cover it")
+        raise LearningError(f"{observations.source.name}: {still}. Film a push, and let the force log cover it")
     if np.sum(frames) < needed:
         raise LearningError(
-            f"{observations.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be found; "
-            "film a longer push, or fix smaller n and m"
+            f"{observations.source.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be "
+            "found; film a longer push, or fix smaller n and m"
         )
     out: list[Candidate] = []
     states: States | None = None
@@ -119,7 +121,9 @@ def choose(candidates: list[Candidate]) -> int:
     return int(np.argmin(bic))
 
 
-def _try(observations: Observations, rows: regression.Rows, use: BoolArray, m: int, settings: Settings) -> Candidate:
+def _try(
+    observations: Observations, rows: regression.MomentRows, use: BoolArray, m: int, settings: RegressionSettings
+) -> Candidate:
     """Learn one (n, m), simulate it, compare."""
     n = rows.states.modes.n
     pi, sigma = regression.basis(settings.family, m, settings.width)
@@ -151,7 +155,7 @@ def _try(observations: Observations, rows: regression.Rows, use: BoolArray, m: i
 
 def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:
     """The learned beam: stiffness, rest curvature and an even mass."""
-    mass = observations.mass if np.isfinite(observations.mass) else 0.0
+    mass = observations.stated.mass if np.isfinite(observations.stated.mass) else 0.0
     theta0 = states.theta0
     curvature: Profile = Uniform(0.0)
     if np.any(theta0 != 0.0):

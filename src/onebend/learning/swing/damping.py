@@ -25,9 +25,9 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.model.parameters import Priors
-from onebend.learning.swing.free_swing import Part, Swing, find_swing, glance, shortened
+from onebend.learning.swing.free_swing import FilmPart, Swing, find_swing, glance, shortened
 from onebend.learning.swing.swing_fit import Fitted, fit_swing
-from onebend.learning.swing.swing_motion import Problem, at_rest, first_guess, scaled, units_of
+from onebend.learning.swing.swing_motion import SwingProblem, at_rest, first_guess, scaled, units_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations, Remark
 
@@ -118,7 +118,7 @@ def learn_damping(
     recording: Observations,
     *,
     uncertain: UncertainStiffness | None = None,
-    part: Part = Part(),
+    part: FilmPart = FilmPart(),
     settings: DampingSettings = DampingSettings(),
     progress: Progress = Silent(),
 ) -> SwingFit:
@@ -137,12 +137,12 @@ def learn_damping(
         about = _vibration(on, swing)
         seen = glance(swing, float(np.sqrt(about.squared[0])))
         swing = shortened(swing, settings.most_periods * 2.0 * np.pi / seen.omega)
-        problem = Problem(on, swing, about, known, units_of(about, swing, settings.start_modes))
+        problem = SwingProblem(on, swing, about, known, units_of(about, swing, settings.start_modes))
         fitted = fit_swing(problem, first_guess(problem, seen), progress)
         model_sd = _model_sd(weighed, uncertain, swing, settings)
         return _result(problem, fitted, weighed, model_sd)
     except MechanicsError as error:
-        raise LearningError(f"{recording.name}: the learned beam cannot swing so ({error})") from error
+        raise LearningError(f"{recording.source.name}: the learned beam cannot swing so ({error})") from error
 
 
 def _with_mass(beam: Beam, recording: Observations, settings: DampingSettings) -> tuple[Beam, bool]:
@@ -150,8 +150,8 @@ def _with_mass(beam: Beam, recording: Observations, settings: DampingSettings) -
     own = beam.mass_per_length(_GRID)
     if np.all(own > 0.0) and not isinstance(beam.mass_per_length, Uniform):
         return beam, True
-    known = bool(np.all(own > 0.0) or recording.mass > 0.0)  # NaN is not
-    total = float(own[0]) * beam.length if np.all(own > 0.0) else recording.mass if known else beam.length
+    known = bool(np.all(own > 0.0) or recording.stated.mass > 0.0)  # NaN is not
+    total = float(own[0]) * beam.length if np.all(own > 0.0) else recording.stated.mass if known else beam.length
     along: Profile = Uniform(total / beam.length)
     if settings.mass_along == "width":
         share = np.cbrt(np.maximum(beam.stiffness(_GRID), 0.0))
@@ -191,7 +191,7 @@ def _uneven(mass: Profile, spread: float, rng: np.random.Generator) -> Profile:
     return Table(tuple(_GRID.tolist()), tuple((mass(_GRID) * share / np.trapezoid(share, _GRID)).tolist()))
 
 
-def _result(problem: Problem, fitted: Fitted, beam: Beam, model_sd: float) -> SwingFit:
+def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) -> SwingFit:
     """Numbers of the fit, and what is to be said of them."""
     known, swing = problem.mass_known, problem.swing
     loss, factor = (float(np.exp(v)) for v in fitted.x[:2])

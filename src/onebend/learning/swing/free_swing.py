@@ -18,7 +18,7 @@ _NYQUIST = 0.45  # of the frame rate: faster swings cannot be told from slower o
 
 
 @dataclass(frozen=True)
-class Part:
+class FilmPart:
     """Which frames to take, on the film's clock [s]; None: from the release found in the data, to the end."""
 
     begin: float | None = None
@@ -52,13 +52,13 @@ class Glance:
     slope: float  # m/s or rad/s there
 
 
-def find_swing(o: Observations, part: Part = Part()) -> Swing:
+def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
     """The free swing after the last contact, or in the part of the film asked for.
 
     Raises:
         LearningError: no such frames, too few of them, no rest to swing about, a base that turns, no visible motion.
     """
-    film_time = o.time - (o.clock.offset if o.clock is not None else 0.0)
+    film_time = o.time - (o.source.clock.offset if o.source.clock is not None else 0.0)
     begin = _release(o, film_time) if part.begin is None else part.begin
     chosen = (film_time >= begin) & (film_time <= (np.inf if part.end is None else part.end))
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
@@ -66,17 +66,21 @@ def find_swing(o: Observations, part: Part = Part()) -> Swing:
     chosen &= there.any(axis=1)
     if chosen.sum() < _FEWEST:
         raise LearningError(
-            f"{o.name}: {int(chosen.sum())} frames show tags from {begin:.2f} s of the film on; at least {_FEWEST} are "
-            "needed. Film on after the release until the beam has almost stopped"
+            f"{o.source.name}: {int(chosen.sum())} frames show tags from {begin:.2f} s of the film on; at least "
+            f"{_FEWEST} are needed. Film on after the release until the beam has almost stopped"
         )
     rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)
     if not np.isfinite(rest).all():
-        raise LearningError(f"{o.name}: not every tag is seen at rest. Begin the film with the free beam at rest")
+        raise LearningError(
+            f"{o.source.name}: not every tag is seen at rest. Begin the film with the free beam at rest"
+        )
     if np.ptp(o.gravity[chosen], axis=0).max() > 0.2:
-        raise LearningError(f"{o.name}: the base turns while the beam swings. Let it swing from a base that stands")
+        raise LearningError(
+            f"{o.source.name}: the base turns while the beam swings. Let it swing from a base that stands"
+        )
     shown = np.where(there[chosen][..., None], seen[chosen], np.nan)
     swing = Swing(
-        name=o.name,
+        name=o.source.name,
         time=o.time[chosen] - o.time[chosen][0],
         begin=float(film_time[chosen][0]),
         s=o.marker_s,
@@ -88,7 +92,9 @@ def find_swing(o: Observations, part: Part = Part()) -> Swing:
     )
     away = np.einsum("tmij,tmj->tmi", swing.whiten, np.nan_to_num(swing.seen - rest))
     if np.abs(away).max() < _VISIBLE:
-        raise LearningError(f"{o.name}: the beam hardly moves from {begin:.2f} s of the film on. Bend it further")
+        raise LearningError(
+            f"{o.source.name}: the beam hardly moves from {begin:.2f} s of the film on. Bend it further"
+        )
     return swing
 
 
@@ -132,11 +138,11 @@ def _release(o: Observations, film_time: Array) -> float:
     """s on the film's clock from which the beam is free."""
     touched = np.flatnonzero(o.loaded)
     if not len(touched):
-        raise LearningError(f"{o.name}: no contact was found, so no release. Say when the beam swings: --from-s")
+        raise LearningError(f"{o.source.name}: no contact was found, so no release. Say when the beam swings: --from-s")
     if touched[-1] == len(o.time) - 1:
         raise LearningError(
-            f"{o.name}: the beam is pushed to the end of the film. Film on after the release; or, where it swings "
-            "freely in a part of the film, say from when on: --from-s"
+            f"{o.source.name}: the beam is pushed to the end of the film. Film on after the release; or, where it "
+            "swings freely in a part of the film, say from when on: --from-s"
         )
     return float(film_time[touched[-1]]) + _MARGIN
 

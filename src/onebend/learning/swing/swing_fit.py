@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.errors import MechanicsError
 from onebend.learning.swing.free_swing import shortened
-from onebend.learning.swing.swing_motion import Problem, predict
+from onebend.learning.swing.swing_motion import SwingProblem, predict
 from onebend.progress import Progress
 from onebend.recording.signals import MAD_TO_SD
 from onebend.records import Array
@@ -28,7 +28,7 @@ class Fitted:
     moved: bool  # still, when the rounds were used up
 
 
-def fit_swing(problem: Problem, x: Array, progress: Progress) -> Fitted:
+def fit_swing(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
     """Gauss-Newton on the first three swings, then on all."""
     omega = float(np.sqrt(problem.about.squared[0] * np.exp(x[1])))
     near = shortened(problem.swing, 6.0 * np.pi / omega)
@@ -40,7 +40,7 @@ def fit_swing(problem: Problem, x: Array, progress: Progress) -> Fitted:
         progress.done()
 
 
-def _search(problem: Problem, x: Array, progress: Progress) -> Fitted:
+def _search(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
     """Least squares with Huber's weights, a step halved where it does not lower the cost."""
     left = _residual(problem, predict(problem, x))
     moved = True
@@ -60,7 +60,7 @@ def _search(problem: Problem, x: Array, progress: Progress) -> Fitted:
     return Fitted(x, _covariance(problem, rows, weights * left, scale), predict(problem, x), moved)
 
 
-def _stepped(problem: Problem, x: Array, step: Array, left: Array, scale: float) -> tuple[Array, Array, float]:
+def _stepped(problem: SwingProblem, x: Array, step: Array, left: Array, scale: float) -> tuple[Array, Array, float]:
     """The new parameters and residuals, and the share of the step that was taken (0: none lowers the cost)."""
     before = _cost(left, x, scale)
     share = min(1.0, _BOLD / max(float(np.abs(step[:2]).max()), 1e-300))
@@ -83,20 +83,20 @@ def _cost(left: Array, x: Array, scale: float) -> float:
     return float(np.sum(spread) + 0.5 * np.sum(x[2:] ** 2))
 
 
-def _prior_rows(problem: Problem, scale: float) -> Array:
+def _prior_rows(problem: SwingProblem, scale: float) -> Array:
     """Each mode starts with no more than the whole swing (one sd)."""
     rows = scale * np.eye(problem.unknown)
     return rows[2:]
 
 
-def _residual(problem: Problem, predicted: Array) -> Array:
+def _residual(problem: SwingProblem, predicted: Array) -> Array:
     """(R,) whitened, of all that was seen."""
     away = np.nan_to_num(predicted - problem.swing.seen)
     whitened = np.einsum("tmij,tmj->tmi", problem.swing.whiten, away)
     return np.asarray(whitened[np.isfinite(problem.swing.seen)])
 
 
-def _slope(problem: Problem, x: Array, left: Array) -> Array:
+def _slope(problem: SwingProblem, x: Array, left: Array) -> Array:
     """(R, p) by differences; the simulation's own error is far below the step's effect."""
     out = np.empty((len(left), len(x)))
     for i in range(len(x)):
@@ -111,7 +111,7 @@ def _scale(left: Array) -> float:
     return max(MAD_TO_SD * float(np.median(np.abs(left))), 0.1)
 
 
-def _covariance(problem: Problem, rows: Array, left: Array, scale: float) -> Array:
+def _covariance(problem: SwingProblem, rows: Array, left: Array, scale: float) -> Array:
     """(p, p): residuals summed over half swings; no smaller than what their size alone gives."""
     bread = np.linalg.pinv(rows.T @ rows)
     period = 2.0 * np.pi / np.sqrt(problem.about.squared[0])

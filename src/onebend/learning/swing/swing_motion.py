@@ -19,7 +19,7 @@ _METHOD = IntegrationSettings(Method(3, "radau"))  # the fastest modes are over-
 
 
 @dataclass(frozen=True)
-class Problem:
+class SwingProblem:
     """What the parameters (log tau, log c, displacements, rates along the modes) are compared with."""
 
     body: Body
@@ -40,7 +40,7 @@ def units_of(about: Vibration, swing: Swing, most: int) -> Array:
     return np.asarray(furthest / np.linalg.norm(about.moved(swing.s)[:count], axis=-1).max(axis=1))
 
 
-def first_guess(problem: Problem, seen: Glance) -> Array:
+def first_guess(problem: SwingProblem, seen: Glance) -> Array:
     """Parameters from a damped sinusoid in the slowest mode."""
     about, x = problem.about, np.zeros(problem.unknown)
     squared = seen.omega**2 + seen.decay**2
@@ -55,7 +55,7 @@ def first_guess(problem: Problem, seen: Glance) -> Array:
     return x
 
 
-def predict(problem: Problem, x: Array) -> Array:
+def predict(problem: SwingProblem, x: Array) -> Array:
     """(T, m, 3) where the tags are."""
     swing, count, factor = problem.swing, len(problem.units), float(np.exp(x[1]))
     on = scaled(problem.body, factor, float(np.exp(x[0])), mass_known=problem.mass_known)

@@ -62,23 +62,23 @@ def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
         yield time - first, message
 
 
-def picture_of(message: Any, where: str, *, colour: bool = False) -> Pixels:
+def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
     """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message.
 
     Raises:
         RecordingError: an encoding that is not known, or fewer bytes than the size asks for.
     """
     if not hasattr(message, "encoding"):
-        return unpacked(message, where, colour)
+        return unpacked(message, place, colour)
     height, width, name = int(message.height), int(message.width), str(message.encoding)
     data = np.asarray(message.data, dtype=np.uint8)
     size = COLOURS[name][0] if name in COLOURS else 2 if name in LUMA_AT else GREYS.get(name, 1)
     if name not in (*COLOURS, *GREYS, *LUMA_AT, *MOSAICS):
         known = ", ".join((*GREYS, *COLOURS, *MOSAICS, *LUMA_AT))
-        raise RecordingError(f"{where}: images encoded as {name!r} cannot be read; {known} can.")
+        raise RecordingError(f"{place}: images encoded as {name!r} cannot be read; {known} can.")
     step = int(message.step) or size * width
     if height < 1 or width < 1 or step < size * width or len(data) < (height - 1) * step + size * width:
-        raise RecordingError(f"{where}: an image of {width} x {height} {name} has {len(data)} bytes. Is it cut off?")
+        raise RecordingError(f"{place}: an image of {width} x {height} {name} has {len(data)} bytes. Is it cut off?")
     padded = np.zeros(height * step, dtype=np.uint8)  # some drivers leave out the last row's padding
     padded[: min(len(data), len(padded))] = data[: len(padded)]
     rows = padded.reshape(height, step)[:, : size * width].reshape(height, width, size)

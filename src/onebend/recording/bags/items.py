@@ -1,4 +1,4 @@
-"""What reading a robot log from front to back gives: topics, messages, and where it breaks off."""
+"""Records of a robot log that is read from front to back: topics, messages, and where it breaks off."""
 
 from __future__ import annotations
 

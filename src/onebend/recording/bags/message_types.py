@@ -43,21 +43,21 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
 
 def types_of(channel: Channel, definitions: Path | None) -> Typestore:
     """The types that the channel needs: its own definition first, else the standard ones and those of the folder."""
-    found: Typesdict = {}
+    types: Typesdict = {}
     if channel.definition and not channel.idl:
         store = get_typestore(Stores.EMPTY)
-        found.update(get_types_from_msg(channel.definition, channel.type))
+        types.update(get_types_from_msg(channel.definition, channel.type))
     elif channel.definition:
         store = get_typestore(Stores.EMPTY)
         for part in channel.definition.split(IDL_PART):
             text = part.partition("\n")[2] if part.startswith("IDL: ") else part
             if text.strip():
-                found.update(get_types_from_idl(text))
+                types.update(get_types_from_idl(text))
     else:
         store = get_typestore(Stores.ROS1_NOETIC if channel.encoding == "ros1" else Stores.LATEST)
         for file in sorted(definitions.rglob("*.msg")) if definitions is not None else []:
             package = file.parent.parent.name if file.parent.name == "msg" else file.parent.name
-            found.update(get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}"))
-        found = {name: fields for name, fields in found.items() if name not in store.fielddefs}
-    store.register(found)
+            types.update(get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}"))
+        types = {name: fields for name, fields in types.items() if name not in store.fielddefs}
+    store.register(types)
     return store

@@ -55,8 +55,8 @@ def files_of(path: Path) -> tuple[Path, ...]:
     """The files with messages, in order; none where a folder holds none."""
     if path.is_file():
         return (path,)
-    found = [file for file in path.iterdir() if file.name.endswith((*ENDINGS, ".mcap.zstd", ".db3.zstd"))]
-    return tuple(sorted(found, key=lambda file: natural(file.name)))
+    files = [file for file in path.iterdir() if file.name.endswith((*ENDINGS, ".mcap.zstd", ".db3.zstd"))]
+    return tuple(sorted(files, key=lambda file: natural(file.name)))
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -92,12 +92,12 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
             why = str(wrong).rstrip(".")
     else:
         why = ""
-    found = scan_bag(path, files)
-    if found.fault and (not keep or not found.count):
-        raise damaged(found, found.fault)
-    if not found.count and why:
+    bag = scan_bag(path, files)
+    if bag.fault and (not keep or not bag.count):
+        raise damaged(bag, bag.fault)
+    if not bag.count and why:
         raise RecordingError(f"{path} cannot be read: {why}.")
-    return found
+    return bag
 
 
 def refuse_journals(files: Sequence[Path]) -> None:
@@ -143,13 +143,15 @@ def damaged(bag: Bag, fault: str) -> RecordingError:
 def connections(part: Path) -> list[tuple[Channel, int]]:
     """Topics and counts of one sound part, by its index."""
     with reader_of(part) as reader:
-        found = []
-        for one in reader.connections:
-            kind = one.msgdef.format
-            text = "" if kind == MessageDefinitionFormat.NONE else one.msgdef.data
+        topics = []
+        for connection in reader.connections:
+            kind = connection.msgdef.format
+            text = "" if kind == MessageDefinitionFormat.NONE else connection.msgdef.data
             idl = kind == MessageDefinitionFormat.IDL
-            found.append((Channel(one.topic, one.msgtype, encoding_of(one), text, idl), one.msgcount))
-        return found
+            topics.append(
+                (Channel(connection.topic, connection.msgtype, encoding_of(connection), text, idl), connection.msgcount)
+            )
+        return topics
 
 
 def encoding_of(connection: Connection) -> str:
@@ -164,14 +166,14 @@ def reader_of(part: Path) -> Ros1Reader | Ros2Reader:
 
 def together(parts: Iterator[list[tuple[Channel, int]]]) -> dict[str, Topic]:
     """Topics by name; publishers and parts of one topic are added up."""
-    found: dict[str, Topic] = {}
+    topics: dict[str, Topic] = {}
     for part in parts:
         for channel, count in part:
-            before = found.get(channel.topic)
-            found[channel.topic] = (
+            before = topics.get(channel.topic)
+            topics[channel.topic] = (
                 Topic(channel, count) if before is None else replace(before, count=before.count + count)
             )
-    return found
+    return topics
 
 
 def topic_of(bag: Bag, name: str, where: str) -> Topic:
@@ -185,8 +187,8 @@ def topic_of(bag: Bag, name: str, where: str) -> Topic:
         return found
     if found is not None:
         raise RecordingError(f"{where}: {bag.path} holds no message of {name}. It holds {listed(bag)}.")
-    near = difflib.get_close_matches(name, bag.topics, n=1)
-    hint = f" Did you mean {near[0]}?" if near else ""
+    similar = difflib.get_close_matches(name, bag.topics, n=1)
+    hint = f" Did you mean {similar[0]}?" if similar else ""
     raise RecordingError(f"{where}: {bag.path} has no topic {name}. It holds {listed(bag)}.{hint}")
 
 
@@ -215,7 +217,7 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     for part in bag.parts:
         try:
             with reader_of(part) as reader:
-                wanted = [one for one in reader.connections if one.topic == name]
+                wanted = [connection for connection in reader.connections if connection.topic == name]
                 if wanted:
                     for _, received, data in reader.messages(wanted):
                         yield received, data

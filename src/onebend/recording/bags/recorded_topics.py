@@ -9,7 +9,7 @@ from typing import Any
 
 from onebend.errors import RecordingError
 from onebend.recording.bags.film_topic import bag_film
-from onebend.recording.bags.message_times import Clock, clock_of
+from onebend.recording.bags.message_times import TopicClock, clock_of
 from onebend.recording.bags.reader import Bag, Topic, is_bag, listed, open_bag, raw_messages, topic_of
 from onebend.recording.bags.topics import guess
 from onebend.recording.toml.entries import ForceEntry, Recording
@@ -24,7 +24,7 @@ TEXT_KEYS = ("columns", "time_unit", "frame_times")  # not for bags
 
 
 def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, Any], mistakes: Mistakes) -> None:
-    """Note what is wrong with the bag that `entry` names, and keys of its table, as `written`, that do not fit it."""
+    """Add mistakes: of the bag that `entry` names, and of keys of its table, as `written`, that do not fit a bag."""
     bag = is_bag(entry.file)
     for key in TEXT_KEYS if bag else BAG_KEYS:
         if key in written:
@@ -35,17 +35,17 @@ def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, A
     if not bag:
         return
     try:
-        found = open_bag(entry.file, keep=entry.damaged == "keep")
+        contents = open_bag(entry.file, keep=entry.damaged == "keep")
         if not entry.topic:
-            mistakes.add((name, "file"), f"[{name}] lacks topic: {asked(found, name)}")
+            mistakes.add((name, "file"), f"[{name}] lacks topic: {asked(contents, name)}")
         else:
-            topic_of(found, entry.topic, f"[{name}] topic")
+            topic_of(contents, entry.topic, f"[{name}] topic")
     except RecordingError as wrong:
         mistakes.add((name, "topic"), str(wrong))
 
 
 def asked(bag: Bag, name: str) -> str:
-    """What to write where a bag is named without its topic."""
+    """Advice where a bag is named without its topic."""
     likely = guess(bag, "image" if name == "video" else "force")
     hint = f' Add `topic = "{likely}"`.' if likely else ""
     return f"{bag.path} is a bag that holds {listed(bag)}.{hint}"
@@ -72,11 +72,13 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
             remarks.append(Remark("warning", f"{text} A bag does not know how the robot stands to the beam."))
     if video is None or force is None or not same(video, force) or "start_s" in written["video"]:
         return replace(rec, remarks=tuple(remarks))
-    seen, felt = clock(video), clock(force)
-    start = (seen.origin - felt.origin) * 1e-9
-    doubt = HEADERS_DOUBT if seen.by == felt.by == "header" else RECEIPT_DOUBT
+    film_clock, force_clock = clock(video), clock(force)
+    start = (film_clock.origin - force_clock.origin) * 1e-9
+    doubt = HEADERS_DOUBT if film_clock.by == force_clock.by == "header" else RECEIPT_DOUBT
     doubt = float(written["video"].get("start_uncertainty_s", doubt))
-    stamps = "their headers' stamps" if seen.by == felt.by == "header" else "when their messages were received"
+    stamps = (
+        "their headers' stamps" if film_clock.by == force_clock.by == "header" else "when their messages were received"
+    )
     text = f"Film and force share the bag's clock: the film starts at {start:.4f} s by {stamps}, to {doubt:g} s."
     remarks = [remark for remark in remarks if "when the video starts" not in remark.text]
     remarks.append(Remark("note", text))
@@ -87,7 +89,7 @@ def same(video: VideoEntry, force: ForceEntry) -> bool:
     return video.file.resolve() == force.file.resolve()
 
 
-def clock(entry: VideoEntry | ForceEntry) -> Clock:
+def clock(entry: VideoEntry | ForceEntry) -> TopicClock:
     """The clock of the entry's topic."""
     bag, topic = opened_topic(entry)
     return clock_of(bag, topic, entry.definitions)
@@ -101,19 +103,19 @@ def opened_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
 
 
 def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
-    """What is odd about the bag and its topic's clock."""
+    """Remarks on damage of the bag and on its topic's clock."""
     bag, topic = opened_topic(entry)
-    found = []
+    remarks = []
     if bag.fault:
         text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
-        found.append(Remark("warning", f"{text} are used, those before that."))
+        remarks.append(Remark("warning", f"{text} are used, those before that."))
     elif bag.scanned and entry.damaged == "refuse":
         text = f"[{name}] {entry.file.name} has no index (its recorder was not closed): read from front to back."
-        found.append(Remark("note", text))
+        remarks.append(Remark("note", text))
     if isinstance(entry, VideoEntry) and clock(entry).by == "receipt":
         text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used."
-        found.append(Remark("warning", text))
-    return found
+        remarks.append(Remark("warning", text))
+    return remarks
 
 
 def bag_span(video: VideoEntry) -> tuple[int, float]:

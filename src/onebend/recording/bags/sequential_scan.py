@@ -1,21 +1,17 @@
-"""Robot logs (MCAP, ROS 1 bag, sqlite3) read from front to back without their index: what a cut or damaged one still
-holds, and where it breaks off."""
+"""Robot logs (MCAP, ROS 1 bag, sqlite3) read from front to back without their index, up to where a cut or damaged one
+breaks off."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from rosbags.rosbag1.reader import decompressors
-from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, decompress
-from rosbags.typesys.msg import normalize_msgtype
-
 from onebend.recording.bags.items import BrokenOffError, Channel, Item
+from onebend.recording.bags.rosbags_internals import unpack_mcap_chunk, unpack_ros1_chunk, unpack_zstd
 from onebend.recording.bags.sqlite_pages import SQLITE_MAGIC, scan_sqlite
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -53,21 +49,21 @@ def opened(item: Item) -> Item:
     """The item with its message unpacked, where a recorder packs each for itself."""
     if isinstance(item, Channel) or not item[2].startswith(ZSTD_MAGIC):
         return item
-    return item[0], item[1], guarded(lambda: DECOMPRESSORS["zstd"](item[2], 0))
+    return item[0], item[1], unpack_zstd(item[2])
 
 
 def scan_mcap(stream: BinaryIO, size: int) -> Iterator[Item]:
     """The records up to the end of data; chunks are unpacked."""
-    said = McapTables({}, {})
+    declared = McapTables({}, {})
     for place, code, body in mcap_records(stream, size):
         if code == DATA_END:
             return
         try:
             if code != CHUNK:
-                yield from mcap_item(code, body, said)
+                yield from mcap_item(code, body, declared)
                 continue
             for _, inner, content in mcap_records(BytesIO(unpacked(body)), None):
-                yield from mcap_item(inner, content, said)
+                yield from mcap_item(inner, content, declared)
         except (struct.error, ValueError, UnicodeDecodeError) as wrong:
             raise BrokenOffError(f"the record at byte {place} is damaged ({wrong})") from None
         except BrokenOffError as wrong:
@@ -77,39 +73,39 @@ def scan_mcap(stream: BinaryIO, size: int) -> Iterator[Item]:
 
 @dataclass(frozen=True)
 class McapTables:
-    """What an MCAP file has declared so far."""
+    """The schemas and channels that an MCAP file has declared so far."""
 
     schemas: dict[int, tuple[str, str, str]]  # name, encoding, definition
     channels: dict[int, Channel]
 
 
-def mcap_item(code: int, body: bytes, said: McapTables) -> Iterator[Item]:
-    """What one record says, if it is a topic or a message; declarations are added to `said`."""
+def mcap_item(code: int, body: bytes, declared: McapTables) -> Iterator[Item]:
+    """The topic or message of one record, if it holds one; declarations are added to `declared`."""
     if code == SCHEMA:
         reader = Fields(body)
         key = reader.number("<H")
-        said.schemas[key] = (reader.text(), reader.text(), reader.text())
+        declared.schemas[key] = (reader.text(), reader.text(), reader.text())
     elif code == CHANNEL:
         reader = Fields(body)
         key, schema = reader.number("<H"), reader.number("<H")
-        name, kind, text = said.schemas.get(schema, ("", "", ""))
-        channel = Channel(reader.text(), normalize_msgtype(name), reader.text(), text, idl=kind.endswith("idl"))
-        said.channels[key] = channel
+        name, kind, text = declared.schemas.get(schema, ("", "", ""))
+        channel = Channel(reader.text(), message_type(name), reader.text(), text, idl=kind.endswith("idl"))
+        declared.channels[key] = channel
         yield channel
     elif code == MESSAGE:
         key, _, received, _ = struct.unpack_from("<HIQQ", body)
-        if key in said.channels:
-            yield said.channels[key], received, body[22:]
+        if key in declared.channels:
+            yield declared.channels[key], received, body[22:]
 
 
 def mcap_records(stream: BinaryIO, size: int | None) -> Iterator[tuple[int, int, bytes]]:
     """Place, code and content of every record; `size` is the file's, None within a chunk."""
     while head := stream.read(9):
         place = stream.tell() - len(head)
-        long = struct.unpack("<Q", head[1:])[0] if len(head) == 9 else 0
-        left = (size if size is not None else long + stream.tell()) - stream.tell()
-        body = stream.read(min(long, left)) if long <= left else b""
-        if len(head) < 9 or len(body) < long:
+        length = struct.unpack("<Q", head[1:])[0] if len(head) == 9 else 0
+        fits = size is None or length <= size - stream.tell()
+        body = stream.read(length) if fits else b""
+        if len(head) < 9 or len(body) < length:
             raise BrokenOffError(f"the record at byte {place} is cut off")
         yield place, head[0], body
 
@@ -117,33 +113,28 @@ def mcap_records(stream: BinaryIO, size: int | None) -> Iterator[tuple[int, int,
 def unpacked(chunk: bytes) -> bytes:
     """The records inside a chunk; its checksum must hold."""
     reader = Fields(chunk[16:])
-    long, check = reader.number("<Q"), reader.number("<I")
+    size, checksum = reader.number("<Q"), reader.number("<I")
     compression = reader.text()
-    packed = reader.take(reader.number("<Q"))
-    return guarded(lambda: decompress(packed, compression, long, check))
+    return unpack_mcap_chunk(reader.take(reader.number("<Q")), compression, size, checksum)
 
 
-def guarded(unpack: Callable[[], bytes]) -> bytes:
-    """What `unpack` gives; its failure, of whichever library, is the file's."""
-    try:
-        return unpack()
-    except ReaderError as wrong:
-        raise BrokenOffError(str(wrong).rstrip(".")) from None
-    except Exception as wrong:  # zstd, lz4 and bz2 each have an error of their own, or a RuntimeError
-        raise BrokenOffError(f"it cannot be unpacked ({wrong})") from None
+def message_type(name: str) -> str:
+    """The name as rosbags keeps types: PACKAGE/msg/NAME, whether a bag writes the middle or not."""
+    package, _, last = name.rpartition("/")
+    return name if package.rpartition("/")[2] == "msg" else f"{package}/msg/{last}"
 
 
 class Fields:
     """Numbers and texts of a record, one after the other."""
 
     def __init__(self, body: bytes) -> None:
-        self.body, self.at = body, 0
+        self.body, self.position = body, 0
 
     def take(self, count: int) -> bytes:
-        if self.at + count > len(self.body):
+        if self.position + count > len(self.body):
             raise ValueError("a field is longer than its record")
-        self.at += count
-        return self.body[self.at - count : self.at]
+        self.position += count
+        return self.body[self.position - count : self.position]
 
     def number(self, layout: str) -> int:
         return int(struct.unpack(layout, self.take(struct.calcsize(layout)))[0])
@@ -165,8 +156,7 @@ def scan_ros1(stream: BinaryIO, size: int) -> Iterator[Item]:
                 return
             elif code == ROS1_CHUNK:
                 kind = header["compression"].decode()
-                inside = guarded(lambda kind=kind, body=body: decompressors[kind](body))  # type: ignore[misc]
-                for _, inner, content in ros1_records(BytesIO(inside), None):
+                for _, inner, content in ros1_records(BytesIO(unpack_ros1_chunk(body, kind)), None):
                     yield from ros1_item(inner, content, channels)
             else:
                 yield from ros1_item(header, body, channels)
@@ -179,12 +169,12 @@ def scan_ros1(stream: BinaryIO, size: int) -> Iterator[Item]:
 
 
 def ros1_item(header: dict[str, bytes], body: bytes, channels: dict[int, Channel]) -> Iterator[Item]:
-    """What one record of a ROS 1 bag says, if it is a topic or a message."""
+    """The topic or message of one record of a ROS 1 bag, if it holds one."""
     code = header.get("op", b"\0")[0]
     if code == ROS1_CONNECTION:
         key = struct.unpack("<I", header["conn"])[0]
-        said = ros1_fields(body)
-        kind, text = normalize_msgtype(said["type"].decode()), said["message_definition"].decode()
+        connection = ros1_fields(body)
+        kind, text = message_type(connection["type"].decode()), connection["message_definition"].decode()
         channels[key] = Channel(header["topic"].decode(), kind, "ros1", text, idl=False)
         yield channels[key]
     elif code == ROS1_MESSAGE:
@@ -201,10 +191,10 @@ def ros1_records(stream: BinaryIO, size: int | None) -> Iterator[tuple[int, dict
         parts = []
         for part in range(2):
             count = first if part == 0 else stream.read(4)
-            long = struct.unpack("<I", count)[0] if len(count) == 4 else 0
-            fits = size is None or long <= size - stream.tell()
-            parts.append(stream.read(long) if fits else b"")
-            if len(count) < 4 or len(parts[-1]) < long:
+            length = struct.unpack("<I", count)[0] if len(count) == 4 else 0
+            fits = size is None or length <= size - stream.tell()
+            parts.append(stream.read(length) if fits else b"")
+            if len(count) < 4 or len(parts[-1]) < length:
                 raise BrokenOffError(f"the record at byte {place} is cut off")
         try:
             yield place, ros1_fields(parts[0]), parts[1]
@@ -214,12 +204,12 @@ def ros1_records(stream: BinaryIO, size: int | None) -> Iterator[tuple[int, dict
 
 def ros1_fields(body: bytes) -> dict[str, bytes]:
     """`name=value` fields of a ROS 1 header."""
-    found, at = {}, 0
-    while at < len(body):
-        long = struct.unpack_from("<I", body, at)[0]
-        if at + 4 + long > len(body):
+    fields, start = {}, 0
+    while start < len(body):
+        end = start + 4 + struct.unpack_from("<I", body, start)[0]
+        if end > len(body):
             raise ValueError("a field is longer than its header")
-        name, _, value = body[at + 4 : at + 4 + long].partition(b"=")
-        found[name.decode()] = value
-        at += 4 + long
-    return found
+        name, _, value = body[start + 4 : end].partition(b"=")
+        fields[name.decode()] = value
+        start = end
+    return fields

@@ -1,4 +1,4 @@
-"""What a bag holds, topic by topic, and which of them are likely the force and the film."""
+"""The topics of a bag, and which of them are probably the force and the film."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
     except RecordingError:
         decode = None
     received, stamps = [], []
-    for at, data in raw_messages(bag, topic):
-        received.append(at)
+    for time_received, data in raw_messages(bag, topic):
+        received.append(time_received)
         if decode is not None:
             try:
                 stamps.append(stamp_of(decode(data)))
@@ -79,12 +79,12 @@ def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
     stamped = decode is not None and len(stamps) > 0 and all(stamps)
     time = np.sort(np.array(stamps if stamped else received, dtype=np.int64))
     since = np.asarray((time - time[:1]) * 1e-9, dtype=np.float64)
-    usual = step(since) if len(since) > 1 else np.nan
+    spacing = step(since) if len(since) > 1 else np.nan
     return TopicRow(
         topic.channel.topic,
         topic.channel.type,
         topic.count,
-        1 / usual if usual > 0 else np.nan,
+        1 / spacing if spacing > 0 else np.nan,
         float(time[0]) * 1e-9 if len(time) else np.nan,
         float(time[-1]) * 1e-9 if len(time) else np.nan,
         "header" if stamped else "receipt",

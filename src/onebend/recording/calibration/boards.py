@@ -19,7 +19,7 @@ from onebend.records import Array, IntArray
 
 BoardKind = Literal["chessboard", "charuco"]
 
-LOOKED_AT = 240  # frames of a film, evenly spread
+SEARCHED_FRAMES = 240  # frames of a film, evenly spread
 _BURST = 0.35  # s, of which the sharpest frame counts
 _FEWEST_CORNERS = 8
 _MOST_PIXELS = 1_000_000  # of a picture in which a chessboard is first looked for; refined in the whole one
@@ -55,10 +55,10 @@ class Board:
     @property
     def corners(self) -> Array:
         """(N, 2) m, inner corners by their number, row by row."""
-        more = 0 if self.kind == "chessboard" else -1
-        y, x = np.mgrid[: self.rows + more, : self.columns + more]
-        away = 0.0 if self.kind == "chessboard" else self.square
-        return np.asarray(np.stack([x.ravel(), y.ravel()], axis=1) * self.square + away)
+        fewer = 0 if self.kind == "chessboard" else 1
+        y, x = np.mgrid[: self.rows - fewer, : self.columns - fewer]
+        first = 0.0 if self.kind == "chessboard" else self.square
+        return np.asarray(np.stack([x.ravel(), y.ravel()], axis=1) * self.square + first)
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class BoardFilm:
     width: int  # px
     height: int  # px
     views: tuple[BoardView, ...]
-    looked_at: int  # frames
-    found: int  # frames among them that show the board
+    frames_searched: int  # frames
+    frames_found: int  # of these, that show the board
 
 
 def opencv() -> Any:
@@ -104,11 +104,11 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
     find = _finder(cv2, board)
     with opened(film) as container:
         count = container.streams.video[0].frames
-    every = max(1, count // LOOKED_AT)
+    every = max(1, count // SEARCHED_FRAMES)
     size: tuple[int, int] | None = None
     views: list[BoardView] = []
     burst: list[BoardView] = []
-    looked, found, begin = 0, 0, 0.0
+    looked, boards, begin = 0, 0, 0.0
     progress.start("looking for the board", count // every if count else None)
     try:
         for index, frame in enumerate(decoded(film)):
@@ -118,21 +118,21 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
             size = picture.shape if size is None else size
             if picture.shape != size:
                 raise RecordingError(f"{film}: the picture's size changes at frame {index}. Film in one size.")
-            seen = find(picture)
+            corners = find(picture)
             looked += 1
-            if seen is not None:
-                found += 1
+            if corners is not None:
+                boards += 1
                 now = index / 30.0 if frame.time is None else float(frame.time)
                 if burst and now - begin > _BURST:
                     views += _sharpest(burst)
                     burst = []
                 begin = begin if burst else now
-                burst.append(BoardView(index, seen[0], seen[1], _sharpness(cv2, picture, seen[1])))
+                burst.append(BoardView(index, corners[0], corners[1], _sharpness(cv2, picture, corners[1])))
             progress.advance()
     finally:
         progress.done()
     assert size is not None  # a film without frames is an error of `decoded`
-    return BoardFilm(size[1], size[0], (*views, *_sharpest(burst)), looked, found)
+    return BoardFilm(size[1], size[0], (*views, *_sharpest(burst)), looked, boards)
 
 
 def _sharpest(burst: list[BoardView]) -> list[BoardView]:
@@ -176,8 +176,8 @@ def _chessboard(cv2: Any, board: Board, picture: Picture) -> Seen | None:
         return None
     corners = (np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2) + 0.5) / shrink - 0.5
     if shrink < 1.0:
-        apart = float(np.median(np.linalg.norm(np.diff(corners[:, 0], axis=0), axis=1)))
-        reach = (max(2, round(0.2 * apart)),) * 2
+        spacing = float(np.median(np.linalg.norm(np.diff(corners[:, 0], axis=0), axis=1)))
+        reach = (max(2, round(0.2 * spacing)),) * 2
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
         corners = cv2.cornerSubPix(picture, np.asarray(corners, dtype=np.float32), reach, (-1, -1), stop)
     return np.arange(len(corners), dtype=np.int64), np.asarray(corners, dtype=float).reshape(-1, 2)
@@ -185,6 +185,6 @@ def _chessboard(cv2: Any, board: Board, picture: Picture) -> Seen | None:
 
 def _sharpness(cv2: Any, picture: Picture, pixel: Array) -> float:
     """Variance of the Laplacian over the grey levels' own, where the board is."""
-    (left, top), (right, bottom) = pixel.min(axis=0).astype(int), pixel.max(axis=0).astype(int) + 1
-    part = picture[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+    (x0, top), (right, bottom) = pixel.min(axis=0).astype(int), pixel.max(axis=0).astype(int) + 1
+    part = picture[max(top, 0) : bottom + 1, max(x0, 0) : right + 1]
     return float(cv2.Laplacian(part, cv2.CV_64F).var() / max(float(part.var()), 1.0))

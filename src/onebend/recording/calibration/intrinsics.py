@@ -1,4 +1,4 @@
-"""A camera's focal length, principal point and lens from views of a board, and how well they are known."""
+"""A camera's focal length, principal point and lens from views of a board, with their sds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from onebend.records import Array, IntArray, Remark
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
 _FEWEST, _ENOUGH = 4, 10  # views: below, no calibration; below, a warning
-_GROUPS = 8  # of views, each left out once: their spread tells the sd
+_GROUPS = 8  # of views, each left out once: the spread of the results gives the sd
 _CELLS = (8, 6)  # of the picture, across and down, in which corners are counted
 _COVERED = 0.5  # of the cells; less is a warning
 _TURNED = np.deg2rad(25.0)  # between two of the board's directions; less is a warning
@@ -28,7 +28,7 @@ _NEEDED = 3.0  # sd that k3 must differ from 0 by
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a film of a board says about the camera."""
+    """The camera as calibrated from a film of a board."""
 
     width: int  # px
     height: int  # px
@@ -86,18 +86,18 @@ def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progr
         RecordingError: no OpenCV, no board seen, too few or too similar views.
     """
     cv2 = opencv()
-    seen = find_boards(film, board, progress=progress)
-    if len(seen.views) < _FEWEST:
+    board_film = find_boards(film, board, progress=progress)
+    if len(board_film.views) < _FEWEST:
         size = f"{board.columns}x{board.rows} " + ("inner corners" if board.kind == "chessboard" else "squares")
         raise RecordingError(
-            f"{film}: the {board.kind} was found in {seen.found} of {seen.looked_at} frames, in {len(seen.views)} "
-            f"different views, too few. Check "
-            f"--board ({size} were looked for), light and focus; show the whole board with its white margin"
+            f"{film}: the {board.kind} was found in {board_film.frames_found} of {board_film.frames_searched} frames, "
+            f"in {len(board_film.views)} different views, too few. Check --board ({size} were looked for), light and "
+            "focus; show the whole board with its white margin"
         )
-    views = spread(cv2, seen, board, most_views)
+    views = spread(cv2, board_film, board, most_views)
     progress.start("calibrating", 3 + _GROUPS)
     try:
-        return _calibrated(cv2, seen, board, views, progress)
+        return _calibrated(cv2, board_film, board, views, progress)
     except cv2.error as error:
         raise RecordingError(
             f"{film}: no calibration from these views ({error.err}). Tilt the board by 30 degrees or more, each way"
@@ -106,51 +106,51 @@ def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progr
         progress.done()
 
 
-def spread(cv2: Any, seen: BoardFilm, board: Board, most: int) -> list[BoardView]:
+def spread(cv2: Any, film: BoardFilm, board: Board, most: int) -> list[BoardView]:
     """Views that differ in place, size and tilt: each next one is the furthest from those taken; sharp ones only."""
-    sharp = np.array([view.sharpness for view in seen.views])
-    kept = [view for view in seen.views if view.sharpness >= 0.5 * np.median(sharp)]
-    looks = np.array([_looks(cv2, view, board, seen) for view in kept])
-    taken = [int(np.argmax([len(view.number) + 1e-3 * view.sharpness for view in kept]))]
-    away = np.linalg.norm(looks - looks[taken[0]], axis=1)
-    while len(taken) < min(most, len(kept)):
-        taken.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(looks - looks[taken[-1]], axis=1))
-    return [kept[i] for i in sorted(taken)]
+    sharp = np.array([view.sharpness for view in film.views])
+    chosen = [view for view in film.views if view.sharpness >= 0.5 * np.median(sharp)]
+    looks = np.array([_looks(cv2, view, board, film) for view in chosen])
+    taken = [int(np.argmax([len(view.number) + 1e-3 * view.sharpness for view in chosen]))]
+    distance = np.linalg.norm(looks - looks[taken[0]], axis=1)
+    while len(taken) < min(most, len(chosen)):
+        taken.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(looks - looks[taken[-1]], axis=1))
+    return [chosen[i] for i in sorted(taken)]
 
 
-def _looks(cv2: Any, view: BoardView, board: Board, seen: BoardFilm) -> Array:
+def _looks(cv2: Any, view: BoardView, board: Board, film: BoardFilm) -> Array:
     """(5,) where the board's middle is, how large it is, how its sides taper: all of order 1."""
     corners = board.corners
     flat, _ = cv2.findHomography(corners[view.number], view.pixel)
     low, high = corners.min(axis=0), corners.max(axis=0)
     box = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
     x, y, z = np.asarray(flat) @ np.column_stack([box, np.ones(4)]).T
-    outline = np.stack([x / z, y / z], axis=1) / seen.width
+    outline = np.stack([x / z, y / z], axis=1) / film.width
     side = np.maximum(np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1), 1e-6)
     taper = 3.0 * np.log(side[:2] / side[2:])
     return np.array([*outline.mean(axis=0), 0.5 * np.log(side.mean()), *taper])
 
 
-def _calibrated(cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], progress: Progress) -> Calibration:
+def _calibrated(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView], progress: Progress) -> Calibration:
     """Fit, leave out what does not fit, judge k3, and see what the groups of views do to it."""
-    first = _fit(cv2, seen, board, views, k3=False)
+    first = _fit(cv2, film, board, views, k3=False)
     progress.advance()
     good = [v for v, e in zip(views, first.errors, strict=True) if e <= _WRONG * float(np.median(first.errors))]
-    fitted = _fit(cv2, seen, board, good, k3=False)
-    sd = _spread_of_groups(cv2, seen, board, good, fitted, k3=False, progress=progress)
-    richer = _fit(cv2, seen, board, good, k3=True)
+    fitted = _fit(cv2, film, board, good, k3=False)
+    sd = _spread_of_groups(cv2, film, board, good, fitted, k3=False, progress=progress)
+    richer = _fit(cv2, film, board, good, k3=True)
     progress.advance()
     if abs(richer.values[8]) > _NEEDED * richer.sd[8] and richer.error < 0.97 * fitted.error:
         fitted = richer
-        sd = _spread_of_groups(cv2, seen, board, good, fitted, k3=True, progress=Silent())
+        sd = _spread_of_groups(cv2, film, board, good, fitted, k3=True, progress=Silent())
     pixel = np.concatenate([view.pixel for view in good])
-    across, down = (np.clip((pixel[:, i] + 0.5) / n * c, 0, c - 1).astype(int) for i, n, c in _cells(seen))
+    across, down = (np.clip((pixel[:, i] + 0.5) / n * c, 0, c - 1).astype(int) for i, n, c in _cells(film))
     coverage = len(np.unique(across * _CELLS[1] + down)) / (_CELLS[0] * _CELLS[1])
     turned = float(np.arccos(np.clip(fitted.normals @ fitted.normals.T, -1.0, 1.0)).max())
-    found = Calibration(
-        width=seen.width,
-        height=seen.height,
+    calibration = Calibration(
+        width=film.width,
+        height=film.height,
         values=fitted.values,
         sd=sd,
         error=fitted.error,
@@ -161,11 +161,11 @@ def _calibrated(cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView],
         left_out=len(views) - len(good),
         remarks=(),
     )
-    return Calibration(**{**vars(found), "remarks": _remarks(found)})
+    return Calibration(**{**vars(calibration), "remarks": _remarks(calibration)})
 
 
-def _cells(seen: BoardFilm) -> tuple[tuple[int, int, int], ...]:
-    return ((0, seen.width, _CELLS[0]), (1, seen.height, _CELLS[1]))
+def _cells(film: BoardFilm) -> tuple[tuple[int, int, int], ...]:
+    return ((0, film.width, _CELLS[0]), (1, film.height, _CELLS[1]))
 
 
 @dataclass(frozen=True)
@@ -177,13 +177,13 @@ class _Fit:
     normals: Array  # (V, 3)
 
 
-def _fit(cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], *, k3: bool) -> _Fit:
+def _fit(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView], *, k3: bool) -> _Fit:
     """OpenCV's least squares over all corners."""
     flat = np.column_stack([board.corners, np.zeros(len(board.corners))]).astype(np.float32)
     error, matrix, dist, turns, _, sd, _, errors = cv2.calibrateCameraExtended(
         [flat[view.number] for view in views],
         [view.pixel.astype(np.float32)[:, None] for view in views],
-        (seen.width, seen.height),
+        (film.width, film.height),
         None,
         None,
         flags=0 if k3 else cv2.CALIB_FIX_K3,
@@ -196,44 +196,44 @@ def _fit(cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], *, k3:
 
 
 def _spread_of_groups(
-    cv2: Any, seen: BoardFilm, board: Board, views: list[BoardView], whole: _Fit, *, k3: bool, progress: Progress
+    cv2: Any, film: BoardFilm, board: Board, views: list[BoardView], full: _Fit, *, k3: bool, progress: Progress
 ) -> Array:
     """(9,) sd by leaving out every eighth view in turn (jackknife), no smaller than that of independent corners."""
     count = min(_GROUPS, len(views) // 2)
     if count < 2:
         return np.full(9, np.inf)
-    found = []
+    group_values = []
     for i in range(count):
         rest = [view for j, view in enumerate(views) if j % count != i]
-        found.append(_fit(cv2, seen, board, rest, k3=k3).values)
+        group_values.append(_fit(cv2, film, board, rest, k3=k3).values)
         progress.advance()
-    away = np.array(found) - np.mean(found, axis=0)
-    return np.asarray(np.maximum(np.sqrt((count - 1) / count * np.sum(away**2, axis=0)), whole.sd))
+    deviation = np.array(group_values) - np.mean(group_values, axis=0)
+    return np.asarray(np.maximum(np.sqrt((count - 1) / count * np.sum(deviation**2, axis=0)), full.sd))
 
 
-def _remarks(found: Calibration) -> tuple[Remark, ...]:
+def _remarks(fitted: Calibration) -> tuple[Remark, ...]:
     out = []
-    if len(found.frames) < _ENOUGH:
-        out.append(f"Only {len(found.frames)} different sharp views: film the board longer, and hold it still often.")
-    if found.coverage < _COVERED:
+    if len(fitted.frames) < _ENOUGH:
+        out.append(f"Only {len(fitted.frames)} different sharp views: film the board longer, and hold it still often.")
+    if fitted.coverage < _COVERED:
         out.append(
-            f"The board was seen in {100 * found.coverage:.0f} % of the picture: the lens is not known elsewhere. Show "
-            "it in the corners too."
+            f"The board was seen in {100 * fitted.coverage:.0f} % of the picture: the lens is not known elsewhere. "
+            "Show it in the corners too."
         )
-    if found.turned < _TURNED:
+    if fitted.turned < _TURNED:
         out.append(
-            f"All views are alike: the board's directions differ by {np.rad2deg(found.turned):.0f} degrees at most: "
-            "focal length and distance are hardly told apart. Tilt it by 30 degrees or more, each way."
+            f"All views are alike: the board's directions differ by {np.rad2deg(fitted.turned):.0f} degrees at most: "
+            "focal length and distance are hardly distinguishable. Tilt it by 30 degrees or more, each way."
         )
-    focal = float(np.max(found.sd[:2] / found.values[:2]))
+    focal = float(np.max(fitted.sd[:2] / fitted.values[:2]))
     if not focal < _FOCAL_SD:
         out.append(f"The focal length is known to {100 * focal:.2g} % only (one sd): film more tilts and distances.")
-    if found.error > _MISFIT:
+    if fitted.error > _MISFIT:
         out.append(
-            f"The corners are {found.error:.2g} px from the model: is the board flat and stiff, the focus fixed, and "
+            f"The corners are {fitted.error:.2g} px from the model: is the board flat and stiff, the focus fixed, and "
             "--board right?"
         )
     remarks = [Remark("warning", text) for text in out]
-    if found.left_out:
-        remarks.append(Remark("note", f"{found.left_out} views fitted far worse than the others and were left out."))
+    if fitted.left_out:
+        remarks.append(Remark("note", f"{fitted.left_out} views fitted far worse than the others and were left out."))
     return tuple(remarks)

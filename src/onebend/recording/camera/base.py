@@ -10,23 +10,23 @@ from onebend.recording.camera.tag_poses import Poses, relative_to, unwrap
 from onebend.recording.toml.entries import TagEntry
 from onebend.records import Array, Remark
 
-MOVED = 5.0  # sd: a base further from its middle place, after a running median, moves
+MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
 RUNNING = 5  # frames of that running median
 
 
 def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
     """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
 
-    The frame is that of the first tag, which sits at its own s on the frame's x axis. Where the base stands still it
-    is the middle of all frames, with the uncertainty of a single one: the detector's error at one place of the pixel
-    grid is the same in every frame and does not average out.
+    The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
+    all frames with the covariance of one frame: the detector's error at one place of the pixel grid is the same in
+    every frame and does not average out.
     """
     pose = together(poses, [tag.s * length for tag in tags])
     state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
     known = np.isfinite(state).all(axis=1)
     middle, typical = np.median(state[known], axis=0), np.median(pose.covariance[known, 0], axis=0)
-    away = running_median(state[known], RUNNING) - middle
-    chi2 = np.einsum("ti,ij,tj->t", away, np.linalg.inv(typical), away)
+    deviation = running_median(state[known], RUNNING) - middle
+    chi2 = np.einsum("ti,ij,tj->t", deviation, np.linalg.inv(typical), deviation)
     if (chi2 > MOVED**2).any():
         return pose, True
     frames = len(state)
@@ -37,13 +37,13 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
     ), False
 
 
-def together(poses: Poses, along: Sequence[float]) -> Poses:
-    """The base's pose (T, 1) from all its tags, `along` [m] on its x axis.
+def together(poses: Poses, places: Sequence[float]) -> Poses:
+    """The base's pose (T, 1) from all its tags, `places` [m] on its x axis.
 
-    Tags after the first are brought to it by where they are seen beside it, not by where they should sit.
+    Other tags are related to the first by their measured relative pose, not by their stated place.
     """
-    first = behind(column(poses, 0), along[0])
-    others = [behind(column(poses, i), place) for i, place in enumerate(along) if i > 0]
+    first = behind(column(poses, 0), places[0])
+    others = [behind(column(poses, i), s) for i, s in enumerate(places) if i > 0]
     return average([first, *(aligned(other, first) for other in others)])
 
 
@@ -63,12 +63,12 @@ def behind(pose: Poses, along: float) -> Poses:
 
 def aligned(other: Poses, first: Poses) -> Poses:
     """`other` moved by the constant pose that, in the frames that show both, brings it onto `first`."""
-    apart = relative_to(other, first)
-    both = np.isfinite(apart.angle[:, 0])
+    difference = relative_to(other, first)
+    both = np.isfinite(difference.angle[:, 0])
     if not both.any():
-        return other  # never seen together: its written place must do
-    x, y = np.median(apart.xy[both, 0], axis=0)
-    turn = float(np.median(apart.angle[both, 0]))
+        return other  # never seen together: its stated place is used
+    x, y = np.median(difference.xy[both, 0], axis=0)
+    turn = float(np.median(difference.angle[both, 0]))
     cos, sin = np.cos(other.angle), np.sin(other.angle)
     moved = other.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
     return Poses(moved, other.angle + turn, other.covariance)
@@ -81,10 +81,10 @@ def average(poses: Sequence[Poses]) -> Poses:
     weights, sums = np.zeros((len(poses[0].angle), 1, 3, 3)), np.zeros((len(poses[0].angle), 1, 3))
     for pose in poses:
         state = np.concatenate([pose.xy, pose.angle[..., None]], axis=-1)
-        seen = np.isfinite(state).all(axis=-1)
-        weight = np.linalg.inv(np.where(seen[..., None, None], pose.covariance, np.eye(3))) * seen[..., None, None]
+        known = np.isfinite(state).all(axis=-1)
+        weight = np.linalg.inv(np.where(known[..., None, None], pose.covariance, np.eye(3))) * known[..., None, None]
         weights += weight
-        sums += (weight @ np.where(seen[..., None], state, 0.0)[..., None])[..., 0]
+        sums += (weight @ np.where(known[..., None], state, 0.0)[..., None])[..., 0]
     none = np.asarray(~weights.any(axis=(-1, -2)))
     covariance = np.where(none[..., None, None], np.nan, np.linalg.inv(weights + none[..., None, None] * np.eye(3)))
     state = (covariance @ sums[..., None])[..., 0]
@@ -101,12 +101,12 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
     """A remark where the base moves and nothing in recording.toml says that it should."""
     if not moving or expected:
         return []
-    far = 1000 * float(np.nanmax(np.linalg.norm(pose.xy - np.nanmedian(pose.xy, axis=0), axis=-1)))
+    distance = 1000 * float(np.nanmax(np.linalg.norm(pose.xy - np.nanmedian(pose.xy, axis=0), axis=-1)))
     turn = float(np.degrees(np.nanmax(pose.angle) - np.nanmin(pose.angle)))
     return [
         Remark(
             "warning",
-            f"The base moves in the picture, by up to {far:.2f} mm and {turn:.2f} deg: clamp or camera was not still. "
-            "It was followed from frame to frame.",
+            f"The base moves in the picture, by up to {distance:.2f} mm and {turn:.2f} deg: clamp or camera was not "
+            "still. It was followed from frame to frame.",
         )
     ]

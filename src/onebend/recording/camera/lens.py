@@ -41,14 +41,14 @@ def distort(ray: Array, dist: Array) -> Array:
     )
 
 
-def undistort(seen: Array, dist: Array) -> Array:
+def undistort(distorted: Array, dist: Array) -> Array:
     """The inverse of `distort`, by fixed-point iteration. NaN where it does not converge: there the lens model folds
     over and means nothing."""
-    ray = seen
+    ray = distorted
     for _ in range(MOST_ITERATIONS):
-        error = seen - distort(ray, dist)
+        error = distorted - distort(ray, dist)
         if not np.nanmax(np.abs(error), initial=0.0) > CONVERGED:
             return ray
         ray = ray + error
         ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
-    return np.where(np.abs(seen - distort(ray, dist)).max(axis=-1, keepdims=True) <= 1e-6, ray, np.nan)
+    return np.where(np.abs(distorted - distort(ray, dist)).max(axis=-1, keepdims=True) <= 1e-6, ray, np.nan)

@@ -1,9 +1,9 @@
-"""How the camera sees the plane of the tags, from the tags themselves: all are squares of one known size in one plane.
+"""The camera's view of the plane of the tags, fitted to the tags: squares of one known size in one plane.
 
-For a trial camera and plane every sighting is carried into the plane and a square of the known size is laid on it in
-closed form; what is left between that square's corners and those seen, in pixels, is minimised. The tags' own poses
-never enter as unknowns, so only three numbers (tilt, tilt, distance) are fitted where the camera is calibrated, and
-seven where focal length, one lens term and principal point must be inferred too.
+For a trial camera and plane every sighting is projected into the plane, and a square of the known size is fitted to it
+in closed form. The residuals are the distances between the corners of this square and the detected ones, in pixels.
+The poses of the tags are no unknowns of the search: three numbers (tilt, tilt, distance) are fitted where the camera
+is calibrated, seven where focal length, one lens term and the principal point (2) must be inferred too.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ FACING: Array = np.diag(
     [1.0, -1.0, -1.0]
 )  # the plane's axes when it faces the camera: x right, y up, z towards the camera
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
-ENOUGH_TO_START = 60  # sightings, spread over all, from which the first guesses are improved
-SURE = 3.0  # sd: residuals beyond are trusted less and less
-# What is assumed of the plane, and of a camera that nobody calibrated: one standard deviation around the plainest.
-TILT_SD = 0.5  # rad; tells nothing beside a few sightings, but one tag alone may leave the tilt open
+ENOUGH_TO_START = 60  # sightings, evenly chosen, with which the starts are improved
+SURE = 3.0  # sd: larger residuals have less weight (soft L1)
+# Priors of the plane, and of a camera without calibration: one sd about the simplest value.
+TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
 PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
 FOCAL_SD = 0.5  # of its logarithm
 LENS_SD = 0.1  # k1
 CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer side
 NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
-FREEDOMS = 5  # a tag's eight coordinates less the three of its pose
+DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
 LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
 OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
 
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """The unknowns that were fitted, and how sure they are."""
+    """The fitted unknowns and their covariance."""
 
     unknowns: Array  # (3,) or (7,), see `view_from`
     covariance: Array  # of the unknowns
@@ -72,21 +72,21 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     Raises:
         ObservationError: no camera in front of the plane explains the sightings.
     """
-    side = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
+    side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
     few = corners[:: max(1, len(corners) // ENOUGH_TO_START)]
     tries = [
         solve(start, few, size, camera, picture, sd=1.0)
-        for start in starts(math.log(focal * size / side), camera is None)
+        for start in starts(math.log(focal * size / side_px), camera is None)
     ]
     best = min(tries, key=lambda fit: float(fit.cost))
-    rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / FREEDOMS)
+    rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / DEGREES_OF_FREEDOM)
     sd = max(rough, LEAST_NOISE)
     final = solve(solve(best.x, few, size, camera, picture, sd=sd).x, corners, size, camera, picture, sd=sd)
     normal = final.jac.T @ final.jac
     known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
     fit = PlaneFit(final.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
-    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side:
+    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
             "recording.toml, and that all tags lie flat in one plane."
@@ -117,14 +117,14 @@ def solve(
 def residuals(
     unknowns: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
 ) -> Array:
-    """Corners seen less corners of the best squares, and the priors, all in units of their standard deviation."""
+    """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
     view = view_from(unknowns, camera, picture)
     flat = to_plane(view, corners)
     xy, angle = lay_square(flat)
-    left = (corners - project(view, square(xy, angle, size))) / sd
-    left = np.nan_to_num(left, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
+    residual = (corners - project(view, square(xy, angle, size))) / sd
+    residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
     wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])
-    return np.concatenate([left.ravel(), unknowns / wide[: len(unknowns)]])
+    return np.concatenate([residual.ravel(), unknowns / wide[: len(unknowns)]])
 
 
 def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:

@@ -1,4 +1,4 @@
-"""Corners in pixels --> pose of every beam tag in the base tag's frame, in metres and radians, with its covariance."""
+"""Corners in pixels to the pose of every beam tag in the base tag's frame, in metres and radians, with covariance."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import CameraEntry
 from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
 
-CALIBRATION_FRAMES = 150  # frames that fix the camera's plane, spread evenly over the tags' travel
-RESTING = 0.1  # of the mean travel a frame: what a frame without travel counts among them
+CALIBRATION_FRAMES = 150  # frames for the fit of the plane, spread evenly over the tags' travel
+RESTING = 0.1  # of the mean travel per frame: a frame without travel counts as this
 WRONG = 10.0  # sd: a tag whose corners are further (RMS) from any square in the plane is not used
-LEAST_SD = 0.02  # px: what the corners' noise is at least taken for when that is judged
-TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the beam between two tags: their distance is never so long, nor always so short
-FARTHEST = 99.0  # percentile of the distances that stands for the farthest
+LEAST_SD = 0.02  # px, least noise of the corners for that test
+TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the arc between two tags: their largest distance lies between these
+FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
 def measure_markers(detections: Detections, recording: Recording) -> Markers:
     """Pose of every beam tag relative to the base, per frame.
 
-    Assumes that all tags lie in one plane and that the camera stands still. A tag's pose is the square of the known
-    size whose corners, seen through the lens, come nearest to the detected ones. The noise of a corner is that of the
-    recording (from what no square explains), more where a tag's own corners fit worse.
+    Assumes that all tags lie in one plane and that the camera stands still. A tag's pose is that of the square of the
+    known size whose projected corners are nearest to the detected ones. The noise of a corner comes from the residuals
+    of the whole recording; it is larger where a tag's own residuals are.
 
     Raises:
         RecordingError: the calibration is of another picture size.
@@ -79,18 +79,20 @@ def check_picture(detections: Detections, camera: CameraEntry | None) -> None:
 
 def spread(corners: Array) -> Array:
     """Sightings (K, 4, 2) of frames spread evenly over the tags' travel, so that a long rest does not outweigh the
-    push. A rest counts a little, too."""
+    push; a rest has a small weight."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
-    way = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
-    frames = np.unique(np.searchsorted(way, np.linspace(0, way[-1], min(CALIBRATION_FRAMES, len(way)))))
+    travelled = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
+    frames = np.unique(
+        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(CALIBRATION_FRAMES, len(travelled))))
+    )
     chosen = corners[frames].reshape(-1, 4, 2)
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]
 
 
 def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
-    """Covariance (T, m, 3, 3) of the beam tags' poses relative to the first base tag that comes from not knowing the
-    plane and, uncalibrated, the camera exactly. A base that is hidden counts as where it was seen next in time."""
+    """Covariance (T, m, 3, 3) of the beam tags' poses relative to the first base tag from the uncertainty of the plane
+    and, without a calibration, of the camera. A hidden base counts as where it was seen nearest in time."""
     corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
 
     def relative(view: View) -> Array:
@@ -106,9 +108,9 @@ def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
 
 def lasting_base(corners: Array) -> Array:
     """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
-    seen = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
-    tag = int(np.argmax(seen.any(axis=0)))
-    shown = np.flatnonzero(seen[:, tag])
+    visible = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
+    tag = int(np.argmax(visible.any(axis=0)))
+    shown = np.flatnonzero(visible[:, tag])
     frames = np.arange(len(corners))
     after = np.clip(np.searchsorted(shown, frames), 0, len(shown) - 1)
     before = np.maximum(after - 1, 0)
@@ -117,7 +119,7 @@ def lasting_base(corners: Array) -> Array:
 
 
 def chord_fits(farthest: float, arc: float, slack: float) -> bool:
-    """Whether two places on a beam with `arc` [m] of it between them can be `farthest` [m] apart at most.
+    """Whether `farthest` [m] can be the largest distance of two places on a beam with `arc` [m] between them.
 
     A chord is never longer than its arc, and it is 0.6 of it only where the beam turns by 200 degrees in between.
     """
@@ -134,16 +136,16 @@ def check_lengths(xy: Array, recording: Recording) -> None:
     places += [(tag.s, f"tag {tag.id}", xy[:, i]) for i, tag in enumerate(tags.on_beam)]
     places.sort(key=lambda place: place[0])
     ratios, worst = [], ""
-    for (s, name, here), (t, other, there) in pairwise(places):
-        apart = np.linalg.norm(there - here, axis=1)
-        arc, slack = (t - s) * length, 3 * np.sqrt(2) * tags.placement_sd
-        if not np.isfinite(apart).any() or arc == 0.0:
+    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
+        distance = np.linalg.norm(next_position - position, axis=1)
+        arc, slack = (next_s - s) * length, 3 * np.sqrt(2) * tags.placement_sd
+        if not np.isfinite(distance).any() or arc == 0.0:
             continue
-        farthest = float(np.nanpercentile(apart, FARTHEST))
+        farthest = float(np.nanpercentile(distance, FARTHEST))
         ratios.append(farthest / arc)
         if not worst and not chord_fits(farthest, arc, slack):
             worst = (
-                f"{name} and {other} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
+                f"{name} and {next_name} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
                 f"{1000 * arc:.3g} mm of beam between them"
             )
     if worst:

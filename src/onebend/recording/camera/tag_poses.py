@@ -1,4 +1,4 @@
-"""Pose of every sighting of a tag in the tags' plane, with its covariance, and what one does with planar poses."""
+"""Pose of every sighting of a tag in the tags' plane, with its covariance; functions of planar poses."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.recording.camera.lens import project, to_plane
-from onebend.recording.camera.plane import FREEDOMS, lay_square, square
+from onebend.recording.camera.plane import DEGREES_OF_FREEDOM, lay_square, square
 from onebend.records import Array, BoolArray, View
 
 REFINEMENTS = 3  # Gauss-Newton steps of a tag's pose; the first is already within a hundredth of a pixel
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
 MEDIAN_CHI2 = 4.35146  # median of chi-squared with 5 degrees of freedom
-GRID_ERROR = 0.03  # px, one sd: shift of a whole tag that its shape does not betray (pixel grid, compression)
+GRID_ERROR = 0.03  # px, one sd: shift of a whole tag that leaves its shape as it is (pixel grid, compression)
 
 
 @dataclass(frozen=True)
@@ -35,22 +35,22 @@ def measure_poses(view: View, corners: Array, size: float) -> tuple[Poses, Array
     """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
 
     `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Generalised least squares by Gauss-Newton on the eight
-    coordinates of each tag. The misfit is the RMS left over, in px, comparable with the view's `corner_sd`.
+    coordinates of each tag. The misfit is the RMS residual, px, comparable with the view's `corner_sd`.
     """
     xy, angle = lay_square(to_plane(view, corners))
     weight = corner_weight(corners)
     for _ in range(REFINEMENTS):
-        jacobian, left = linearise(view, xy, angle, corners, size)
-        step = weighted_step(jacobian, left, weight)
+        jacobian, residual = linearise(view, xy, angle, corners, size)
+        step = weighted_step(jacobian, residual, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]
-    jacobian, left = linearise(view, xy, angle, corners, size)
-    squares = np.einsum("...i,...ij,...j->...", left, weight, left)
+    jacobian, residual = linearise(view, xy, angle, corners, size)
+    squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
     sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2))
-    variance = np.maximum(squares / FREEDOMS, sd**2)
+    variance = np.maximum(squares / DEGREES_OF_FREEDOM, sd**2)
     normal = np.swapaxes(jacobian, -1, -2) @ weight @ jacobian
     covariance = variance[..., None, None] * np.linalg.inv(normal) + grid_covariance(jacobian)
     poses = Poses(xy, angle, covariance)
-    return poses, np.sqrt(squares / FREEDOMS), replace(view, corner_sd=sd)
+    return poses, np.sqrt(squares / DEGREES_OF_FREEDOM), replace(view, corner_sd=sd)
 
 
 def grid_covariance(jacobian: Array) -> Array:
@@ -62,18 +62,18 @@ def grid_covariance(jacobian: Array) -> Array:
     return covariance
 
 
-def weighted_step(jacobian: Array, left: Array, weight: Array) -> Array:
+def weighted_step(jacobian: Array, residual: Array, weight: Array) -> Array:
     """The generalised least-squares solution (..., 3) of `jacobian @ step = left`."""
     across = np.swapaxes(jacobian, -1, -2) @ weight
-    return np.asarray(np.linalg.solve(across @ jacobian, across @ left[..., None])[..., 0])
+    return np.asarray(np.linalg.solve(across @ jacobian, across @ residual[..., None])[..., 0])
 
 
 def corner_weight(corners: Array) -> Array:
     """Inverse covariance (..., 8, 8) of the corners' errors, for errors of unit variance along each edge's normal.
 
-    A detector puts straight lines through noisy edge points and calls their crossings corners. So an error is one of
-    an edge, along its normal, and the errors at the two ends of an edge are correlated by -1/2: a line through many
-    equally noisy points has the variance 4 at its ends and 1 in its middle.
+    A detector fits straight lines to noisy edge points; the corners are their crossings. So the errors are those of
+    edges, along their normals, and the errors at the two ends of an edge have the correlation -1/2: a line through
+    many equally noisy points has the variance 4 at its ends and 1 in its middle.
     """
     covariance = np.zeros((*corners.shape[:-2], 8, 8))
     for start, end in ((0, 1), (1, 2), (2, 3), (3, 0)):
@@ -90,14 +90,14 @@ def corner_weight(corners: Array) -> Array:
 
 
 def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) -> tuple[Array, Array]:
-    """Derivative (..., 8, 3) of the projected corners by (x, y, angle); what they miss of `corners` (..., 8), px."""
+    """Jacobian (..., 8, 3) of the projected corners by (x, y, angle), and the residual (..., 8) of `corners`, px."""
 
-    def seen(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
+    def projected(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
         flat = project(view, square(xy + np.array([dx, dy]), angle + turn, size))
         return flat.reshape(*flat.shape[:-2], 8)
 
-    columns = [(seen(**{way: STEP}) - seen(**{way: -STEP})) / (2 * STEP) for way in ("dx", "dy", "turn")]
-    return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - seen()
+    columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
+    return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
 
 
 def drop(poses: Poses, wrong: BoolArray) -> Poses:
@@ -124,11 +124,11 @@ def relative_to(origin: Poses, poses: Poses) -> Poses:
 
 
 def unwrap(angle: Array) -> Array:
-    """Angles (T, ...) made continuous in time, the first one in (-pi, pi]; NaN stays and is stepped over."""
+    """Angles (T, ...) made continuous in time, the first one in (-pi, pi]; NaN stays NaN and is skipped."""
     flat = np.array(angle, dtype=float).reshape(len(angle), -1)
     for column in flat.T:
         known = np.isfinite(column)
         if known.any():
-            whole = np.unwrap(column[known])
-            column[known] = whole - 2 * np.pi * np.round(whole[0] / (2 * np.pi))
+            continuous = np.unwrap(column[known])
+            column[known] = continuous - 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
     return flat.reshape(angle.shape)

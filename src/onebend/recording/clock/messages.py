@@ -1,4 +1,4 @@
-"""What is said of two clocks that were matched, or could not be."""
+"""Remarks on the clock offset: found, or not found."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ _CONTRADICTS = 3.0  # sd of the data beyond the uncertainty
 TOO_LITTLE = f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}."
 
 
-def unsettled_remark(away: float, sd: float, uncertainty: float) -> Remark:
-    """What is said where the data leave the offset open to `sd` [s], no closer than it was known before, and would
-    have the film start `away` [s] from what was said."""
-    if uncertainty < ROUGHLY and abs(away) > uncertainty + _CONTRADICTS * sd:
-        told = f"The data would have the film start {away:+.3f} s from start_s, more than its uncertainty"
-        return Remark("warning", f"{told}; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s.")
+def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
+    """The remark where the data leave the offset as uncertain (`sd` [s]) as it was. `shift` [s]: the data's best
+    offset less the stated one."""
+    if uncertainty < ROUGHLY and abs(shift) > uncertainty + _CONTRADICTS * sd:
+        text = f"The data would have the film start {shift:+.3f} s from start_s, more than its uncertainty"
+        return Remark("warning", f"{text}; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s.")
     if uncertainty < ROUGHLY:
         return Remark("note", f"The data tell the clocks' offset no better than start_uncertainty_s; {AS_WRITTEN}.")
     return Remark("warning", f"The clocks could not be matched from the data (one sd {sd:.2g} s); {AS_WRITTEN}.")
 
 
 def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) -> tuple[Remark, ...]:
-    """What is odd about a found offset."""
-    out = []
+    """Warnings and notes on an offset that was found."""
+    remarks = []
     if min(clock.offset - low, high - clock.offset) < 2 * clock.sd:
         text = "The clock offset found lies at the edge of the range searched; give a better start_s in [video]."
-        out.append(Remark("warning", text))
-    elif abs(clock.offset - clock.said) > uncertainty + 2 * clock.sd:
-        text = f"The film starts {clock.offset - clock.said:+.2f} s from start_s, more than its uncertainty."
-        out.append(Remark("warning", text))
+        remarks.append(Remark("warning", text))
+    elif abs(clock.offset - clock.stated) > uncertainty + 2 * clock.sd:
+        text = f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty."
+        remarks.append(Remark("warning", text))
     if clock.sd > 0.1:
-        out.append(
+        remarks.append(
             Remark("note", f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak.")
         )
-    return tuple(out)
+    return tuple(remarks)

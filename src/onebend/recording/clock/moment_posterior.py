@@ -1,4 +1,4 @@
-"""The offset between film and log where the place of the push is known: its posterior from the spans' moments."""
+"""The posterior of the clock offset from the moments of the push about the spans, where its place is known."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.recording.clock.binned_log import Rows
+from onebend.recording.clock.binned_log import BinnedLog
 from onebend.recording.clock.likelihood import (
-    Model,
-    around,
+    ForceLogModel,
     covariance,
-    evidence,
-    fitted_noise,
-    found_jumps,
-    nearly,
+    film_misfit,
+    fit_jumps,
+    fit_residual_noise,
+    laplace_evidence,
+    quadratic_film_misfit,
+    residual_and_design,
     rough_compliance,
-    tied,
 )
-from onebend.recording.clock.span_moments import Moments, Seen, grown, seen_at
+from onebend.recording.clock.span_moments import Moments, MomentsAtRows, load_change_share, moments_at
 from onebend.recording.force.noise import first_guess
 from onebend.records import Array, ForceNoise
 
-TYPICAL, LARGE = 0.01, 0.1  # of the largest force: by how much a log's error changes with the load, mostly, at most
-STEP, MOST = 0.02, 31  # s between offsets of the first look at least, and how many there are at most
-FINE = 15  # offsets of each of the looks that follow, over as much as
-REACH = 4.0  # sd to either side
-TURNS = 2  # of parameters, noise and jumps at one offset
-MOST_TURNS, SETTLED = 4, 2e-3  # of these with the offset; s, a change of it that they do not notice
+TYPICAL, LARGE = 0.01, 0.1  # of the largest force: jumps of the log's error when the load changes, usual and largest
+STEP, MOST_OFFSETS = 0.02, 31  # of the first grid: s between offsets at least, and their largest number
+FINE = 15  # offsets that each refinement of the grid adds
+REACH = 4.0  # sd: half-width of a refinement
+TURNS = 2  # rounds of parameters, noise and jumps at one offset
+MOST_TURNS, SETTLED = 4, 2e-3  # rounds of these and the offset; s, a change of the offset that ends them
 FEWEST = 10  # rows
-LOOKS, NEXT = 3, 0.3  # after the first look; s, offsets as near as this to the mean tell how fine they are
+REFINEMENTS, NEXT = 3, 0.3  # of the grid; s, distance from the mean within which its spacing is read
 FINEST = 1e-3  # s, least sd that is claimed
-STEP_DOUBT = 0.05  # s, one sd: when and how a log's error changes with the load nobody knows, where it does
-UNLIKELY = 8.0  # log chance below the best: a part of 3e-4 of all
+STEP_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error changes with the load
+UNLIKELY = 8.0  # log probability below the best: a share of 3e-4
 FIRST, FAST = 10, 3  # rounds of the parameters at one offset, and from there at another one
 
 
@@ -41,131 +41,140 @@ Prior = Callable[[Array], Array]  # log of the prior over offsets, less a consta
 
 
 @dataclass(frozen=True)
-class Shared:
-    """What holds at all offsets of a search: the rows that all of them cover, and the model of these."""
+class CommonRows:
+    """The rows that all offsets of a search cover, and their model."""
 
     moments: Moments
     time: Array  # (N,) s, log's clock
     width: float  # s
     force: Array  # (N, 2) N, with the sign of the force on the beam
-    film: Seen  # the whole film
-    model: Model
+    film: MomentsAtRows  # the whole film
+    model: ForceLogModel
 
-    def seen(self, offset: float) -> Seen:
-        return seen_at(self.moments, self.time - offset, self.width)
+    def rows_at(self, offset: float) -> MomentsAtRows:
+        return moments_at(self.moments, self.time - offset, self.width)
 
 
 @dataclass(frozen=True)
-class Explained:
-    """The log's error and the likeliest parameters at one offset."""
+class LogError:
+    """The log's error (noise and jumps) and the likeliest parameters, at one offset."""
 
     noise: ForceNoise
     jumps: Array  # (N,) N^2
     z: Array
-    chance: float  # log prior of the jumps, against that of the likeliest ones
-    jumped: float  # N, one sd of all jumps that are larger than most
-    share: float = 1.0  # chance of this explanation
+    log_prior: float  # of the jumps, relative to the likeliest ones
+    jump_sd: float  # N, one sd of the sum of the jumps, beyond usual ones
+    probability: float = 1.0  # of this error, among the likely ones
 
 
-def sharpened(
-    moments: Moments, rows: Rows, span: tuple[float, float], first: float, prior: Prior
+def offset_from_moments(
+    moments: Moments, rows: BinnedLog, span: tuple[float, float], first: float, prior: Prior
 ) -> tuple[float, float, ForceNoise] | None:
-    """Mean [s] and sd [s] of the offset over `span` [s], and the noise; None where film and log share too little.
+    """Mean [s] and sd [s] of the offset within `span` [s], and the noise; None where film and log share too little.
 
-    `first` [s]: an estimate of the offset. The noise is that at the likeliest offset: found at `first`, then again.
+    `first` [s] is an estimate of the offset. The noise is fitted there first, then at the mean, until that settles.
     """
     wide = span[1] - span[0]
-    offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST - 1)))
-    shared, z = common(moments, rows, np.append(offsets, first), first)
+    offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST_OFFSETS - 1)))
+    shared, z = common_rows(moments, rows, np.append(offsets, first), first)
     if shared is None:
         return None
     best = first
     for _ in range(MOST_TURNS):
-        known = explanations(shared, best, z)
-        mean, sd = looked_at(shared, offsets, known, prior)
-        before, best, z = best, mean, known[0].z
-        if abs(best - before) < max(SETTLED, sd):
+        errors = likely_errors(shared, best, z)
+        mean, sd = scan_closer(shared, offsets, errors, prior)
+        previous, best, z = best, mean, errors[0].z
+        if abs(best - previous) < max(SETTLED, sd):
             break
-    # A jump that is taken to come at a wrong time moves the offset by the more the larger it is.
-    size = sum(one.share * min(one.jumped / (LARGE * shared.model.force), 1.0) ** 2 for one in known)
-    return mean, float(np.hypot(max(sd, FINEST), np.sqrt(size) * STEP_DOUBT)), known[0].noise
+    # A jump at a wrong time shifts the offset, and a larger jump shifts it more.
+    size = sum(error.probability * min(error.jump_sd / (LARGE * shared.model.force), 1.0) ** 2 for error in errors)
+    return mean, float(np.hypot(max(sd, FINEST), np.sqrt(size) * STEP_DOUBT)), errors[0].noise
 
 
-def looked_at(shared: Shared, offsets: Array, known: Sequence[Explained], prior: Prior) -> tuple[float, float]:
-    """Mean and sd of the offset: over all `offsets`, then ever closer about the mean."""
+def scan_closer(shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior) -> tuple[float, float]:
+    """Mean and sd of the offset, on the grid `offsets` refined around its mean."""
     span = float(offsets[0]), float(offsets[-1])
-    chance = posterior(shared, offsets, known, prior)
-    for _ in range(LOOKS):
-        mean, sd = moments_of(offsets, chance)
+    log_density = log_posterior(shared, offsets, errors, prior)
+    for _ in range(REFINEMENTS):
+        mean, sd = moments_of(offsets, log_density)
         reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= NEXT])))
         new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), FINE), offsets)
-        offsets, chance = np.append(offsets, new), np.append(chance, posterior(shared, new, known, prior))
+        offsets, log_density = (
+            np.append(offsets, new),
+            np.append(log_density, log_posterior(shared, new, errors, prior)),
+        )
         order = np.argsort(offsets)
-        offsets, chance = offsets[order], chance[order]
-    return moments_of(offsets, chance)
+        offsets, log_density = offsets[order], log_density[order]
+    return moments_of(offsets, log_density)
 
 
-def explanations(shared: Shared, offset: float, z: Array) -> list[Explained]:
-    """The log's error with jumps where the load changes, and without; the likelier one first, alone if it is far so."""
-    both = [explained(shared, offset, z, large) for large in (0.0, LARGE)]
+def likely_errors(shared: CommonRows, offset: float, z: Array) -> list[LogError]:
+    """The log's error without and with jumps where the load changes: the likelier first, without an unlikely one."""
+    both = [fit_log_error(shared, offset, z, large) for large in (0.0, LARGE)]
     flat: Prior = np.zeros_like
-    size = np.array([posterior(shared, np.array([offset]), [each], flat)[0] for each in both])
+    size = np.array([log_posterior(shared, np.array([offset]), [error], flat)[0] for error in both])
     share = np.exp(size - np.logaddexp.reduce(size))
-    return [replace(both[i], share=float(share[i])) for i in np.argsort(-size) if size[i] > size.max() - UNLIKELY]
+    return [replace(both[i], probability=float(share[i])) for i in np.argsort(-size) if size[i] > size.max() - UNLIKELY]
 
 
-def moments_of(offset: Array, chance: Array) -> tuple[float, float]:
-    """Mean and sd of a distribution given by its log at rising points."""
-    weight = np.exp(chance - chance.max()) * np.gradient(offset)
+def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:
+    """Mean and sd of a density given by its log at rising points."""
+    weight = np.exp(log_density - log_density.max()) * np.gradient(offset)
     weight /= weight.sum()
     mean = float(weight @ offset)
     return mean, float(np.sqrt(weight @ (offset - mean) ** 2))
 
 
-def common(moments: Moments, rows: Rows, offsets: Array, first: float) -> tuple[Shared | None, Array]:
-    """What holds at all `offsets`, and parameters to begin with."""
-    use = np.all([seen_at(moments, rows.time - each, rows.width).told for each in offsets], axis=0)
+def common_rows(moments: Moments, rows: BinnedLog, offsets: Array, first: float) -> tuple[CommonRows | None, Array]:
+    """The rows that all `offsets` cover, None where too few; and parameters to begin with."""
+    use = np.all([moments_at(moments, rows.time - offset, rows.width).known for offset in offsets], axis=0)
     time = moments.track.time
-    film = seen_at(moments, np.arange(time[0] + 0.5 * rows.width, time[-1] - 0.5 * rows.width, rows.width), rows.width)
-    if use.sum() < FEWEST or film.told.sum() < FEWEST:
+    film = moments_at(
+        moments, np.arange(time[0] + 0.5 * rows.width, time[-1] - 0.5 * rows.width, rows.width), rows.width
+    )
+    if use.sum() < FEWEST or film.known.sum() < FEWEST:
         return None, np.zeros(0)
-    at, force = rows.time[use], rows.force[use]
-    compliance, sign, bias = rough_compliance(seen_at(moments, at - first, rows.width), force)
-    model = Model(moments, compliance, rows.largest)
-    shared = Shared(moments, at, rows.width, sign * force, film.at(film.told), model)
+    time_used, force = rows.time[use], rows.force[use]
+    compliance, sign, bias = rough_compliance(moments_at(moments, time_used - first, rows.width), force)
+    model = ForceLogModel(moments, compliance, rows.largest)
+    shared = CommonRows(moments, time_used, rows.width, sign * force, film.select(film.known), model)
     return shared, model.start(bias)
 
 
-def explained(shared: Shared, offset: float, z: Array, large: float) -> Explained:
-    """Parameters, noise and jumps at one offset, in turns, from guessed ones; `large` = 0: no jumps."""
-    seen, model = shared.seen(offset), shared.model
-    share, start = grown(seen), first_guess(shared.force, shared.width)
+def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> LogError:
+    """Parameters, noise and jumps at one offset, each fitted in turn from a guess. `large` = 0: without jumps."""
+    moments, model = shared.rows_at(offset), shared.model
+    share, start = load_change_share(moments), first_guess(shared.force, shared.width)
     noise, jumps, typical = start, (large * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
     for _ in range(TURNS):
-        spread = model.told(seen, z)[1]
+        spread = model.force_on_beam(moments, z)[1]
         root = np.linalg.cholesky(covariance(noise, shared.time, spread, jumps))
-        _, z = evidence(model, seen, lambda x: tied(model, shared.film, x), shared.force, np.asarray(root), z, FIRST)
-    spread = model.told(seen, z)[1]
-    left, free = around(model, seen, shared.film, shared.force, z)
+        _, z = laplace_evidence(
+            model, moments, lambda x: film_misfit(model, shared.film, x), shared.force, np.asarray(root), z, FIRST
+        )
+    spread = model.force_on_beam(moments, z)[1]
+    residual, design = residual_and_design(model, moments, shared.film, shared.force, z)
     for _ in range(TURNS if large else 0):
-        noise = fitted_noise(left, free, shared.time, spread, start, jumps)
-        rest = covariance(noise, shared.time, spread, np.zeros_like(jumps))
-        jumps = found_jumps(left, free, rest, jumps, typical)
+        noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
+        others = covariance(noise, shared.time, spread, np.zeros_like(jumps))
+        jumps = fit_jumps(residual, design, others, jumps, typical)
     size = jumps[(typical > 0.0) & (jumps > 0.0)] / typical[(typical > 0.0) & (jumps > 0.0)]
-    chance = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
-    jumped = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
-    return Explained(fitted_noise(left, free, shared.time, spread, start, jumps), jumps, z, chance, jumped)
+    log_prior = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
+    jump_sd = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
+    return LogError(
+        fit_residual_noise(residual, design, shared.time, spread, start, jumps), jumps, z, log_prior, jump_sd
+    )
 
 
-def posterior(shared: Shared, offsets: Array, known: Sequence[Explained], prior: Prior) -> Array:
-    """Log posterior at `offsets`, less a constant, over all that may explain the log's error."""
+def log_posterior(shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior) -> Array:
+    """Log posterior at `offsets` up to a constant, summed over the likely `errors` of the log."""
     out = np.full(len(offsets), -np.inf)
-    for one in known:
-        tie = nearly(shared.model, shared.film, one.z)
-        for i, each in enumerate(offsets):
-            seen = shared.seen(float(each))
-            spread = shared.model.told(seen, one.z)[1]
-            root = np.linalg.cholesky(covariance(one.noise, shared.time, spread, one.jumps))
-            value, _ = evidence(shared.model, seen, tie, shared.force, np.asarray(root), one.z, FAST)
-            out[i] = np.logaddexp(out[i], value + one.chance)
+    for error in errors:
+        misfit_at = quadratic_film_misfit(shared.model, shared.film, error.z)
+        for i, offset in enumerate(offsets):
+            moments = shared.rows_at(float(offset))
+            spread = shared.model.force_on_beam(moments, error.z)[1]
+            root = np.linalg.cholesky(covariance(error.noise, shared.time, spread, error.jumps))
+            value, _ = laplace_evidence(shared.model, moments, misfit_at, shared.force, np.asarray(root), error.z, FAST)
+            out[i] = np.logaddexp(out[i], value + error.log_prior)
     return np.asarray(out + prior(offsets))

@@ -1,17 +1,17 @@
-"""Two clocks made one: the offset between the video's clock and the force log's, from the data.
+"""The offset between the video's clock and the force log's, from the data.
 
-For every offset the log is explained by what the markers say of the force (`polynomial_features.py`: levers and
-polynomials with unknown coefficients; no stiffness enters) plus the sensor's noise, and the offset is judged by how
-probable that makes the log. Three things decide about the accuracy, and all are minded here:
+For every offset the log is modelled by features of the markers with unknown coefficients (`polynomial_features.py`:
+levers and polynomials; no stiffness enters) plus the sensor's noise. The evidence of the log under this model is the
+likelihood of the offset. Three choices matter for the accuracy:
 
-- the log's rows stay fixed and the markers are shifted under them. Shifting the log instead would compare different
-  samples of its noise, whose scatter is larger than what an offset of some hundredths of a second changes;
+- the log's rows stay fixed and the markers are shifted. Shifting the log would compare different samples of its noise,
+  whose scatter is larger than the effect of an offset of some hundredths of a second;
 - coefficients are integrated out under a prior (evidence), not fitted: for a push in one direction a free function of
-  the displacement could follow any offset, and a maximum would claim an accuracy it does not have;
-- the noise is coloured and wanders (`noise.py`); its sizes come from the same data.
+  the displacement fits any offset, and the maximum would claim more accuracy than there is;
+- the noise has coloured and random-walk parts (`noise.py`); its sizes come from the same data.
 
 A push whose force rises at F' [N/s] during T under a noise of spectral density S tells the offset to about
-sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force leave tens of milliseconds. `sd` says so.
+sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force leave tens of milliseconds in `sd`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.recording.clock.binned_log import Rows, binned, thinned
+from onebend.recording.clock.binned_log import BinnedLog, binned, thinned
 from onebend.recording.clock.feature_search import coarse_search, likely_offsets, likely_span, refined
 from onebend.recording.clock.messages import TOO_LITTLE, remarks_on, unsettled_remark
-from onebend.recording.clock.moment_posterior import STEP_DOUBT, Prior, sharpened
+from onebend.recording.clock.moment_posterior import STEP_DOUBT, Prior, offset_from_moments
 from onebend.recording.clock.offset_prior import ROUGHLY, prior_spread, search_range
 from onebend.recording.clock.polynomial_features import Track, make_track
 from onebend.recording.clock.span_moments import make_moments
@@ -35,19 +35,22 @@ from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, R
 class ClockSettings:
     """How the offset is searched."""
 
-    margin: float = 2.0  # s, searched beyond what was said plus its uncertainty
-    corrections: tuple[float, ...] = (0.001, 0.01)  # prior of the polynomials that mend the levers, tried in turn
+    margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
+    corrections: tuple[float, ...] = (
+        0.001,
+        0.01,
+    )  # prior sds, tried in turn, of the polynomials that correct the levers
     most_rows: int = 250  # of the log, after averaging
-    sharp_rows: int = 120  # of these, where they are explained by the spans' turns
+    sharp_rows: int = 120  # of these, for the model by the spans' moments
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
     steps: float = 0.3  # of the largest force: sd of a log's error that changes where the load begins, reverses, ends
-    hold: float = 2.0  # s, a beam that stands still in the first (last) frames is taken to stand still before (after)
+    hold: float = 2.0  # s before (after) the film for which a beam at rest in its first (last) frames stays so
 
 
 @dataclass(frozen=True)
 class ClockFit:
-    """The offset, and what was learned of the noise on the way (None where nothing was found)."""
+    """The offset, and the noise of the log (None where it was not fitted)."""
 
     clock: ClockOffset
     noise: ForceNoise | None
@@ -57,7 +60,7 @@ class ClockFit:
 def fit_clock(
     markers: Markers,
     log: ForceLog,
-    said: float,
+    stated: float,
     uncertainty: float,
     *,
     push_s: float | None = None,
@@ -65,43 +68,43 @@ def fit_clock(
 ) -> ClockFit:
     """The posterior of the offset between the two clocks.
 
-    The prior takes `uncertainty` [s] as two sd of `said`, with exponential tails beyond. Where `said` is NaN every
-    offset counts alike under which half of the film is inside the log. `found` is False where the data leave more than
-    half of the prior's spread; then the offset is what was said. An `uncertainty` of 0 says that `said` is exact: it
-    is taken with an sd of 0, and only the log's noise is looked for. `push_s` is the place of the push; with it, `log`
-    must be in the beam's axes (its sign and bias do not matter).
+    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails beyond. Where `stated` is NaN,
+    offsets that put half of the film or more inside the log are equally likely. The clock's `found` is False where the
+    posterior sd is more than half of the prior's; the offset is then the stated one. An `uncertainty` of 0 says that
+    `stated` is exact: it is taken with an sd of 0, and only the log's noise is fitted. `push_s` is the place of the
+    push; with it, `log` must be in the beam's axes (its sign and bias do not matter).
 
     Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
     beam moves slowly against its own oscillations for most of the film.
     """
-    if uncertainty == 0.0 and np.isfinite(said):
-        exact = ClockOffset(offset=said, sd=0.0, said=said, found=True)
-        return ClockFit(exact, noise_at(markers, log, said, push_s, settings))
-    low, high, prior = search_range(markers.time, log.time, said, uncertainty, settings.margin)
+    if uncertainty == 0.0 and np.isfinite(stated):
+        exact = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
+        return ClockFit(exact, noise_at(markers, log, stated, push_s, settings))
+    low, high, prior = search_range(markers.time, log.time, stated, uncertainty, settings.margin)
     spread = prior_spread(low, high, prior)
     doubt = min(spread, uncertainty) if uncertainty < ROUGHLY else spread if np.isfinite(uncertainty) else np.inf
-    unsettled = ClockOffset(offset=said, sd=doubt, said=said, found=False)
+    unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
     rate = bandwidth(markers.time, displacements(markers))
     if not np.isfinite(rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
     rows = compared_rows(markers, log, rate, (low, high), settings)
-    found = None if rows is None else matched(markers, rows, rate, push_s, (low, high), prior, settings)
-    if found is None:
+    match = None if rows is None else matched(markers, rows, rate, push_s, (low, high), prior, settings)
+    if match is None:
         return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
-    offset, sd, noise = found
+    offset, sd, noise = match
     if not sd < 0.5 * spread:
-        return ClockFit(unsettled, noise, (unsettled_remark(offset - said, sd, uncertainty),))
-    clock = ClockOffset(offset=offset, sd=sd, said=said, found=True)
+        return ClockFit(unsettled, noise, (unsettled_remark(offset - stated, sd, uncertainty),))
+    clock = ClockOffset(offset=offset, sd=sd, stated=stated, found=True)
     return ClockFit(clock, noise, remarks_on(clock, uncertainty, low, high))
 
 
 def compared_rows(
     markers: Markers, log: ForceLog, rate: float, within: tuple[float, float], settings: ClockSettings
-) -> Rows | None:
-    """The log's rows that the film is laid over at offsets `within` [s]; None where they are too few, or all zero."""
+) -> BinnedLog | None:
+    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero."""
     span = (markers.time[0] + within[0], markers.time[-1] + within[1])
-    most = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
-    rows = binned(log, max(8 * rate, settings.slowest), span, most)
+    highest_rate = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
+    rows = binned(log, max(8 * rate, settings.slowest), span, highest_rate)
     return rows if len(rows.time) >= 10 and rows.largest > 0 else None
 
 
@@ -113,15 +116,15 @@ def noise_at(
     rows = compared_rows(markers, log, rate, (offset, offset), settings) if np.isfinite(rate) else None
     if rows is None:
         return None
-    ways = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
-    searches = [coarse_search(track, rows, np.array([offset]), np.zeros_like) for track in ways]
-    searches = [search for search in searches if np.isfinite(search.chance).all()]
-    return max(searches, key=lambda search: float(search.chance[0])).noise if searches else None
+    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
+    searches = [coarse_search(track, rows, np.array([offset]), np.zeros_like) for track in feature_tracks]
+    searches = [search for search in searches if np.isfinite(search.log_posterior).all()]
+    return max(searches, key=lambda search: float(search.log_posterior[0])).noise if searches else None
 
 
 def matched(
     markers: Markers,
-    rows: Rows,
+    rows: BinnedLog,
     rate: float,
     push_s: float | None,
     within: tuple[float, float],
@@ -130,41 +133,42 @@ def matched(
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
-    A first look explains the force by polynomials of the tags, a closer one by the moments of the push, where known.
+    A first search models the force by features of the tags; a second one by the moments of the push, if its place is
+    known.
     """
     low, high = within
-    ways = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
-    if not ways:
+    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
+    if not feature_tracks:
         return None
-    coarse = likely_offsets(ways[-1], rows, low, high, rate)
-    searches = [coarse_search(track, rows, coarse, prior) for track in ways]
+    coarse = likely_offsets(feature_tracks[-1], rows, low, high, rate)
+    searches = [coarse_search(track, rows, coarse, prior) for track in feature_tracks]
     moments = None
     if push_s is not None:
         moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
     if moments is None:  # the same with an error that changes with the load; the data say which it is
-        which = int(np.argmax([search.chance.max() for search in searches]))
+        which = int(np.argmax([search.log_posterior.max() for search in searches]))
         stepped = tracks(markers, push_s, settings, settings.steps)[which]
         searches.append(coarse_search(stepped, rows, coarse, prior))
-    searches = [search for search in searches if np.isfinite(search.chance).any()]
+    searches = [search for search in searches if np.isfinite(search.log_posterior).any()]
     if not searches:
         return None
-    best = max(searches, key=lambda search: float(search.chance.max()))
+    best = max(searches, key=lambda search: float(search.log_posterior.max()))
     offset, sd = refined(best, rows, coarse, prior)
     if moments is not None:
         few = thinned(rows, max(4 * rate, settings.sharp_rows / (moments.track.duration + settings.hold)))
-        sharp = sharpened(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
+        sharp = offset_from_moments(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
         if sharp is not None:
             return sharp
-    if best is searches[-1] and len(searches) > len(ways):
+    if best is searches[-1] and len(searches) > len(feature_tracks):
         sd = float(np.hypot(sd, STEP_DOUBT))
     return offset, sd, best.noise
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:
-    """The explanations to try: polynomials alone, and levers with small and larger polynomials to mend them."""
+    """The sets of features: polynomials alone, and levers with small and with larger polynomials."""
     same = {"longest_gap": settings.longest_gap, "hold": settings.hold, "steps": steps}
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
-    made = [make_track(markers, push_s=place, polynomials=scale, **same) for place, scale in ways]
+    made = [make_track(markers, push_s=push_place, polynomials=scale, **same) for push_place, scale in ways]
     return [track for track in made if track is not None]
 
 

@@ -1,4 +1,4 @@
-"""The force log made clean: sign, frame, outliers, zero, zero-phase low-pass, and what noise is left."""
+"""Cleaning the force log: sign, frame, outliers, zero, zero-phase low-pass, and the noise that remains."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ class ForceSettings:
     """How the log is cleaned."""
 
     overtone: float = 2.0  # cut-off over the bandwidth of the markers' motion: see `choose_cutoff`
-    tare_span: float = 3.0  # s of a rest used for the zero, nearest to contact: longer lets drift in, shorter noise
+    tare_span: float = (
+        3.0  # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
+    )
     outlier_sd: float = 6.0
     longest_gap: float = 0.1  # s, or as long as the filter's memory where that is longer: a longer gap stays a gap
 
 
 @dataclass(frozen=True)
 class Zero:
-    """The log's zero at each rest, beam's frame, and how well it is known."""
+    """The log's zero at each rest, beam's frame, and its sd."""
 
     time: Array  # (r,) s, log's clock
     value: Array  # (r, 2) N
@@ -42,8 +44,8 @@ class Zero:
 def choose_cutoff(motion: float, settings: ForceSettings) -> float:
     """Cut-off of the low-pass from the bandwidth `motion` [Hz] of the markers; infinite where that is not known.
 
-    A beam that moves slowly follows the force, so the force holds no frequency that the markers do not. It is a
-    nonlinear function of their displacement; its square doubles the bandwidth. Hence twice that of the markers.
+    A beam that moves slowly is in equilibrium with the force, so the force is a function of the markers'
+    displacements. The function is nonlinear: its square terms double the bandwidth. Hence twice that of the markers.
     """
     return settings.overtone * motion if np.isfinite(motion) and motion > 0 else math.inf
 
@@ -80,7 +82,7 @@ def clean_force(
         time=log.time,
         force=smooth - zero.at(log.time),
         push_s=log.push_s,
-        noise_sd=left_over(log.time, smooth, rests, zero, cutoff, noise),
+        noise_sd=remaining_sd(log.time, smooth, rests, zero, cutoff, noise),
         tare=zero.value[0] if len(zero.time) else np.zeros(2),
         drift=drift,
         cutoff=cutoff,
@@ -112,16 +114,16 @@ def zero_of(
     time: Array, force: Array, rests: Sequence[tuple[float, float]], noise: ForceNoise | None, settings: ForceSettings
 ) -> Zero:
     """Mean force over each rest, of the part nearest to contact where the rest is long."""
-    places, values, sizes = [], [], []
+    times, values, sizes = [], [], []
     for i, span in enumerate(rests):
         rows = np.flatnonzero(within(time, span))
         if len(rows) < 2:
             continue
         # The first rest is followed by contact, later ones are preceded by it.
-        near = time[rows[-1]] - time[rows] if i == 0 else time[rows] - time[rows[0]]
-        rows = rows[near <= settings.tare_span]
+        distance = time[rows[-1]] - time[rows] if i == 0 else time[rows] - time[rows[0]]
+        rows = rows[distance <= settings.tare_span]
         if len(rows) >= 2:
-            places.append(float(np.mean(time[rows])))
+            times.append(float(np.mean(time[rows])))
             values.append(np.mean(force[rows], axis=0))
             sizes.append(float(np.ptp(time[rows])))
     shortest = min(sizes, default=math.nan)
@@ -129,10 +131,10 @@ def zero_of(
     if noise is not None and sizes:
         # Mean of a process of correlation time tau over a span; the walk within the span.
         sd = math.sqrt(min(1.0, 2 * noise.tau / shortest) * noise.coloured**2 + noise.walk**2 * shortest / 3)
-    return Zero(np.array(places), np.array(values).reshape(-1, 2), sd)
+    return Zero(np.array(times), np.array(values).reshape(-1, 2), sd)
 
 
-def left_over(
+def remaining_sd(
     time: Array,
     smooth: Array,
     rests: Sequence[tuple[float, float]],
@@ -140,9 +142,8 @@ def left_over(
     cutoff: float,
     noise: ForceNoise | None,
 ) -> Array:
-    """(2,) N, sd of what is wrong with the clean force in mid-contact: the filtered noise, the zero's own error, and
-    the drift that the zero could not follow (random walk: a bridge between two rests, free after one). NaN without a
-    rest."""
+    """(2,) N, sd of the clean force's error in mid-contact: the filtered noise, the error of the zero, and the drift
+    beside the zero (a random walk: a bridge between two rests, free after one). NaN without a rest."""
     if not len(zero.time):
         return np.full(2, math.nan)
     at_rest = np.any([within(time, span) for span in rests], axis=0)
@@ -158,20 +159,20 @@ def left_over(
 
 
 def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...]:
-    """What a person should know of the zero and the filter."""
-    out = []
+    """Remarks on the zero and the filter."""
+    remarks = []
     if not len(zero.time):
         text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."
-        out.append(Remark("warning", text))
+        remarks.append(Remark("warning", text))
     elif len(zero.time) == 1:
         text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
-        out.append(Remark("note", text))
+        remarks.append(Remark("note", text))
     elif float(np.ptp(zero.value, axis=0).max()) > 0.2 * largest:
         change = float(np.ptp(zero.value, axis=0).max())
-        out.append(Remark("warning", f"The force's zero drifted by {change:.2g} N between the rests."))
+        remarks.append(Remark("warning", f"The force's zero drifted by {change:.2g} N between the rests."))
     if not math.isfinite(cutoff):
-        out.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
-    return tuple(out)
+        remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
+    return tuple(remarks)
 
 
 def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSettings()) -> float:
@@ -180,6 +181,6 @@ def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSetting
     return max(settings.longest_gap, memory, 3 * step(time))
 
 
-def force_at(clean: CleanForce, at: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
-    """(T, 2) N at the times `at` [s, log's clock]; NaN outside the log and in its gaps."""
-    return at_times(clean.time, clean.force, at, longest_gap=gap_limit(clean.time, clean.cutoff, settings))
+def force_at(clean: CleanForce, time: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
+    """(T, 2) N at the times `time` [s, log's clock]; NaN outside the log and in its gaps."""
+    return at_times(clean.time, clean.force, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))

@@ -1,8 +1,7 @@
-"""When the beam is touched and when it is free, from the markers and the force.
+"""Contact and rest: when the beam is pushed and when it is free, from the markers and the force.
 
-The film is taken to begin with a free beam (a person starts the camera, then the push). The beam is free where its
-markers stand as they did then, and stand still; it is also free where it swings about that rest with no more force
-than before the push. Everything between is contact.
+The film must begin with a free beam (the camera starts before the push). The beam is free where its markers stand still
+at their first places, and where it swings about that rest with no more force than before the push. All else is contact.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from onebend.records import Array, BoolArray, ForceLog, Markers, Remark
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """How contact is told from rest."""
+    """Thresholds between contact and rest."""
 
     window: int = 5  # frames averaged
     first: int = 10  # frames that must show the beam at rest
@@ -51,15 +50,15 @@ def find_contact(
 ) -> Contact:
     """Rest and contact of a film, with the force log (own clock = video clock + `offset`) where there is one."""
     time = markers.time
-    away, threshold = departure(markers, settings)
-    if not away[0] <= threshold:
+    departed, threshold = departure(markers, settings)
+    if not departed[0] <= threshold:
         text = "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero."
         loaded = np.full(len(time), log is not None)
         return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (Remark("warning", text),))
-    first = int(np.argmax(away > threshold)) if np.any(away > threshold) else len(time)
-    near = away < max(threshold, settings.returned * float(away.max()))
-    near[:first] = True
-    still = long_enough(near, time, settings.shortest_rest)
+    first = int(np.argmax(departed > threshold)) if np.any(departed > threshold) else len(time)
+    returned = departed < max(threshold, settings.returned * float(departed.max()))
+    returned[:first] = True
+    still = long_enough(returned, time, settings.shortest_rest)
     free = still.copy()
     remarks: list[Remark] = []
     if log is not None and not free[-1]:
@@ -86,8 +85,8 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
     """
     count = len(markers.time)
     flat = np.concatenate([markers.xy.reshape(count, -1), markers.angle], axis=1)
-    seen = np.isfinite(flat).sum(axis=0) > settings.window
-    filled = bridged(markers.time, flat[:, seen])
+    measured = np.isfinite(flat).sum(axis=0) > settings.window
+    filled = bridged(markers.time, flat[:, measured])
     if not filled.size:
         return np.full(count, np.inf), 0.0
     bends = np.abs(np.diff(filled, n=2, axis=0)) / np.sqrt(6)
@@ -96,20 +95,20 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
     floor = 1e-5 * float(np.abs(filled).max()) + np.finfo(float).tiny
     quick = floor + np.maximum(np.median(bends, axis=0) * MAD_TO_SD, early)
     smooth = uniform_filter1d(filled, settings.window, axis=0, mode="nearest")
-    upto = min(count, settings.first)
+    first_frames = min(count, settings.first)
     threshold = 2.0 * float(np.sqrt(chi2.isf(settings.chance, filled.shape[1]) / settings.window))
-    away = np.zeros(count)
+    distance = np.zeros(count)
     for _ in range(3):
-        rest = filled[:upto]
+        rest = filled[:first_frames]
         noise = np.maximum(quick, np.minimum(np.std(rest, axis=0), 3 * quick))
-        away = np.linalg.norm((smooth - np.median(rest, axis=0)) / noise, axis=1)
-        if np.ptp(smooth[:upto] / noise, axis=0).max() > 2 * threshold:
-            away[0] = np.inf
-            return away, threshold
-        far = away > threshold
-        steady = uniform_filter1d(far.astype(float), settings.window, mode="nearest") > 0.9
-        upto = max(int(np.argmax(steady)) - settings.window, upto) if steady.any() else count
-    return away, threshold
+        distance = np.linalg.norm((smooth - np.median(rest, axis=0)) / noise, axis=1)
+        if np.ptp(smooth[:first_frames] / noise, axis=0).max() > 2 * threshold:
+            distance[0] = np.inf
+            return distance, threshold
+        beyond = distance > threshold
+        steady = uniform_filter1d(beyond.astype(float), settings.window, mode="nearest") > 0.9
+        first_frames = max(int(np.argmax(steady)) - settings.window, first_frames) if steady.any() else count
+    return distance, threshold
 
 
 def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
@@ -120,9 +119,9 @@ def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
     width = 0.1
     if before.sum() < 10:
         return float("inf")
-    away = force - np.median(force[before], axis=0)
+    change = force - np.median(force[before], axis=0)
     span = max(1, round(width / float(np.median(np.diff(time)))))
-    size = np.linalg.norm(uniform_filter1d(away, span, axis=0, mode="nearest"), axis=1)
+    size = np.linalg.norm(uniform_filter1d(change, span, axis=0, mode="nearest"), axis=1)
     noise = float(np.sqrt(np.mean(size[before] ** 2)))
     pushed = np.flatnonzero(size > max(6 * noise, settings.released * size.max()))
     if not len(pushed) or time[-1] - time[pushed[-1]] < 2 * settings.shortest_rest:
@@ -132,11 +131,11 @@ def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
 
 def long_enough(mask: BoolArray, time: Array, shortest: float) -> BoolArray:
     """`mask` without runs of True shorter than `shortest` [s]."""
-    out = np.zeros_like(mask)
+    kept_runs = np.zeros_like(mask)
     for start, stop in runs(mask):
         if time[stop - 1] - time[start] >= shortest:
-            out[start:stop] = True
-    return out
+            kept_runs[start:stop] = True
+    return kept_runs
 
 
 def shrunk(time: Array, start: int, stop: int, settings: ContactSettings) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""A force log on disk: a CSV file with one row a sample, read and checked."""
+"""A force log on disk, read and checked: a CSV file with one row per sample."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOST = (
     "left out"
 )
 HUNG = "rows of the force log only repeat the row before, for long (the sensor or the logger hung), and are left out"
-MANY = 0.1  # of the rows: more that are left out or share a time are a warning
+MANY = 0.1  # of the rows: if more are left out or share a time, it is a warning
 
 
 def read_force_log(
@@ -45,8 +45,8 @@ def read_force_log(
             fall, too few rows, a force that is zero throughout; with the line.
     """
     path = Path(path)
-    if other := unit_in_name(columns, time_unit):
-        raise RecordingError(f"{path}: {other}.")
+    if unit_advice := unit_in_name(columns, time_unit):
+        raise RecordingError(f"{path}: {unit_advice}.")
     wanted = [*columns, *([push_column] if push_column else [])]
     lines: list[int] = []
     table: list[list[float]] = []
@@ -78,10 +78,10 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
         RecordingError: too few rows are left, or every force is zero.
     """
     full = np.isfinite(read).all(axis=1)
-    lost = false_zeros(read[full, 1:3])
-    kept = read[full][~lost]
-    hung = held(kept[:, 0], kept[:, 1:3])
-    data = one_row_a_time(kept[~hung])
+    zeros = false_zeros(read[full, 1:3])
+    measured = read[full][~zeros]
+    hung = held(measured[:, 0], measured[:, 1:3])
+    data = one_row_a_time(measured[~hung])
     if len(data) < FEWEST_ROWS:
         raise RecordingError(
             f"{where} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
@@ -96,7 +96,7 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
     remarks = (
         *remarks,
         *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
-        *remark(int(np.sum(lost)), len(read), LOST),
+        *remark(int(np.sum(zeros)), len(read), LOST),
         *remark(int(np.sum(hung)), len(read), HUNG),
         *missing_remarks(data[:, 0], "rows of the force log"),
         *remark(len(hung) - int(np.sum(hung)) - len(data), len(read), TWICE),
@@ -126,8 +126,8 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
         if not any(cell.strip() for cell in row):
             continue
         values = []
-        for name, place in zip(wanted, places, strict=True):
-            cell = row[place].strip() if place < len(row) else ""
+        for name, index in zip(wanted, places, strict=True):
+            cell = row[index].strip() if index < len(row) else ""
             try:
                 values.append(float(cell) if cell else math.nan)
             except ValueError:
@@ -138,7 +138,7 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
 
 
 def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
-    """What is likely wrong with a header that lacks wanted columns, as a sentence with a space before it; or ""."""
+    """The probable mistake of a header that lacks wanted columns: a sentence after a space, or ""."""
     if len(header) == 1 and set(header[0]) & set(";\t"):
         return " Columns must be separated by commas, and decimals written with a point."
     if all(is_number(name) for name in header if name):
@@ -162,10 +162,10 @@ def check_times(path: Path, time: Array, lines: Array) -> None:
     if not len(wrong):
         return
     i = int(wrong[0])
-    more = f" ({len(wrong)} such lines)" if len(wrong) > 1 else ""
+    count = f" ({len(wrong)} such lines)" if len(wrong) > 1 else ""
     raise RecordingError(
         f"{path}, line {lines[i + 1]}: the time {time[i + 1]:.6g} s is before that of line {lines[i]} "
-        f"({time[i]:.6g} s){more}. Times must rise: sort the file, or cut it where a second log begins."
+        f"({time[i]:.6g} s){count}. Times must rise: sort the file, or cut it where a second log begins."
     )
 
 

@@ -1,4 +1,4 @@
-"""Logs of Franka robots as text: which columns hold the force, and what to write to have them read."""
+"""Text logs of Franka robots: which columns hold the force, and what to write in recording.toml."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def hint(header: Sequence[str]) -> str:
         return ""
     unit = TIMES[time.lower()]
     units = {"": "", "ms": ' and, as libfranka counts in milliseconds, time_unit = "ms"', "s": ""}
-    more = units.get(unit, f' and time_unit = "{unit}"')
-    return f' For x and y of this log: columns = ["{time}", "{forces[0]}", "{forces[1]}"]{more}.'
+    unit_hint = units.get(unit, f' and time_unit = "{unit}"')
+    return f' For x and y of this log: columns = ["{time}", "{forces[0]}", "{forces[1]}"]{unit_hint}.'
 
 
 def likely_forces(header: Sequence[str]) -> tuple[str, str] | None:
     """The columns of the force along x and y, the base's axes before the tool's."""
     sets: dict[str, dict[str, str]] = {}
     for name in header:
-        if found := ESTIMATE.match(name):
-            sets.setdefault("0" if found[1][0] in "Oo" else "1", {})[found[2]] = name
-        elif found := VECTOR.match(name):
-            sets.setdefault(f"2{found[1]}", {})[str("xyz".index(found[2].lower()))] = name
+        if match := ESTIMATE.match(name):
+            sets.setdefault("0" if match[1][0] in "Oo" else "1", {})[match[2]] = name
+        elif match := VECTOR.match(name):
+            sets.setdefault(f"2{match[1]}", {})[str("xyz".index(match[2].lower()))] = name
     for _, columns in sorted(sets.items()):
         if "0" in columns and "1" in columns:
             return columns["0"], columns["1"]

@@ -1,4 +1,4 @@
-"""What a force log shows by itself to be wrong: a channel that is not connected, a sensor at its end, another unit."""
+"""Mistakes that a force log shows by itself: a channel not connected, a sensor at its limit, another unit."""
 
 from __future__ import annotations
 
@@ -11,47 +11,51 @@ from onebend.recording.signals import within_noise
 from onebend.records import Array, Remark
 
 AXES = ("first", "second")
-AT_END, MORE_THAN_NEXT = 0.01, 3.0  # of the rows at one extreme value; times those at the next value
-LARGEST, SMALLEST = 100.0, 5e-3  # N: a soft beam is bent by less, and no sensor for it shows so little
-OF_WEIGHT = 50.0  # times its weight: what bends a soft beam is about its weight
+AT_END, MORE_THAN_NEXT = 0.01, 3.0  # share of rows at an extreme value; how many times those at the next value
+LARGEST, SMALLEST = (
+    100.0,
+    5e-3,
+)  # N: less than the first bends a soft beam, and sensors for it do not resolve the second
+OF_WEIGHT = 50.0  # times the beam's weight; the force that bends a soft beam is near its weight
 OTHER_UNIT = re.compile(r"[_\s\[(/](mN|kN|uN|g|gf|kg|kgf|lbf?|ozf?|counts|V|mV)[\])]?$")
 OTHER_TIME = re.compile(r"[_\s\[(/](ms|us|ns)[\])]?$")
 
 
 def still_columns(force: Array) -> tuple[Remark, ...]:
     """A warning for each column of the forces (N, 2) that never changes."""
-    told = "force of the log never changes ({:g} N): is its channel connected, is it the right column?"
+    sentence = "force of the log never changes ({:g} N): is its channel connected, is it the right column?"
     constant = np.ptp(force, axis=0) == 0.0
     return tuple(
-        Remark("warning", f"The {axis} {told.format(value)}")
-        for axis, value, still in zip(AXES, force[0], constant, strict=True)
-        if still
+        Remark("warning", f"The {axis} {sentence.format(value)}")
+        for axis, value, unchanged in zip(AXES, force[0], constant, strict=True)
+        if unchanged
     )
 
 
 def at_its_end(force: Array) -> tuple[Remark, ...]:
-    """A warning for each column of the forces (N, 2) that often stands at its own largest or smallest value.
+    """A warning for each column of the forces (N, 2) that often takes its own largest or smallest value.
 
     A sensor at the end of its range repeats one number; a measured force scatters about its largest one. Columns
     without visible noise, or written with few digits, repeat numbers anyway and are not judged.
     """
-    out = []
+    remarks = []
     for axis, column in zip(AXES, force.T, strict=True):
         values, counts = np.unique(column, return_counts=True)
-        for end, at, inward in (("largest", -1, -2), ("smallest", 0, 1)):
-            if len(values) < 3 or counts[at] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward]):
+        for end, index, inward in (("largest", -1, -2), ("smallest", 0, 1)):
+            if len(values) < 3 or counts[index] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward]):
                 continue
-            there = column == values[at]
-            alone = there & ~np.concatenate([[False], there[:-1]]) & ~np.concatenate([there[1:], [False]])
-            if 2 * alone.sum() < counts[at] and within_noise(column[~there]):  # spikes are alone
-                share = 100 * counts[at] / len(column)
+            at_extreme = column == values[index]
+            after, before = np.append(False, at_extreme[:-1]), np.append(at_extreme[1:], False)
+            alone = at_extreme & ~after & ~before
+            if 2 * alone.sum() < counts[index] and within_noise(column[~at_extreme]):  # spikes are alone
+                share = 100 * counts[index] / len(column)
                 text = (
-                    f"The {axis} force of the log stands at exactly its {end} value, {values[at]:g} N, in {share:.0f} "
-                    "% of its rows: the sensor is at the end of its range, and the force was larger. k(s) comes out "
-                    "wrong; push less, or take a wider range."
+                    f"The {axis} force of the log stands at exactly its {end} value, {values[index]:g} N, in "
+                    f"{share:.0f} % of its rows: the sensor is at the end of its range, and the force was larger. k(s) "
+                    "comes out wrong; push less, or take a wider range."
                 )
-                out.append(Remark("warning", text))
-    return tuple(out)
+                remarks.append(Remark("warning", text))
+    return tuple(remarks)
 
 
 def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
@@ -74,9 +78,9 @@ def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
 def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
     """What to do about columns (time, two forces) whose own names give another unit; "" where none does."""
     time, *forces = columns
-    if (found := OTHER_TIME.search(time)) and found[1] != time_unit:
-        return f'the column {time} is in {found[1]} by its name: write time_unit = "{found[1]}" in [force]'
+    if (match := OTHER_TIME.search(time)) and match[1] != time_unit:
+        return f'the column {time} is in {match[1]} by its name: write time_unit = "{match[1]}" in [force]'
     for name in forces:
-        if found := OTHER_UNIT.search(name):
-            return f"the column {name} is in {found[1]} by its name: convert it to newtons, and name it so"
+        if match := OTHER_UNIT.search(name):
+            return f"the column {name} is in {match[1]} by its name: convert it to newtons, and name it so"
     return ""

@@ -1,8 +1,8 @@
-"""When a load begins, reverses and ends, as the tags show it: a sensor's error may change with that.
+"""When a load begins, reverses and ends, from the tags: a sensor's error may change then.
 
-Robots that estimate forces from the torques of their joints have friction there: the error of the estimate is nearly
-constant while the load grows or falls, and another one as soon as it begins or reverses. The tags say when that is; the
-log itself would show its error too.
+Robots that estimate forces from joint torques have friction in the joints: the error of the estimate is nearly constant
+while the load grows or falls, and changes when the load begins, reverses or ends. These times are read from the tags,
+as the log itself contains the error.
 """
 
 from __future__ import annotations
@@ -16,57 +16,60 @@ from onebend.records import Array, BoolArray
 
 TURN = 0.05  # of the largest displacement: a beam that comes back by less has not reversed
 CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
-BEFORE = 0.03  # of the same: nearer to a turning point than this the load may be turning
-EARLY = 0.1  # s, of a contact that the tags do not show yet
+BEFORE = 0.03  # of the same: within this of a turning point the load may be reversing
+EARLY = 0.1  # s, by which contact may begin before the tags show it
 
 
 @dataclass(frozen=True)
-class Change:
-    """A stretch of time in which the load begins, reverses or ends."""
+class LoadChange:
+    """A span of time in which the load begins, reverses or ends."""
 
     begin: float  # s
     end: float  # s
     release: bool  # it ends
 
-    def part(self, time: Array) -> Array:
+    def fraction(self, time: Array) -> Array:
         """(N,) 0 before it, 1 after it, evenly between."""
         return np.clip((time - self.begin) / max(self.end - self.begin, 1e-9), 0.0, 1.0)
 
 
-def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[Change]:
+def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[LoadChange]:
     """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,)."""
     largest = float(np.max(size, initial=0.0))
-    out: list[Change] = []
+    changes: list[LoadChange] = []
     for first, last in runs(loaded) if largest > 0.0 else ():
         part, when = size[first:last], time[first:last]
         moved = np.flatnonzero(part > CLEAR * largest)
         if not len(moved):
             continue
         turns = turning_points(part, TURN * largest)
-        out.append(Change(float(when[0]) - EARLY, float(when[moved[0]]), release=False))
+        changes.append(LoadChange(float(when[0]) - EARLY, float(when[moved[0]]), release=False))
         ends = [0, *turns, len(part) - 1]
-        for before, at, after in zip(ends, ends[1:], ends[2:], strict=False):
-            away = np.abs(part - part[at])
-            earlier, later = away[before : at + 1][::-1] > BEFORE * largest, away[at : after + 1] > CLEAR * largest
-            low = at - int(np.argmax(earlier))
-            high = at + int(np.argmax(later)) if later.any() else after
-            out.append(Change(float(when[low]), float(when[high]), release=False))
+        for before, turn, after in zip(ends, ends[1:], ends[2:], strict=False):
+            from_turn = np.abs(part - part[turn])
+            earlier, later = (
+                from_turn[before : turn + 1][::-1] > BEFORE * largest,
+                from_turn[turn : after + 1] > CLEAR * largest,
+            )
+            low = turn - int(np.argmax(earlier))
+            high = turn + int(np.argmax(later)) if later.any() else after
+            changes.append(LoadChange(float(when[low]), float(when[high]), release=False))
         if last < len(time):
-            out.append(Change(float(when[moved[-1]]), float(when[-1]) + EARLY, release=True))
-    return out
+            changes.append(LoadChange(float(when[moved[-1]]), float(when[-1]) + EARLY, release=True))
+    return changes
 
 
 def turning_points(size: Array, margin: float) -> list[int]:
     """Indices at which `size` (T,) stops growing or falling, and then goes back by more than `margin`."""
-    out: list[int] = []
+    turns: list[int] = []
     rising, extreme = True, 0
     for i, now in enumerate(size):
         if (now >= size[extreme]) if rising else (now <= size[extreme]):
             extreme = i
         elif abs(now - size[extreme]) > margin:
-            out.append(extreme)
+            turns.append(extreme)
             rising, extreme = not rising, i
-    return out
+    return turns
 
 
 def displacement(time: Array, xy: Array, rest: Array) -> Array:

@@ -1,8 +1,8 @@
-"""The noise of a force sensor: white, coloured and wandering; its size from the data.
+"""The noise of a force sensor, white, coloured and a random walk; its sizes from the data.
 
-A force estimate from joint torques is wrong slowly: friction and temperature wander, filters colour. Three parts are
-told apart, each axis alike and independent: white samples, an Ornstein-Uhlenbeck process (exponential correlation) and
-a random walk.
+The error of a force estimate from joint torques changes slowly, with friction, temperature and filters. The model has
+three parts, equal and independent on the two axes: white noise, an Ornstein-Uhlenbeck process (exponential
+correlation) and a random walk.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def log_evidence(root: Array, design: Array, values: Array) -> float:
     x = white[:, : axes * p].reshape(n * axes, p)
     y = white[:, axes * p :].reshape(n * axes)
     inner = np.linalg.cholesky(np.eye(p) + x.T @ x)
-    told = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
+    explained = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
     spread = axes * np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner)))
-    return float(-0.5 * (y @ y - told @ told) - spread)
+    return float(-0.5 * (y @ y - explained @ explained) - spread)
 
 
 def first_guess(values: Array, spacing: float) -> ForceNoise:
@@ -45,20 +45,19 @@ def first_guess(values: Array, spacing: float) -> ForceNoise:
 def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> ForceNoise:
     """The likeliest noise of `values` (N, a) around anything `design` (N, a, p) can follow.
 
-    Sizes are kept from running off by a weak prior: each within a factor of about five (one sd) of `start`, the
-    correlation time within a factor of about two and a half.
+    A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5.
     """
     spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
-    def unlikely(z: Array) -> float:
+    def negative_log_posterior(z: Array) -> float:
         noise = _sized(start, centre + spread * z)
         return 0.5 * float(z @ z) - log_evidence(noise.root(time), design, values)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    found = minimize(unlikely, np.zeros(4), method="Nelder-Mead", options=options)
-    return _sized(start, centre + spread * found.x)
+    optimum = minimize(negative_log_posterior, np.zeros(4), method="Nelder-Mead", options=options)
+    return _sized(start, centre + spread * optimum.x)
 
 
 def _sized(start: ForceNoise, logs: Array) -> ForceNoise:

@@ -1,4 +1,4 @@
-"""A video --> the corners of every tag in every frame, on all cores, the same whatever the threads' timing."""
+"""A video to the corners of every tag in every frame, on all cores; the result does not depend on threads."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording.tags.tracking import BlockTracks, Finder, track_block
 from onebend.recording.toml.entries import FAMILIES, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Frame, frame_count, rate_remarks, read_frames
+from onebend.recording.video import FilmFrame, frame_count, rate_remarks, read_frames
 from onebend.records import Detections, Remark
 from onebend.workers import available_cores
 
 BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
 MOST_THREADS = 8
-FREQUENT = 0.1  # of the searched pictures: a tag that nobody expects is remarked when seen more often
-OFTEN_HIDDEN = 0.05  # of the frames: a tag missing more often is remarked
+FREQUENT = 0.1  # of the searched pictures: an unexpected tag gets a remark if it is seen more often
+OFTEN_HIDDEN = 0.05  # of the frames: a tag that is missing more often gets a remark
 FAMILY_FRAMES = 5  # frames searched for tags of other families when none was found
 
 Item = TypeVar("Item")
@@ -35,8 +35,8 @@ def detect_tags(
 ) -> Detections:
     """Find every tag of `tags` in every frame of `video`.
 
-    The video is cut into blocks of frames that do not know of each other, so that the result does not depend on the
-    number of `threads` (default: one a core) nor on their timing.
+    The video is cut into blocks of frames that are searched independently, so the result does not depend on the
+    number of `threads` (default: one per core) nor on their timing.
 
     Raises:
         RecordingError: the video cannot be read to its end.
@@ -48,7 +48,7 @@ def detect_tags(
     for _ in range(threads):
         finders.put(Finder(tags.family))
 
-    def follow_tags(frames: Sequence[Frame]) -> BlockTracks:
+    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
         finder = finders.get()
         try:
             return track_block(frames, tag_id, finder)
@@ -73,7 +73,7 @@ def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
 def in_order(
     pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], *, ahead: int
 ) -> Iterator[Result]:
-    """`map(work, items)` on the pool, in order, with at most `ahead` + 1 items taken but not yet given back."""
+    """`map(work, items)` on the pool, in order, with at most `ahead` + 1 items in work at a time."""
     waiting: deque[Future[Result]] = deque()
     for item in items:
         waiting.append(pool.submit(work, item))
@@ -84,14 +84,14 @@ def in_order(
 
 
 def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
-    """Each block once, followed by as many None as it has frames more: one item a frame, for the progress."""
+    """Each block once, then None for each further frame in it: one item per frame, for the progress."""
     for block in blocks:
         yield block
         yield from [None] * (len(block.time) - 1)
 
 
 def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks]) -> Detections:
-    """The blocks as one record; errors and remarks on what was seen."""
+    """The blocks as one record, with remarks; an error where tags are missing or doubled."""
     time = np.concatenate([block.time for block in blocks])
     corners = np.concatenate([block.corners for block in blocks])
     strangers = Counter(tag for block in blocks for tag in block.strangers)
@@ -119,7 +119,7 @@ def refuse_doubles(video: VideoEntry, doubles: Sequence[tuple[int, int]]) -> Non
     """An error where one id is in the picture twice."""
     if doubles:
         tag = doubles[0][1]
-        frames = [str(frame) for frame, other in doubles if other == tag]
+        frames = [str(frame) for frame, tag_id in doubles if tag_id == tag]
         raise ObservationError(
             f"{video.file}: tag {tag} is in the picture twice (frame {', '.join(frames[:5])}"
             f"{', ...' if len(frames) > 5 else ''}). Cover or replace one of them and film again."
@@ -144,7 +144,7 @@ def refuse_unseen(video: VideoEntry, tags: TagsEntry, share: np.ndarray, strange
 
 
 def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], frames: int) -> str:
-    """What a video without any expected tag shows instead, as advice."""
+    """Advice for a video without any expected tag, from the tags that it does show."""
     if strangers:
         return f"The ids seen are {', '.join(map(str, sorted(strangers)))}: correct the ids in recording.toml."
     wanted = set(np.linspace(0, frames - 1, FAMILY_FRAMES).astype(int).tolist())
@@ -152,9 +152,9 @@ def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], f
     for family in FAMILIES:
         if family != tags.family:
             finder = Finder(family)
-            seen = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
-            if seen:
-                ids = ", ".join(map(str, sorted(seen)))
+            ids_found = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
+            if ids_found:
+                ids = ", ".join(map(str, sorted(ids_found)))
                 return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
     need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
     return f"Check that the tags are {tags.family}, {need}."
@@ -163,12 +163,12 @@ def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], f
 def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
     """A remark for each tag that is missing in many frames."""
     remarks = []
-    for tag, seen in zip(tag_id, share, strict=True):
-        if seen < 1 - OFTEN_HIDDEN:
-            text = f"Tag {tag} was not seen in {round((1 - seen) * frames)} of {frames} frames."
-            if not seen:
+    for tag, visible in zip(tag_id, share, strict=True):
+        if visible < 1 - OFTEN_HIDDEN:
+            text = f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames."
+            if not visible:
                 text = f"Tag {tag} is in none of the {frames} frames: correct its id in recording.toml, or take it out."
-            remarks.append(Remark("note" if seen else "warning", text))
+            remarks.append(Remark("note" if visible else "warning", text))
     return remarks
 
 

@@ -1,10 +1,10 @@
 """A tag's corners from its whole printed pattern, for tags that stand still.
 
-The detector reads only the outer edges, each a few dozen noisy points, and its error at one place of the pixel grid
-is the same in every frame. A tag that does not move can do better: the mean of its pictures is nearly free of noise,
-and all the black-white edges inside the pattern tell where it is. The pattern is blurred by a Gaussian whose width is
-fitted too; edges that go from black to white and from white to black bound the same cells, so a printer's or sensor's
-bloom cancels where it would shift the outer edges outward.
+The detector uses only the outer edges, each a few dozen noisy points, and its error at one place of the pixel grid is
+the same in every frame. For a tag that does not move there is more information: the mean of its pictures has little
+noise, and all the black-white edges inside the pattern show its place. The model is the pattern blurred by a Gaussian,
+whose width is fitted too. Bloom of the printer or the sensor shifts outer edges outward; inside, edges from black to
+white and from white to black shift in opposite directions, so that their shifts cancel.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from onebend.recording.video import Frame
+from onebend.recording.video import FilmFrame
 from onebend.records import Array
 
 CELLS = {"tag36h11": 8, "tag25h9": 7, "tag16h5": 6}  # of the black square's side; families with a plain black rim
 RIM = 0.5  # cells of the white margin that are used
 LEAST_FRAMES = 8  # of a block, in which a tag must be seen to be taken as still
 STILL = 0.2  # px: a tag whose corners stay this near to their median stands still
-MOST_SHIFT = 0.3  # px: a correction beyond is no correction of an edge fit
-MOST_MISFIT = 0.1  # of the contrast between black and white; more means the tag is partly hidden or not of this family
+MOST_SHIFT = 0.3  # px: a larger correction is not used, as the errors of an edge fit are smaller
+MOST_MISFIT = 0.1  # RMS residual over the contrast; a larger one: the tag is partly hidden, or of another family
 STEPS = 4  # Gauss-Newton
 FIRST_BLUR = 0.8  # px
 ROOT = float(np.sqrt(2 * np.pi))
@@ -44,7 +44,7 @@ class Pattern:
     blur: float  # logarithm of its sd in cells
 
 
-def correct_still(frames: Sequence[Frame], tracks: Array, cells: int | None) -> Array:
+def correct_still(frames: Sequence[FilmFrame], tracks: Array, cells: int | None) -> Array:
     """`tracks` (B, m, 4, 2) with the corners of every tag that stands still moved by what its whole pattern says.
 
     `cells` counts the cells along the black square's side; None for families without a plain rim: nothing is changed.
@@ -53,21 +53,21 @@ def correct_still(frames: Sequence[Frame], tracks: Array, cells: int | None) -> 
     if cells is None:
         return corrected
     for i in range(tracks.shape[1]):
-        seen = np.flatnonzero(np.isfinite(tracks[:, i]).all(axis=(1, 2))).tolist()
-        if len(seen) < LEAST_FRAMES:
+        visible = np.flatnonzero(np.isfinite(tracks[:, i]).all(axis=(1, 2))).tolist()
+        if len(visible) < LEAST_FRAMES:
             continue
-        middle = np.median(tracks[seen, i], axis=0)
-        if np.abs(tracks[seen, i] - middle).max() > STILL:
+        middle = np.median(tracks[visible, i], axis=0)
+        if np.abs(tracks[visible, i] - middle).max() > STILL:
             continue
-        mean = tracks[seen, i].mean(axis=0)
-        picture, corner = mean_picture([frames[t] for t in seen], mean)
+        mean = tracks[visible, i].mean(axis=0)
+        picture, corner = mean_picture([frames[t] for t in visible], mean)
         fitted = fit_pattern(picture, mean - corner, cells)
         if fitted is not None and np.abs(fitted + corner - mean).max() <= MOST_SHIFT:
-            corrected[seen, i] += fitted + corner - mean
+            corrected[visible, i] += fitted + corner - mean
     return corrected
 
 
-def mean_picture(frames: Sequence[Frame], corners: Array) -> tuple[Array, Array]:
+def mean_picture(frames: Sequence[FilmFrame], corners: Array) -> tuple[Array, Array]:
     """The mean of the frames around a tag with its margin, and the pixel (x, y) of its first corner."""
     margin = 0.15 * float(np.ptp(corners, axis=0).max()) + 2
     height, width = frames[0].luma.shape
@@ -93,9 +93,9 @@ def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
     even = np.array([1.0, 0.0, 0.0])
     model = Pattern(homography, dark * even, (bright - dark) * even, float(np.log(FIRST_BLUR * cells / size)))
     for _ in range(STEPS):
-        jacobian, left = linearise(model, printed, x, y, brightness)
+        jacobian, residual = linearise(model, printed, x, y, brightness)
         try:
-            step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ left)
+            step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ residual)
         except np.linalg.LinAlgError:
             return None
         model = replace(
@@ -105,8 +105,8 @@ def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
             contrast=model.contrast + step[11:14],
             blur=model.blur + float(np.clip(step[14], -0.5, 0.5)),
         )
-    _, left = linearise(model, printed, x, y, brightness)
-    if not float(np.sqrt((left**2).mean())) < MOST_MISFIT * model.contrast[0]:
+    _, residual = linearise(model, printed, x, y, brightness)
+    if not float(np.sqrt((residual**2).mean())) < MOST_MISFIT * model.contrast[0]:
         return None
     x, y, _ = carry(homography_inverse(model.homography), outline[:, 0], outline[:, 1])
     return np.asarray(np.stack([x, y], axis=-1) * size + centre)
@@ -129,7 +129,7 @@ def read_cells(picture: Array, homography: Array, centre: Array, size: float, ce
 
 
 def linearise(model: Pattern, printed: Array, x: Array, y: Array, brightness: Array) -> tuple[Array, Array]:
-    """Derivatives (15, pixels) of the model by its numbers, and what it misses of `brightness`.
+    """Jacobian (15, pixels) of the model, transposed, and its residual of `brightness`.
 
     Near an edge between cells the blurred pattern is a blend of the four cells around the nearest crossing of cell
     borders, with the normal distribution's integral as weight; farther edges do not matter for blurs below 0.3 cells.

@@ -1,6 +1,6 @@
-"""What a printed tag looks like, cell by cell, from the detector's own table of codes.
+"""The cells of a printed tag, from the detector's own table of codes.
 
-A tag that is printed from this is a tag that the detector finds, with the same number and the same upper edge.
+The detector finds a tag that is printed from them, with the same number and the same upper edge.
 """
 
 from __future__ import annotations
@@ -58,20 +58,20 @@ def printed_tag(tag_id: int, family: str = FAMILIES[0]) -> PrintedTag:
     Raises:
         RecordingError: an unknown family, or an id that the family does not have.
     """
-    made = _family(family)
-    if not 0 <= tag_id < len(made.codes):
-        raise RecordingError(f"{family} has tags 0 to {len(made.codes) - 1}, not {tag_id}.")
-    cells = np.zeros((made.total, made.total), dtype=bool)
-    ring = made.border if made.reversed_border else made.border + 2  # cells along the side of the white ring
-    first, last = (made.total - ring) // 2, (made.total + ring) // 2 - 1
+    layout = _family(family)
+    if not 0 <= tag_id < len(layout.codes):
+        raise RecordingError(f"{family} has tags 0 to {len(layout.codes) - 1}, not {tag_id}.")
+    cells = np.zeros((layout.total, layout.total), dtype=bool)
+    ring = layout.border if layout.reversed_border else layout.border + 2  # cells along the side of the white ring
+    first, last = (layout.total - ring) // 2, (layout.total + ring) // 2 - 1
     cells[[first, last], first : last + 1] = True
     cells[first : last + 1, [first, last]] = True
-    start, code = (made.total - made.border) // 2, made.codes[tag_id]
-    for bit, (x, y) in enumerate(zip(made.bit_x, made.bit_y, strict=True)):
-        if code >> (len(made.bit_x) - 1 - bit) & 1:
+    start, code = (layout.total - layout.border) // 2, layout.codes[tag_id]
+    for bit, (x, y) in enumerate(zip(layout.bit_x, layout.bit_y, strict=True)):
+        if code >> (len(layout.bit_x) - 1 - bit) & 1:
             cells[start + y, start + x] = True
     cells.setflags(write=False)
-    return PrintedTag(tag_id, family, cells, made.border)
+    return PrintedTag(tag_id, family, cells, layout.border)
 
 
 @cache
@@ -79,12 +79,12 @@ def _family(name: str) -> _Family:
     if name not in FAMILIES:
         raise RecordingError(f"{name!r} is not a family of tags. Take one of {', '.join(FAMILIES)}.")
     detector = Detector(families=name)  # owns the memory that is read below
-    made = detector.tag_families[name].contents
+    table = detector.tag_families[name].contents
     return _Family(
-        codes=tuple(int(made.codes[i]) for i in range(made.ncodes)),
-        border=int(made.width_at_border),
-        total=int(made.total_width),
-        reversed_border=bool(made.reversed_border),
-        bit_x=tuple(int(made.bit_x[i]) for i in range(made.nbits)),
-        bit_y=tuple(int(made.bit_y[i]) for i in range(made.nbits)),
+        codes=tuple(int(table.codes[i]) for i in range(table.ncodes)),
+        border=int(table.width_at_border),
+        total=int(table.total_width),
+        reversed_border=bool(table.reversed_border),
+        bit_x=tuple(int(table.bit_x[i]) for i in range(table.nbits)),
+        bit_y=tuple(int(table.bit_y[i]) for i in range(table.nbits)),
     )

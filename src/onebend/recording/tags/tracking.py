@@ -1,4 +1,4 @@
-"""Finding tags in pictures, and following them through a block of frames by looking only where they must be."""
+"""Finding tags in pictures, and tracking them through a block of frames near their predicted places."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from pyapriltags import Detector
 
 from onebend.recording.tags.pattern import CELLS, correct_still
-from onebend.recording.video import Frame, Picture
+from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
@@ -28,19 +28,19 @@ class Sighting:
     tag_id: int
     corners: Array  # (4, 2) px
     errors: int  # bits of the code that had to be corrected
-    margin: float  # contrast of the code's bits; the larger the surer
+    margin: float  # contrast of the code's bits; larger is more certain
 
 
 @dataclass(frozen=True)
 class BlockTracks:
-    """What one block of consecutive frames shows."""
+    """The tags in one block of consecutive frames."""
 
     time: Array  # (B,) s
     corners: Array  # (B, m, 4, 2) px, NaN where not seen
     shape: tuple[int, int]  # height, width, px
     looks: int  # how often the whole picture was searched
-    strangers: tuple[int, ...]  # ids seen then that nobody expects, one entry a sighting
-    doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was surely seen at two places
+    strangers: tuple[int, ...]  # unexpected ids in those searches, one entry per sighting
+    doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was read without error at two places
 
 
 class Finder:
@@ -51,32 +51,31 @@ class Finder:
         self._detector = Detector(families=family, quad_decimate=DECIMATE, quad_sigma=BLUR)
 
     def look(self, picture: Picture) -> list[Sighting]:
-        """Every tag in `picture`, the surest first."""
-        seen = [
+        """Every tag in `picture`, the most certain first."""
+        sightings = [
             Sighting(tag.tag_id, tag.corners - HALF_PIXEL, tag.hamming, tag.decision_margin)
             for tag in self._detector.detect(np.ascontiguousarray(picture))
         ]
-        return sorted(seen, key=lambda tag: (tag.errors, -tag.margin))
+        return sorted(sightings, key=lambda tag: (tag.errors, -tag.margin))
 
 
-def track_block(frames: Sequence[Frame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
+def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
     """Follow the tags `tag_id` through consecutive frames.
 
-    The first picture is searched as a whole. From then on each tag is sought around the place its last two sightings
-    predict; every `LOOK_EVERY` frames, and in the last one, the whole picture is searched again if a tag is missing. A
-    second pass, backward in time, finds what became visible between two such searches. The result depends on nothing
-    but the frames.
+    The whole first picture is searched. Then each tag is searched near the place that its last two sightings predict.
+    If a tag is missing, the whole picture is searched again every `LOOK_EVERY` frames and in the last one. A second
+    pass, backward in time, finds tags that became visible between two such searches.
     """
     tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
     looks, strangers, doubles = 0, [], []
     for t, frame in enumerate(frames):
         follow(tracks, t, -1, frame.luma, tag_id, finder)
         if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
-            seen = finder.look(frame.luma)
+            sightings = finder.look(frame.luma)
             looks += 1
-            strangers += [tag.tag_id for tag in seen if tag.tag_id not in tag_id]
-            doubles += [(frame.index, tag) for tag in sure_doubles(seen) if tag in tag_id]
-            take(tracks[t], seen, tag_id)
+            strangers += [tag.tag_id for tag in sightings if tag.tag_id not in tag_id]
+            doubles += [(frame.index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
+            take(tracks[t], sightings, tag_id)
     for t in reversed(range(len(frames))):
         follow(tracks, t, 1, frames[t].luma, tag_id, finder)
     tracks = correct_still(frames, tracks, finder.cells)
@@ -94,8 +93,8 @@ def follow(tracks: Array, t: int, step: int, picture: Picture, tag_id: Sequence[
             continue
         size = float(np.ptp(expected, axis=0).max())
         for margin in (NEAR, WIDE):
-            seen = look_around(picture, expected, max(margin * size, LEAST_MARGIN) + margin * move, finder)
-            take(tracks[t, i : i + 1], seen, tag_id[i : i + 1])
+            sightings = look_around(picture, expected, max(margin * size, LEAST_MARGIN) + margin * move, finder)
+            take(tracks[t, i : i + 1], sightings, tag_id[i : i + 1])
             if not np.isnan(tracks[t, i]).any():
                 break
 
@@ -103,17 +102,17 @@ def follow(tracks: Array, t: int, step: int, picture: Picture, tag_id: Sequence[
 def predict(track: Array, t: int, step: int) -> tuple[Array | None, float]:
     """Corners expected in frame `t` from the nearest two sightings within `LOOK_EVERY` frames on one side, moving on
     evenly, and how far (px) they have moved since the nearest one. None where there is no sighting."""
-    seen = [
+    visible = [
         k
         for k in range(t + step, t + step * (LOOK_EVERY + 1), step)
         if 0 <= k < len(track) and not np.isnan(track[k]).any()
     ]
-    if not seen:
+    if not visible:
         return None, 0.0
-    nearest = track[seen[0]]
-    if len(seen) == 1:
+    nearest = track[visible[0]]
+    if len(visible) == 1:
         return nearest, 0.0
-    shift = (nearest - track[seen[1]]).mean(axis=0) * (t - seen[0]) / (seen[0] - seen[1])
+    shift = (nearest - track[visible[1]]).mean(axis=0) * (t - visible[0]) / (visible[0] - visible[1])
     return nearest + shift, float(np.abs(shift).max())
 
 
@@ -124,18 +123,18 @@ def look_around(picture: Picture, expected: Array, margin: float, finder: Finder
     right, bottom = np.minimum(np.ceil(expected.max(axis=0) + margin) + 1, (width, height)).astype(int)
     if right - left < LEAST_MARGIN or bottom - top < LEAST_MARGIN:
         return []
-    seen = finder.look(picture[top:bottom, left:right])
-    return [Sighting(tag.tag_id, tag.corners + np.array([left, top]), tag.errors, tag.margin) for tag in seen]
+    sightings = finder.look(picture[top:bottom, left:right])
+    return [Sighting(tag.tag_id, tag.corners + np.array([left, top]), tag.errors, tag.margin) for tag in sightings]
 
 
-def take(row: Array, seen: Sequence[Sighting], tag_id: Sequence[int]) -> None:
-    """Put the surest sighting of each id into `row` (m, 4, 2), where it holds none yet."""
+def take(row: Array, sightings: Sequence[Sighting], tag_id: Sequence[int]) -> None:
+    """Put the most certain sighting of each id into `row` (m, 4, 2), where it has none yet."""
     for i, wanted in enumerate(tag_id):
         if np.isnan(row[i]).any():
-            row[i] = next((tag.corners for tag in seen if tag.tag_id == wanted), np.nan)
+            row[i] = next((tag.corners for tag in sightings if tag.tag_id == wanted), np.nan)
 
 
-def sure_doubles(seen: Sequence[Sighting]) -> list[int]:
+def sure_doubles(sightings: Sequence[Sighting]) -> list[int]:
     """Ids that were read without an error at two places of one picture."""
-    sure = [tag.tag_id for tag in seen if tag.errors == 0]
-    return sorted({tag for tag in sure if sure.count(tag) > 1})
+    certain = [tag.tag_id for tag in sightings if tag.errors == 0]
+    return sorted({tag for tag in certain if certain.count(tag) > 1})

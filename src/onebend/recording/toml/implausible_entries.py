@@ -1,4 +1,4 @@
-"""What in recording.toml is possible but unlikely: a camera, a mass, or an sd, that was probably written down wrong."""
+"""Implausible numbers in recording.toml, possible but probably wrong: of the camera, the mass, an sd."""
 
 from __future__ import annotations
 
@@ -26,63 +26,65 @@ SOURCES = ("video", "markers", "poses", "photos")
 
 def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, ...]:
     """A warning for each number that is probably wrong."""
-    out = [] if camera is None else camera_doubts(camera)
+    warnings = [] if camera is None else camera_doubts(camera)
     if beam.mass / beam.length > HEAVIEST:
-        out.append(f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?")
-    return tuple(Remark("warning", text) for text in out)
+        warnings.append(f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?")
+    return tuple(Remark("warning", text) for text in warnings)
 
 
-def spread_remarks(beam: BeamEntry, found: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
-    """Of the stated sds of clamp, rest shape and scale: a warning where one is too large, a note where none is used."""
-    out = []
-    clamp = max((found[name].clamp_sd for name in SOURCES if found[name] is not None), default=math.nan)
+def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
+    """A warning for each stated sd (clamp, rest shape, scale) that is too large, a note on one that is not used."""
+    warnings = []
+    clamp = max((entries[name].clamp_sd for name in SOURCES if entries[name] is not None), default=math.nan)
     if clamp > LOOSEST:
-        out.append(
+        warnings.append(
             f"clamp_sd_deg = {math.degrees(clamp):g} lets the clamp turn freely: k near it cannot be known then."
         )
     if beam.rest == "unknown" and beam.curvature_sd > ROUNDEST:
-        out.append(f"rest_curvature_sd_deg = {math.degrees(beam.curvature_sd):.3g} is a beam that may be rolled up.")
+        warnings.append(
+            f"rest_curvature_sd_deg = {math.degrees(beam.curvature_sd):.3g} is a beam that may be rolled up."
+        )
     if scale_sd > ROUGHEST:
-        out.append(f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?")
-    remarks = [Remark("warning", text) for text in out]
+        warnings.append(f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?")
+    remarks = [Remark("warning", text) for text in warnings]
     if beam.rest == "straight" and beam.curvature_sd not in (0.0, CURVATURE_SD):
         remarks.append(Remark("note", 'rest_curvature_sd_deg is used only with rest = "unknown".'))
     return tuple(remarks)
 
 
-def unit_remarks(beam: BeamEntry, tags: TagsEntry, found: dict[str, Any]) -> tuple[Remark, ...]:
+def unit_remarks(beam: BeamEntry, tags: TagsEntry, entries: dict[str, Any]) -> tuple[Remark, ...]:
     """A warning for each size that looks written in another unit, or says nothing."""
-    length, out = beam.length, []
+    length, warnings = beam.length, []
     if length > LONG:
-        out.append(f"length_m = {length:g} is a beam longer than {LONG:g} m: is it in metres?")
+        warnings.append(f"length_m = {length:g} is a beam longer than {LONG:g} m: is it in metres?")
     if tags.size > length:
-        out.append(f"size_m = {tags.size:g} is a tag wider than the beam is long: are both in metres?")
-    push, force = found["push"], found["force"]
+        warnings.append(f"size_m = {tags.size:g} is a tag wider than the beam is long: are both in metres?")
+    push, force = entries["push"], entries["force"]
     sds = [("placement_sd_m", tags.placement_sd), ("at_sd_m", math.nan if push is None else push.at_sd)]
     for name, sd in sds:
         if sd > NOWHERE * length:
-            out.append(f"{name} = {sd:g} is more than a fifth of the beam's length: is it in metres?")
+            warnings.append(f"{name} = {sd:g} is more than a fifth of the beam's length: is it in metres?")
     turns = [("turn_sd_deg", tags.turn_sd), ("rotation_sd_deg", math.nan if force is None else force.rotation_sd)]
-    out += [
+    warnings += [
         f"{name} = {math.degrees(sd):g} leaves the direction open: is it right?" for name, sd in turns if sd > TURNED
     ]
     if force is not None and force.gain_sd > SCALED:
-        out.append(f"gain_sd = {force.gain_sd:g} is {100.0 * force.gain_sd:g} %: is it a share (0.02 = 2 %)?")
-    return tuple(Remark("warning", text) for text in out)
+        warnings.append(f"gain_sd = {force.gain_sd:g} is {100.0 * force.gain_sd:g} %: is it a share (0.02 = 2 %)?")
+    return tuple(Remark("warning", text) for text in warnings)
 
 
 def camera_doubts(camera: CameraEntry) -> list[str]:
     """What is unlikely of a calibration."""
-    out = []
+    warnings = []
     if abs(camera.fx / camera.fy - 1.0) > PIXELS:
-        out.append(f"[camera] fx = {camera.fx:g} and fy = {camera.fy:g} differ by more than 5 %: check them.")
+        warnings.append(f"[camera] fx = {camera.fx:g} and fy = {camera.fy:g} differ by more than 5 %: check them.")
     longer = max(camera.width, camera.height)
     if not SHORTEST * longer < camera.fx < LONGEST * longer:
-        out.append(f"[camera] fx = {camera.fx:g} is unlikely for a picture {longer} px wide: is it in pixels?")
+        warnings.append(f"[camera] fx = {camera.fx:g} is unlikely for a picture {longer} px wide: is it in pixels?")
     off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
     if off > MIDDLE:
-        out.append(
+        warnings.append(
             f"[camera] the principal point ({camera.cx:g}, {camera.cy:g}) is far from the picture's middle "
             f"({0.5 * (camera.width - 1):g}, {0.5 * (camera.height - 1):g}): check cx and cy."
         )
-    return out
+    return warnings

@@ -22,7 +22,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Key:
-    """A key of the file: its name with the unit, its check, one line that says what it is, and an example as TOML."""
+    """A key of the file: its name with the unit, its check, one line of explanation, and an example as TOML."""
 
     name: str
     check: Check
@@ -37,11 +37,11 @@ def key(name: str, check: Check, says: str, *, example: str = "", **default: Any
 
 def keys_of(record: type) -> dict[str, tuple[Key, bool]]:
     """Field name -> (key, required) of a record declared with `key`, in the order of declaration."""
-    found = {}
+    keys = {}
     for entry in dataclasses.fields(record):
         if "key" in entry.metadata:
-            found[entry.name] = (entry.metadata["key"], entry.default is dataclasses.MISSING)
-    return found
+            keys[entry.name] = (entry.metadata["key"], entry.default is dataclasses.MISSING)
+    return keys
 
 
 def number(*, above: float = -math.inf, least: float = -math.inf, most: float = math.inf, scale: float = 1.0) -> Check:
@@ -95,8 +95,8 @@ def one_of(*choices: str) -> Check:
 
     def check(value: Any) -> str:
         if value not in choices:
-            near = difflib.get_close_matches(str(value), choices, n=1)
-            hint = f' (did you mean "{near[0]}"?)' if near else ""
+            similar = difflib.get_close_matches(str(value), choices, n=1)
+            hint = f' (did you mean "{similar[0]}"?)' if similar else ""
             raise ValueError("one of " + ", ".join(f'"{choice}"' for choice in choices) + hint)
         return str(value)
 
@@ -167,10 +167,10 @@ def report_unknown(table: dict[str, Any], known: list[str], place: Place, mistak
     """Note every key of `table` that is not among `known`, with the likeliest intended one."""
     for name in table:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"Did you mean {near[0]}?" if near else "Known here: " + ", ".join(known) + "."
+            similar = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"Did you mean {similar[0]}?" if similar else "Known here: " + ", ".join(known) + "."
             if homes := mistakes.homes.get(name):
-                hint = "It belongs into " + " or ".join(f"[{one}]" for one in homes) + "."
+                hint = "It belongs into " + " or ".join(f"[{table}]" for table in homes) + "."
             mistakes.add((*place, name), f"{place_name(place)} does not know the key {name}. {hint}")
 
 

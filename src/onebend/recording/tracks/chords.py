@@ -1,4 +1,4 @@
-"""Angles read off the places of neighbouring markers, for trackers that give points only."""
+"""Angles from the places of neighbouring markers, for trackers that give points only."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from onebend.records import Array, Markers
 def chord_angles(xy: Array, s: Array) -> Array:
     """(T, m) rad: the beam's angle at the markers, from places (T, m, 2) [m] and the clamp at the origin.
 
-    A parabola in s through each marker and its neighbours on either side; at the tip the last chord, turned on by as
-    much again as it turned from the one before. Good to a few hundredths of a radian: enough to read clocks and rests,
-    not to learn from. NaN where a marker or a neighbour is missing.
+    The slope of a parabola in s through each marker and its two neighbours; at the tip the angle of the last chord is
+    extrapolated. Good to a few hundredths of a radian: enough for clocks and rests, not for learning. NaN where a
+    marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
     places = np.concatenate([[0.0], s[order]])
@@ -30,9 +30,9 @@ def chord_angles(xy: Array, s: Array) -> Array:
     before = turn[:, -2] if turn.shape[1] > 1 else np.zeros(len(turn))
     middle = 0.5 * (span[-1] + span[-2]) if len(span) > 1 else 0.5 * span[-1]
     angle[:, -1] = turn[:, -1] + 0.5 * span[-1] * (turn[:, -1] - before) / middle
-    out = np.empty_like(angle)
-    out[:, order] = angle
-    return out
+    unordered = np.empty_like(angle)
+    unordered[:, order] = angle
+    return unordered
 
 
 def with_angles(markers: Markers) -> Markers:
@@ -46,8 +46,8 @@ def with_angles(markers: Markers) -> Markers:
 
 def _continuous(angle: Array) -> Array:
     """Columns without jumps by whole turns; NaN is stepped over."""
-    out = angle.copy()
-    for column in out.T:
+    continuous = angle.copy()
+    for column in continuous.T:
         known = np.isfinite(column)
         column[known] = np.unwrap(column[known])
-    return out
+    return continuous

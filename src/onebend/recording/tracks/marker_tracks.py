@@ -1,7 +1,7 @@
-"""Tracks of markers from a motion capture, or any tracker --> Markers in the base's frame, as from a film.
+"""Tracks of markers from a motion capture or any tracker to markers in the base's frame, as from a film.
 
-In space the plane of bending is found first. Markers on the base say where the clamp is and follow it where it moves;
-without them the beam at rest does: straight, with every marker at its own place along it.
+Of tracks in space the plane of bending is fitted first. Markers on the base give the clamp's pose, also where it moves;
+without them it comes from the straight beam at rest, with every marker at its place along it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.plane_fit import best_plane, plane_remarks
 from onebend.records import UNKNOWN_ANGLE_SD, Array, Markers, Remark
 
-LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, of a tracker's noise: it has errors that do not show as noise
+LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,21 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     tracks = read_tracks(rec)
     base = len(rec.tags.on_base)
     shift, turn, moves = base_motion(tracks, base)
-    away = tracks.xy[:, base:] - shift[:, None]
+    from_base = tracks.xy[:, base:] - shift[:, None]
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    seen = np.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], axis=-1)
-    covariance = np.zeros((*seen.shape[:2], 3, 3))
+    in_base = np.stack(
+        [cos * from_base[..., 0] + sin * from_base[..., 1], cos * from_base[..., 1] - sin * from_base[..., 0]], axis=-1
+    )
+    covariance = np.zeros((*in_base.shape[:2], 3, 3))
     covariance[..., 0, 0] = covariance[..., 1, 1] = tracks.sd[:, base:] ** 2
     angle = unwrap(tracks.angle[:, base:] - turn[:, None] - np.array([tag.turn for tag in rec.tags.on_beam]))
     covariance[..., 2, 2] = _angle_sd(angle) ** 2
-    covariance[~np.isfinite(seen).all(axis=-1)] = np.nan
+    covariance[~np.isfinite(in_base).all(axis=-1)] = np.nan
     raw = Markers(
         time=tracks.time,
         tag_id=np.array([tag.id for tag in rec.tags.on_beam]),
         s=np.array([tag.s for tag in rec.tags.on_beam]),
-        xy=seen,
+        xy=in_base,
         angle=angle,
         covariance=covariance,
         base_angle=turn,
@@ -72,7 +74,7 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     origin, direction = clamp_frame(rec, tracks, raw, settings)
     cos, sin = np.cos(direction), np.sin(direction)
     back = np.array([[cos, sin], [-sin, cos]])
-    xy = (seen - origin) @ back.T
+    xy = (in_base - origin) @ back.T
     check_scale(rec, xy)
     return Markers(**{**vars(raw), "xy": xy, "angle": unwrap(angle - direction)})
 
@@ -141,9 +143,9 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     if np.isfinite(angle[:, 0]).any():
         turn = unwrap(angle[:, 0] - angle[first, 0])
     elif base > 1:
-        here, there = xy - xy[:, :1], xy[first] - xy[first, 0]
-        cross = there[:, 0] * here[..., 1] - there[:, 1] * here[..., 0]
-        turn = unwrap(np.arctan2(np.sum(cross, axis=1), np.sum(here * there, axis=(1, 2))))
+        relative, reference = xy - xy[:, :1], xy[first] - xy[first, 0]
+        cross = reference[:, 0] * relative[..., 1] - reference[:, 1] * relative[..., 0]
+        turn = unwrap(np.arctan2(np.sum(cross, axis=1), np.sum(relative * reference, axis=(1, 2))))
     shift, turn = _held(xy[:, 0]), _held(turn[:, None])[:, 0]
     text = f"The base moves, by up to {1000 * float(step.max()):.2g} mm and {math.degrees(float(np.ptp(turn))):.2g} deg"
     if base == 1 and not np.isfinite(angle).any():
@@ -181,8 +183,8 @@ def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactS
 
 def line_frame(name: str, along: Array, points: Array, direction: float | None) -> tuple[Array, float]:
     """Origin (2,) and direction of the straight line whose places `along` (p,) [m] come nearest to `points` (p, 2)."""
-    seen = np.isfinite(points).all(axis=1)
-    along, points = along[seen], points[seen]
+    known = np.isfinite(points).all(axis=1)
+    along, points = along[known], points[known]
     if direction is None:
         if len(along) < 2 or np.ptp(along) <= 0.0:
             raise ObservationError(
@@ -205,10 +207,10 @@ def check_scale(rec: Recording, xy: Array) -> None:
     slack = 3 * math.sqrt(2) * rec.tags.placement_sd
     chords = np.linalg.norm(np.diff(points, axis=1), axis=-1)
     for i, arc in enumerate(arcs):
-        mine = chords[np.isfinite(chords[:, i]), i]
-        if arc <= slack or not len(mine):
+        measured = chords[np.isfinite(chords[:, i]), i]
+        if arc <= slack or not len(measured):
             continue
-        farthest = float(np.percentile(mine, FARTHEST))
+        farthest = float(np.percentile(measured, FARTHEST))
         if not chord_fits(farthest, arc, slack):
             raise ObservationError(
                 f"{rec.name}: two neighbouring markers (or the clamp and the first) are {1000 * farthest:.4g} mm apart "
@@ -250,12 +252,12 @@ def _held(values: Array) -> Array:
 
 def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int]) -> None:
     """An error where a marker of recording.toml is nowhere in the table."""
-    there = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
-    never = [marker for marker, seen in zip(wanted, there, strict=True) if not seen]
+    present = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
+    never = [marker for marker, is_present in zip(wanted, present, strict=True) if not is_present]
     if never:
-        found = _ids(sorted(set(table.get("id").tolist())))
+        in_table = _ids(sorted(set(table.get("id").tolist())))
         raise ObservationError(
-            f"{table.path}: marker {_ids(never)} of {rec.name} has no place in any row; the table holds {found}. "
+            f"{table.path}: marker {_ids(never)} of {rec.name} has no place in any row; the table holds {in_table}. "
             "Correct the ids in recording.toml."
         )
 

@@ -1,4 +1,4 @@
-"""Tracks in space --> the plane of bending: the best plane by least squares, and how far the markers leave it."""
+"""Tracks in space to the plane of bending: the plane by least squares, and the markers' distances from it."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     Raises:
         ObservationError: too few points, or the plane is seen edge on.
     """
-    there: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
-    if np.sum(there) < 3:
-        raise ObservationError(f"{np.sum(there)} points in space do not make a plane. Check the table's x_m, y_m, z_m.")
-    tracks = [points[there[:, i], i] for i in range(points.shape[1]) if there[:, i].any()]
+    known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
+    if np.sum(known) < 3:
+        raise ObservationError(f"{np.sum(known)} points in space do not make a plane. Check the table's x_m, y_m, z_m.")
+    tracks = [points[known[:, i], i] for i in range(points.shape[1]) if known[:, i].any()]
     middles = np.stack([np.mean(track, axis=0) for track in tracks])
     origin = np.mean(middles, axis=0)
     moves = np.concatenate([track - middle for track, middle in zip(tracks, middles, strict=True)])
     moves /= np.sqrt(len(moves))
-    apart = BESIDE * (middles - origin) / np.sqrt(len(middles))
-    extent, rows = np.linalg.svd(np.concatenate([moves, apart, np.zeros((3, 3))]), full_matrices=False)[1:]
+    spread = BESIDE * (middles - origin) / np.sqrt(len(middles))
+    extent, rows = np.linalg.svd(np.concatenate([moves, spread, np.zeros((3, 3))]), full_matrices=False)[1:]
     look = np.asarray(seen_from, dtype=float)
     look = look / max(float(np.linalg.norm(look)), np.finfo(float).tiny)
     normal = rows[2]
@@ -78,13 +78,13 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
 def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
     """How far points (T, m, 3) move out of the plane: their own steady distance from it (a marker's height) is taken
     off."""
-    away = plane.away(points)
-    seen = np.isfinite(away).any(axis=0)
-    away = away[:, seen] - np.nanmedian(away[:, seen], axis=0)
-    rms, most = float(np.sqrt(np.nanmean(away**2))), float(np.nanmax(np.abs(away)))
+    distance = plane.away(points)
+    seen = np.isfinite(distance).any(axis=0)
+    distance = distance[:, seen] - np.nanmedian(distance[:, seen], axis=0)
+    rms, largest = float(np.sqrt(np.nanmean(distance**2))), float(np.nanmax(np.abs(distance)))
     flat = plane.lay(points)[:, seen]
     extent = float(np.nanmax(np.linalg.norm(flat - np.nanmean(flat, axis=(0, 1)), axis=-1)))
-    text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * most:.2g} mm at most"
-    if most > MUCH * extent:
+    text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * largest:.2g} mm at most"
+    if largest > MUCH * extent:
         return (Remark("warning", f"{text}: this is no bending in one plane, and what leaves it is not seen."),)
     return (Remark("note", f"{text}; only the motion in the plane is used."),)

@@ -1,4 +1,4 @@
-"""What loads the beam in static poses: a table with one row a load, weights along gravity, forces, moments."""
+"""The loads of static poses: a table with one row per load, weights along gravity, forces, moments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
 
 @dataclass(frozen=True)
 class PoseLoads:
-    """P poses in the order of the table; in every one the clamp, the weight's direction and the loads."""
+    """The clamp, gravity and the loads of P poses, in the order of the table."""
 
     names: tuple[str, ...]
     clamp: Array  # (P,) rad, the beam's x axis in the room; NaN where nothing says it
@@ -64,8 +64,10 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
     if rec.gravity is not None:
         fall = rec.gravity.direction - clamp
         if not np.isfinite(fall).all():
-            lost = names[int(np.argmax(~np.isfinite(fall)))]
-            raise RecordingError(f"{path}: nothing says how the clamp is turned in pose {lost}. Give clamp_deg there.")
+            pose_name = names[int(np.argmax(~np.isfinite(fall)))]
+            raise RecordingError(
+                f"{path}: nothing says how the clamp is turned in pose {pose_name}. Give clamp_deg there."
+            )
         gravity = rec.gravity.magnitude * np.stack([np.cos(fall), np.sin(fall)], axis=1)
     first, push_s, others = _shared(pose, len(names), force, moment, s)
     held = np.array([bool(np.any(held_rows[pose == i])) for i in range(len(names))])
@@ -107,14 +109,14 @@ def _magnitude(rec: Recording) -> float:
 
 def _clamps(table: Columns, rec: Recording, pose: np.ndarray, count: int) -> Array:
     """(P,) rad: the table's, else recording.toml's."""
-    usual = rec.gravity.base_angle if rec.gravity is not None else math.nan
-    out, degrees = np.full(count, usual), table.get("clamp_deg")
+    default = rec.gravity.base_angle if rec.gravity is not None else math.nan
+    clamp, degrees = np.full(count, default), table.get("clamp_deg")
     for i in range(count):
-        mine = degrees[(pose == i) & np.isfinite(degrees)]
-        if len(mine):
-            table.refuse((pose == i) & (np.ptp(mine) > 0.0), "clamp_deg differs within the pose. Give one.")
-            out[i] = math.radians(float(mine[0]))
-    return out
+        stated = degrees[(pose == i) & np.isfinite(degrees)]
+        if len(stated):
+            table.refuse((pose == i) & (np.ptp(stated) > 0.0), "clamp_deg differs within the pose. Give one.")
+            clamp[i] = math.radians(float(stated[0]))
+    return clamp
 
 
 def _shared(
@@ -122,24 +124,27 @@ def _shared(
 ) -> tuple[Array, Array, KnownLoads | None]:
     """The largest force of each pose and its place, and all the rest; rows of a pose at one place are one load."""
     first, push_s = np.zeros((count, 2)), np.ones(count)
-    more: list[list[tuple[Array, float]]] = [[] for _ in range(count)]
+    further: list[list[tuple[Array, float]]] = [[] for _ in range(count)]
     turns: list[list[tuple[float, float]]] = [[] for _ in range(count)]
     for i in range(count):
         rows = np.flatnonzero(pose == i)
-        sums = [(sum((force[r] for r in rows if s[r] == at), np.zeros(2)), at) for at in sorted({*s[rows].tolist()})]
-        pushes = [(f, at) for f, at in sums if np.any(f != 0.0)]
+        sums = [
+            (sum((force[r] for r in rows if s[r] == place), np.zeros(2)), place)
+            for place in sorted({*s[rows].tolist()})
+        ]
+        pushes = [(f, place) for f, place in sums if np.any(f != 0.0)]
         pushes.sort(key=lambda load: -float(np.linalg.norm(load[0])))
         if pushes:
             first[i], push_s[i] = pushes[0]
-        more[i] = pushes[1:]
+        further[i] = pushes[1:]
         turns[i] = [(float(moment[r]), float(s[r])) for r in rows if moment[r] != 0.0]
-    a, b = max(map(len, more)), max(map(len, turns))
+    a, b = max(map(len, further)), max(map(len, turns))
     if a == 0 and b == 0:
         return first, push_s, None
     others = KnownLoads(np.zeros((count, a, 2)), np.ones((count, a)), np.zeros((count, b)), np.ones((count, b)))
     for i in range(count):
-        for j, (f, at) in enumerate(more[i]):
-            others.force[i, j], others.force_s[i, j] = f, at
-        for j, (m, at) in enumerate(turns[i]):
-            others.moment[i, j], others.moment_s[i, j] = m, at
+        for j, (f, place) in enumerate(further[i]):
+            others.force[i, j], others.force_s[i, j] = f, place
+        for j, (m, place) in enumerate(turns[i]):
+            others.moment[i, j], others.moment_s[i, j] = m, place
     return first, push_s, others

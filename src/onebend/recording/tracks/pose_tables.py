@@ -1,24 +1,24 @@
-"""Static poses measured on a bench --> Observations: exact loads, no clock, any point missing in any pose."""
+"""Tables of static poses to observations: loads that are known, no clock; points may be missing in any pose."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.errors import ObservationError
-from onebend.recording.mass_table import beam_mass
+from onebend.recording.stated import stated_in
 from onebend.recording.tables import read_columns
 from onebend.recording.toml.entries import Recording
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads, turned
-from onebend.records import UNKNOWN_ANGLE_SD, Array, Observations, Remark, View
+from onebend.records import UNKNOWN_ANGLE_SD, Array, Observations, Remark, Source, View
 
 GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
 ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
-NEAR = 0.02  # of the beam up to it: no beam is curled so tightly that all its points are nearer to the clamp
+NEAR = 0.02  # of the arc length: if every point is nearer to the clamp than this, the unit is wrong
 FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
-FAR = 1.05  # of the beam up to a point: its distance from the clamp is never more
+FAR = 1.05  # of the arc length: a point's distance from the clamp cannot be larger
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class PosePoints:
 
 
 def pose_observations(rec: Recording) -> Observations:
-    """All that a table of poses says.
+    """Observations from a table of poses and a table of loads.
 
     Raises:
         RecordingError: a table cannot be used.
@@ -47,16 +47,16 @@ def pose_observations(rec: Recording) -> Observations:
 
 
 def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float) -> Observations:
-    """Poses and loads as observations: every pose is a frame, a bare beam too."""
+    """Poses and loads as observations; every pose is a frame, also one of the bare beam."""
     check_reach(rec, loads, points)
     _check_held(rec, loads, points)
-    mass, line = beam_mass(rec)
     count, m = points.angle.shape
     nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
     return Observations(
-        name=rec.name,
+        source=Source(rec.name, view=points.view, remarks=(*rec.remarks, *points.remarks)),
+        stated=replace(stated_in(rec), clamp_sd=points.clamp_sd),
         length=rec.beam.length,
         time=np.arange(count, dtype=float),
         frame=np.arange(count, dtype=np.int64),
@@ -73,24 +73,10 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         rest_angle=np.full(m, np.nan),
         rest_covariance=np.full((m, 3, 3), np.nan),
         gravity=loads.gravity,
-        mass=mass,
-        placement_sd=rec.tags.placement_sd,
-        turn_sd=rec.tags.turn_sd,
-        curvature_sd=rec.beam.curvature_sd,
-        scale_sd=rec.scale_sd,
-        rest=rec.beam.rest,
-        clock=None,
-        clean_force=None,
-        view=points.view,
-        remarks=(*rec.remarks, *points.remarks),
         static=True,
         sd_known=points.sd_known,
-        known=loads.others,
+        known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
-        mass_line=line,
-        mass_along=rec.beam.mass_along,
-        stiffness_along=rec.beam.stiffness_along,
-        clamp_sd=points.clamp_sd,
     )
 
 
@@ -105,12 +91,12 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     table.refuse(strange, f"the pose is not in {entry.loads.name}. Name it there, without a load if it has none.")
     table.refuse(~np.isin(table.get("id"), ids), f"id is none of the points in recording.toml ({ids}).")
     table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
-    place = [
+    cells = [
         (loads.names.index(name), ids.index(int(i)))
         for name, i in zip(table.labels["pose"], table.get("id"), strict=True)
     ]
     table.refuse(
-        np.array([place.index(one) < k for k, one in enumerate(place)]), "the point is there twice in its pose."
+        np.array([cells.index(cell) < k for k, cell in enumerate(cells)]), "the point is there twice in its pose."
     )
     room, shape = entry.axes == "room", (len(loads.names), len(ids))
     if room and not np.isfinite(loads.clamp).all():
@@ -120,14 +106,14 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
         )
     grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", "sd_m")}
     for name, grid in grids.items():
-        grid[tuple(np.array(place).T)] = table.get(name)
+        grid[tuple(np.array(cells).T)] = table.get(name)
     given = np.stack([grids["x_m"], grids["y_m"]], axis=-1)
     xy = turned(given, loads.clamp[:, None]) if room else given
-    lost = np.isfinite(given).any(axis=-1) & ~np.isfinite(xy).any(axis=-1)
-    if lost.any():
+    unusable = np.isfinite(given).any(axis=-1) & ~np.isfinite(xy).any(axis=-1)
+    if unusable.any():
         raise ObservationError(
-            f"{rec.name}: pose {loads.names[int(np.argwhere(lost)[0, 0])]} gives one coordinate in the room's axes of "
-            'a clamp that is neither level nor upright. Measure both, or in the beam\'s axes (axes = "beam").'
+            f"{rec.name}: pose {loads.names[int(np.argwhere(unusable)[0, 0])]} gives one coordinate in the room's axes "
+            'of a clamp that is neither level nor upright. Measure both, or in the beam\'s axes (axes = "beam").'
         )
     angle = np.radians(grids["angle_deg"]) - (loads.clamp[:, None] if room else 0.0)
     sd = np.where(np.isfinite(grids["sd_m"]), grids["sd_m"], entry.sd)
@@ -135,37 +121,37 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     covariance = np.zeros((*shape, 3, 3))
     covariance[..., 0, 0] = covariance[..., 1, 1] = guess**2
     covariance[..., 2, 2] = np.where(np.isfinite(angle), ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
-    said = bool(np.isfinite(sd[np.isfinite(given).any(axis=-1)]).all())
-    remarks = () if said else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
-    return PosePoints(xy, angle, covariance, said, entry.clamp_sd, remarks=remarks)
+    sd_known = bool(np.isfinite(sd[np.isfinite(given).any(axis=-1)]).all())
+    remarks = () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
+    return PosePoints(xy, angle, covariance, sd_known, entry.clamp_sd, remarks=remarks)
 
 
 def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
-    """An error where a held pose shows too little of its shape."""
-    whole = np.sum(np.isfinite(points.xy).all(axis=2), axis=1)
-    poor = loads.held & (whole < FEWEST_HELD)
+    """An error where a pose with a held end has too few points."""
+    complete = np.sum(np.isfinite(points.xy).all(axis=2), axis=1)
+    poor = loads.held & (complete < FEWEST_HELD)
     if poor.any():
         raise ObservationError(
-            f"{rec.name}: pose {loads.names[int(np.argmax(poor))]} has {int(whole[np.argmax(poor)])} points with both "
-            f"coordinates. Where an unknown force and moment hold the end, give {FEWEST_HELD} or more: they say which "
-            "way the beam goes."
+            f"{rec.name}: pose {loads.names[int(np.argmax(poor))]} has {int(complete[np.argmax(poor)])} points with "
+            f"both coordinates. Where an unknown force and moment hold the end, give {FEWEST_HELD} or more: they say "
+            "which way the beam goes."
         )
 
 
 def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     """An error where a point is farther from the clamp than the beam up to it is long: millimetres for metres."""
-    away = np.linalg.norm(np.nan_to_num(points.xy), axis=-1)
-    near = away / np.array([max(tag.s, 1e-9) * rec.beam.length for tag in rec.tags.on_beam])
-    if np.any(away > 0.0) and np.max(near) < NEAR:
+    distance = np.linalg.norm(np.nan_to_num(points.xy), axis=-1)
+    relative = distance / np.array([max(tag.s, 1e-9) * rec.beam.length for tag in rec.tags.on_beam])
+    if np.any(distance > 0.0) and np.max(relative) < NEAR:
         raise ObservationError(
-            f"{rec.name}: every point is within {100 * np.max(near):.2g} % of the beam's length of the clamp. Is "
+            f"{rec.name}: every point is within {100 * np.max(relative):.2g} % of the beam's length of the clamp. Is "
             f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?"
         )
     reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd
-    if np.any(away > reach):
-        pose, i = np.argwhere(away > reach)[0].tolist()
+    if np.any(distance > reach):
+        pose, i = np.argwhere(distance > reach)[0].tolist()
         raise ObservationError(
-            f"{rec.name}: in pose {loads.names[pose]} point {rec.tags.on_beam[i].id} is {1000 * away[pose, i]:.4g} mm "
-            f"from the clamp, and only {1000 * rec.tags.on_beam[i].s * rec.beam.length:.4g} mm of beam lead there. Are "
-            "x_m and y_m in metres, and from the clamp? Check length_m and the points' s."
+            f"{rec.name}: in pose {loads.names[pose]} point {rec.tags.on_beam[i].id} is {1000 * distance[pose, i]:.4g} "
+            f"mm from the clamp, and only {1000 * rec.tags.on_beam[i].s * rec.beam.length:.4g} mm of beam lead there. "
+            "Are x_m and y_m in metres, and from the clamp? Check length_m and the points' s."
         )

@@ -121,18 +121,18 @@ def _places(axes: Axes, marker_s: Array | Sequence[float], push_s: float | None)
 
 
 @styled
-def nuisances(found: Sequence[Nuisance]) -> Figure:
+def nuisances(rows: Sequence[Nuisance]) -> Figure:
     """Every nuisance in units of its prior's sd: grey what was allowed (one sd), blue what the data made of it."""
-    figure, (axes,) = blank(0.9 + 0.24 * len(found))
-    for y, n in enumerate(found):
+    figure, (axes,) = blank(0.9 + 0.24 * len(rows))
+    for y, n in enumerate(rows):
         axes.barh(y, 2.0, left=-1.0, height=0.72, color=FAINT, alpha=0.7)
         axes.errorbar(n.value / n.prior_sd, y, xerr=n.sd / n.prior_sd, fmt="o", color=BLUE, markersize=4.5,
                       elinewidth=1.6, capsize=2.5)  # fmt: skip
     axes.axvline(0.0, color=MUTED, linewidth=0.8)
-    axes.set_yticks(range(len(found)), [n.name for n in found], color=INK)
+    axes.set_yticks(range(len(rows)), [n.name for n in rows], color=INK)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in found)
+    reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in rows)
     axes.set(xlim=(-max(reach, 1.3), max(reach, 1.3)))
     axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
     return figure

@@ -27,7 +27,7 @@ Draw = Callable[[], Figure | None]
 def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, bytes]:
     """PNGs of every figure that the findings allow, in the order of the page."""
     beam, learned, posterior = findings.beam, findings.learned, findings.posterior
-    training, seen = findings.trainings[0], findings.recordings[0]
+    training, recording = findings.trainings[0], findings.recordings[0]
     fits: Sequence[Explained | None] = [None] * len(findings.trainings)
     if posterior is not None:
         fits = explained(posterior)
@@ -35,21 +35,22 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, 
     if posterior is not None:
         wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
     wanted |= {
-        "fit": partial(fit, beam, training, seen, fits[0]),
-        "shapes": partial(recordings.shapes, beam, training, seen, fits[0]),
+        "fit": partial(fit, beam, training, recording, fits[0]),
+        "shapes": partial(recordings.shapes, beam, training, recording, fits[0]),
         "markers": partial(recordings.markers, training, fits[0]),
     }
-    for i, (one, where, found) in enumerate(zip(findings.trainings, findings.recordings, fits, strict=True), start=1):
+    rows = zip(findings.trainings, findings.recordings, fits, strict=True)
+    for i, (comparison, observations, fitted) in enumerate(rows, start=1):
         before = "" if i == 1 else f"learned-{i}-"
         if i > 1:
-            wanted[f"{before}shapes"] = partial(recordings.shapes, beam, one, where, found)
-        if found is not None:
-            wanted[f"{before}fitted"] = partial(recordings.residuals, found.comparison, "left by the fit")
-        wanted[f"{before}residuals"] = partial(recordings.residuals, one, "under the force as logged")
+            wanted[f"{before}shapes"] = partial(recordings.shapes, beam, comparison, observations, fitted)
+        if fitted is not None:
+            wanted[f"{before}fitted"] = partial(recordings.residuals, fitted.comparison, "left by the fit")
+        wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, "under the force as logged")
     if learned is not None:
         wanted["selection"] = partial(recordings.selection, learned)
-    if not seen.static:  # poses have no time
-        wanted["force"] = partial(recordings.force, seen, fits[0])
+    if not recording.static:  # poses have no time
+        wanted["force"] = partial(recordings.force, recording, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
     wanted |= validation_figures(beam, pairs, *findings.trainings)
     return draw(wanted, progress)
@@ -58,7 +59,7 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, 
 def _stiffness(findings: Findings) -> Figure:
     """k(s) with its band, and the regression's beside it where it is not the result itself."""
     posterior, learned = findings.posterior, findings.learned
-    pushed = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in findings.trainings])
+    pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in findings.trainings])
     return curves.stiffness(
         findings.beam,
         uncertain=None if posterior is None else posterior.stiffness,
@@ -74,7 +75,9 @@ def validation_figures(
     """The bars over all recordings (`others` first), and shapes and residuals of each."""
     if not pairs:
         return {}
-    wanted: dict[str, Draw] = {"validation": partial(recordings.validation, (*others, *(one for one, _ in pairs)))}
+    wanted: dict[str, Draw] = {
+        "validation": partial(recordings.validation, (*others, *(comparison for comparison, _ in pairs)))
+    }
     for i, (one, where) in enumerate(pairs, start=1):
         wanted[f"validation-{i}-shapes"] = partial(recordings.shapes, beam, one, where)
         wanted[f"validation-{i}-residuals"] = partial(recordings.residuals, one)
@@ -91,14 +94,20 @@ def draw(wanted: dict[str, Draw], progress: Progress) -> dict[str, bytes]:
     return drawn
 
 
-def fit(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | None = None) -> Figure | None:
+def fit(
+    beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None
+) -> Figure | None:
     """The fit over the video frame; None where there is no video any more, or no camera."""
-    if seen.view is None or seen.video is None:
+    if observations.source.view is None or observations.source.video is None:
         return None
-    shown = one if fitted is None else fitted.comparison
+    shown = comparison if fitted is None else fitted.comparison
     try:
-        film = VideoEntry(file=seen.video, topic=seen.video_topic, damaged="keep" if seen.video_topic else "refuse")
+        film = VideoEntry(
+            file=observations.source.video,
+            topic=observations.source.video_topic,
+            damaged="keep" if observations.source.video_topic else "refuse",
+        )
         image = frame_at(film, int(shown.frame[largest_push(shown)]))
     except OnebendError:
         return None
-    return recordings.fit_over_frame(image, seen.view, beam, one, seen, fitted)
+    return recordings.fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.control.loop.feedback import Controller
-from onebend.control.loop.prospect import SETTLED, Trial
+from onebend.control.loop.controller import Controller
+from onebend.control.loop.robustness import SETTLED, LoopTrial
 from onebend.report.figures.style import BLUE, GREEN, MUTED, ORANGE, blank, styled
 
 MM = 1000.0
@@ -16,15 +16,15 @@ LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 
 
 @styled
-def looping(control: Controller, trials: tuple[Trial, ...]) -> Figure:
+def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
     """One curve a beam."""
     figure, (away, force) = blank(5.0, 2, 1)
-    for one, (colour, dash) in zip(trials, LINES, strict=False):
-        if one.run is None:
+    for trial, (colour, dash) in zip(trials, LINES, strict=False):
+        if trial.run is None:
             continue
-        name = "k(s) as the model" if one.factor == 1.0 else f"k(s) times {one.factor:.3g}"
-        away.semilogy(one.run.time, MM * np.maximum(one.run.error, LEAST), color=colour, ls=dash, label=name)
-        force.plot(one.run.time, np.hypot(*one.run.asked.T), color=colour, ls=dash)
+        name = "k(s) as the model" if trial.factor == 1.0 else f"k(s) times {trial.factor:.3g}"
+        away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash, label=name)
+        force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
     away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at {_place(control)} mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")

@@ -34,8 +34,8 @@ def fit_over_frame(
     image: NDArray[np.uint8],
     view: View,
     beam: Beam,
-    one: Comparison,
-    seen: Observations,
+    comparison: Comparison,
+    observations: Observations,
     fitted: Explained | None = None,
 ) -> Figure:
     """Measured markers and the beam at the largest push, over the video frame (RGB) itself.
@@ -43,9 +43,9 @@ def fit_over_frame(
     The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
     force as logged.
     """
-    shown = one if fitted is None else fitted.comparison
+    shown = comparison if fitted is None else fitted.comparison
     t = largest_push(shown)
-    logged = centreline(beam, one, seen, t if fitted is None else same_frame(one, shown, t))
+    logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
     line = logged if fitted is None else fitted.line[t]
     what = "simulated" if fitted is None else "fitted"
     figure, (axes,) = blank(4.4)
@@ -67,7 +67,7 @@ def fit_over_frame(
     points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
     size = f"{significant(float(np.linalg.norm(shown.force[t])))} N" + (" as fitted," if fitted is not None else "")
-    axes.set_title(f"{one.name}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
+    axes.set_title(f"{comparison.name}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4 if fitted is not None else 3, columnspacing=1.2)
     return figure
 
@@ -97,20 +97,20 @@ def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
 
 
 @styled
-def shapes(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | None = None) -> Figure:
+def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None) -> Figure:
     """The beam and the measured markers at rest and at pushes of growing size (Fig. 7 of the paper)."""
     figure, (axes,) = blank(3.6)
-    shown = one if fitted is None else fitted.comparison
+    shown = comparison if fitted is None else fitted.comparison
     chosen = spread_of_pushes(shown, 6)
     for order, t in enumerate(chosen):
         strength = 0.25 + 0.75 * (order + 1) / len(chosen)
-        logged = centreline(beam, one, seen, t if fitted is None else same_frame(one, shown, t))
+        logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
         if fitted is not None and logged is not None:
             axes.plot(*(MM * logged.T), color=MUTED, alpha=strength, linewidth=1.0, **_DASHED)
         line = logged if fitted is None else fitted.line[t]
         if line is not None:
             axes.plot(*(MM * line.T), color=BLUE, alpha=strength, linewidth=1.6)
-        for i in range(len(one.tag_id)):
+        for i in range(len(comparison.tag_id)):
             axes.plot(
                 *(MM * shown.measured[t, i]), shape(i), color=colour(i), alpha=strength, markersize=6, zorder=4,
                 label=f"M{i + 1} measured" if order == len(chosen) - 1 else None,
@@ -119,30 +119,33 @@ def shapes(beam: Beam, one: Comparison, seen: Observations, fitted: Explained | 
     if fitted is not None:
         axes.plot([], [], color=MUTED, linewidth=1.0, **_DASHED, label="under the force\nas logged")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    axes.set_title(f"{one.name}: shapes under growing force")
+    axes.set_title(f"{comparison.name}: shapes under growing force")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
 @styled
-def markers(one: Comparison, fitted: Explained | None = None) -> Figure:
+def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
     """Every marker over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
     figure, (above, below) = blank(4.6, 2, 1, sharex=True)
-    time, shown = one.time - one.time[0], one if fitted is None else fitted.comparison
+    time, shown = comparison.time - comparison.time[0], comparison if fitted is None else fitted.comparison
     step = max(1, len(time) // 150)  # dots that would only cover each other are left out
     for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
-        for i in range(len(one.tag_id)):
-            axes.plot(time[::step], MM * one.measured[::step, i, axis], shape(i), color=colour(i), alpha=0.45,
+        for i in range(len(comparison.tag_id)):
+            axes.plot(time[::step], MM * comparison.measured[::step, i, axis], shape(i), color=colour(i), alpha=0.45,
                       markersize=3.2, markeredgewidth=0)  # fmt: skip
             if fitted is not None:
-                axes.plot(*_unbroken(time, MM * one.predicted[:, i, axis]), color=colour(i), linewidth=0.9, **_DASHED)
-            axes.plot(*_unbroken(shown.time - one.time[0], MM * shown.predicted[:, i, axis]), color=colour(i),
-                      linewidth=1.4, label=f"M{i + 1}, s = {one.marker_s[i]:.3g}", **_marked(i, time))  # fmt: skip
+                axes.plot(
+                    *_unbroken(time, MM * comparison.predicted[:, i, axis]), color=colour(i), linewidth=0.9, **_DASHED
+                )
+            curve = _unbroken(shown.time - comparison.time[0], MM * shown.predicted[:, i, axis])
+            label = f"M{i + 1}, s = {comparison.marker_s[i]:.3g}"
+            axes.plot(*curve, color=colour(i), linewidth=1.4, label=label, **_marked(i, time))
         axes.set_ylabel(f"{name} [mm]")
-    below.set_xlabel(_time_label(one))
+    below.set_xlabel(_time_label(comparison))
     lines = "lines simulated" if fitted is None else "lines fitted, dashed under the force as logged"
-    above.set_title(f"{one.name}: dots measured, {lines}")
-    above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(one.tag_id)))
+    above.set_title(f"{comparison.name}: dots measured, {lines}")
+    above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(comparison.tag_id)))
     return figure
 
 
@@ -158,24 +161,26 @@ def _marked(i: int, time: Array) -> dict[str, Any]:
     return {"marker": shape(i), "markevery": max(1, len(time) // 9), "markersize": 4.5}
 
 
-def _time_label(one: Comparison) -> str:
-    return "pose" if one.static else "time since the first loaded frame [s]"
+def _time_label(comparison: Comparison) -> str:
+    return "pose" if comparison.static else "time since the first loaded frame [s]"
 
 
 @styled
-def residuals(one: Comparison, title: str = "measured to simulated") -> Figure:
+def residuals(comparison: Comparison, title: str = "measured to simulated") -> Figure:
     """How far the simulated markers are from the measured ones: over time, and in the plane."""
     figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
-    residual = MM * (one.measured - one.predicted)
-    time = one.time - one.time[0]
-    for i, rms in enumerate(one.rms):
+    residual = MM * (comparison.measured - comparison.predicted)
+    time = comparison.time - comparison.time[0]
+    for i, rms in enumerate(comparison.rms):
         distance = distances(residual[:, i])
         label = f"M{i + 1}: {millimetres(rms)} mm RMS"
         left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=label, **_marked(i, time))
         right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
-    left.set(xlabel=_time_label(one), ylabel="distance [mm]", ylim=(0, None))
-    left.set_title(f"{one.name}: {title}")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(one.tag_id))), fontsize=8)
+    left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
+    left.set_title(f"{comparison.name}: {title}")
+    left.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(comparison.tag_id))), fontsize=8
+    )
     right.axhline(0, color=MUTED, linewidth=0.8)
     right.axvline(0, color=MUTED, linewidth=0.8)
     right.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
@@ -218,12 +223,12 @@ def _cell(trial: Trial) -> str:
 
 
 @styled
-def force(seen: Observations, fitted: Explained | None = None) -> Figure:
+def force(observations: Observations, fitted: Explained | None = None) -> Figure:
     """The force on the beam over time: what was filmed, when contact was, what was taken off; the fit's own dashed."""
-    clean = seen.clean_force
+    clean = observations.source.clean_force
     figure, (axes,) = blank(3.0)
-    time, values = (seen.time, seen.force) if clean is None else (clean.time, clean.force)
-    start = float(seen.time[0])
+    time, values = (observations.time, observations.force) if clean is None else (clean.time, clean.force)
+    start = float(observations.time[0])
     step = max(1, len(time) // 4000)
     for axis, (name, tint) in enumerate((("x", GREEN), ("y", BLUE))):
         label = f"F{name}"
@@ -235,10 +240,10 @@ def force(seen: Observations, fitted: Explained | None = None) -> Figure:
             axes.plot(*_unbroken(there.time - start, there.force[:, axis]), color=tint, linewidth=1.2,
                       **_DASHED, alpha=0.9, label=f"F{name} as fitted")  # fmt: skip
     axes.axhline(0, color=MUTED, linewidth=0.8)
-    for first, last in _spans(seen.time - start, seen.loaded):
+    for first, last in _spans(observations.time - start, observations.loaded):
         axes.axvspan(first, last, color=ORANGE, alpha=0.08, linewidth=0)
     axes.axvline(0.0, color=MUTED, linestyle=":", linewidth=1)
-    axes.axvline(float(seen.time[-1]) - start, color=MUTED, linestyle=":", linewidth=1)
+    axes.axvline(float(observations.time[-1]) - start, color=MUTED, linestyle=":", linewidth=1)
     axes.set(xlabel="time since the first frame [s]", ylabel="force [N]")
     axes.set_title("force on the beam (shaded: in contact; dotted: first and last frame)")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if fitted is None else 2)
@@ -253,16 +258,16 @@ def _spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
 @styled
 def validation(comparisons: Sequence[Comparison]) -> Figure:
     """RMS per marker and recording (Tables IV to VI), with the part that the force's noise alone explains."""
-    figure, (axes,) = blank(0.9 + 0.28 * sum(len(one.tag_id) + 1 for one in comparisons))
+    figure, (axes,) = blank(0.9 + 0.28 * sum(len(comparison.tag_id) + 1 for comparison in comparisons))
     y, ticks = 0.0, []
-    for one in comparisons:
-        for i, rms in enumerate(MM * one.rms):
+    for comparison in comparisons:
+        for i, rms in enumerate(MM * comparison.rms):
             axes.barh(y, rms, height=0.8, color=colour(i), alpha=0.85)
-            axes.plot(MM * one.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
-            end = np.nanmax([rms, MM * one.sensor_rms[i], 0.0])
-            text = f"{millimetres(one.rms[i])} ({millimetres(one.sensor_rms[i])})"
+            axes.plot(MM * comparison.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
+            end = np.nanmax([rms, MM * comparison.sensor_rms[i], 0.0])
+            text = f"{millimetres(comparison.rms[i])} ({millimetres(comparison.sensor_rms[i])})"
             axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
-            ticks.append((y, f"{one.name}  M{i + 1}" if i == 0 else f"M{i + 1}"))
+            ticks.append((y, f"{comparison.name}  M{i + 1}" if i == 0 else f"M{i + 1}"))
             y += 1.0
         y += 0.7
     axes.set_yticks(*zip(*ticks, strict=True))

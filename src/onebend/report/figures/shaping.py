@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
-from onebend.control.path.path import Path
-from onebend.control.shape.shape import Shaped
+from onebend.control.path.follow import FollowedPath
+from onebend.control.shape.shape import ShapeResult
 from onebend.records import Array
 from onebend.report.figures.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, plane, styled
 from onebend.report.wording import significant
@@ -21,34 +21,34 @@ S = np.linspace(0.0, 1.0, 121)
 
 
 @styled
-def shaping(beam: Beam, found: Shaped) -> Figure:
+def shaping(beam: Beam, result: ShapeResult) -> Figure:
     """The beam in its found shape, what was wanted, and what holds it there."""
     figure, (axes,) = blank(4.4)
     resting = beam.equilibrium([0.0, 0.0]).xy(S)
     axes.plot(*(MM * resting.T), color=MUTED, lw=1.2, label="at rest")
-    if found.spread is not None:
-        _spread(axes, found)
-    axes.plot(*(MM * found.xy(S).T), color=BLUE, lw=2.4, label="held")
-    _targets(axes, found, beam.length)
-    largest = max(float(np.max(np.hypot(*found.forces.T), initial=0.0)), 1e-300)
-    for one, force in zip(found.stand.hands.pushes, found.forces, strict=True):
-        _arrow(axes, found.xy(one.at_s)[0], ARROW * beam.length * force / largest)
-        axes.plot([], [], color=ORANGE, label=f"{significant(float(np.hypot(*force)))} N at s = {one.at_s:.3g}")
-    if found.wrench is not None:
-        _jaw(axes, found.pose, beam.length)
+    if result.spread is not None:
+        _spread(axes, result)
+    axes.plot(*(MM * result.xy(S).T), color=BLUE, lw=2.4, label="held")
+    _targets(axes, result, beam.length)
+    largest = max(float(np.max(np.hypot(*result.forces.T), initial=0.0)), 1e-300)
+    for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
+        _arrow(axes, result.xy(pusher.at_s)[0], ARROW * beam.length * force / largest)
+        axes.plot([], [], color=ORANGE, label=f"{significant(float(np.hypot(*force)))} N at s = {pusher.at_s:.3g}")
+    if result.wrench is not None:
+        _jaw(axes, result.pose, beam.length)
         axes.plot([], [], color=ORANGE, lw=5, label="gripper")
-    limits = f"; held back by {', '.join(found.limits)}" if found.limits else ""
-    plane(axes, f"{MM * found.rms:.3g} mm rms from the targets{limits}", adjustable="datalim")
+    limits = f"; held back by {', '.join(result.limits)}" if result.limits else ""
+    plane(axes, f"{MM * result.rms:.3g} mm rms from the targets{limits}", adjustable="datalim")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
 @styled
-def path_figure(way: Path) -> Figure:
+def path_figure(way: FollowedPath) -> Figure:
     """The beam on its way, what the hands do in time, and what is missing to the goals."""
     figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
     shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, SNAPSHOTS)).astype(int))
-    shapes = way.hands.solved(way.q[shown], way.u[shown]).xy(S)
+    shapes = way.actuators.solved(way.q[shown], way.u[shown]).xy(S)
     for j, one in enumerate(shapes):
         places.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * j / max(len(shown) - 1, 1), lw=1.4)
     wanted, _ = way.goals.along(np.linspace(way.goals.time[0], way.goals.time[-1], 400))
@@ -64,14 +64,14 @@ def path_figure(way: Path) -> Figure:
     return figure
 
 
-def _hands_in_time(axes: Axes, way: Path) -> None:
+def _hands_in_time(axes: Axes, way: FollowedPath) -> None:
     """Forces of the pushes; of a grip the pose."""
-    for i, one in enumerate(way.hands.pushes):
-        axes.plot(way.time, way.forces[:, i, 0], color=colour(i), label=f"$F_x$ at s = {one.at_s:.3g}")
-        axes.plot(way.time, way.forces[:, i, 1], "--", color=colour(i), label=f"$F_y$ at s = {one.at_s:.3g}")
+    for i, pusher in enumerate(way.actuators.pushes):
+        axes.plot(way.time, way.forces[:, i, 0], color=colour(i), label=f"$F_x$ at s = {pusher.at_s:.3g}")
+        axes.plot(way.time, way.forces[:, i, 1], "--", color=colour(i), label=f"$F_y$ at s = {pusher.at_s:.3g}")
     stretch = f", stretched {way.stretch:.2f} times" if way.stretch > 1.0 + 1e-6 else ""
-    axes.set(ylabel="force [N]" if way.hands.pushes else "gripper [mm, deg]", title=f"{_acting(way)}{stretch}")
-    other = axes.twinx() if way.hands.pushes and way.wrench is not None else axes
+    axes.set(ylabel="force [N]" if way.actuators.pushes else "gripper [mm, deg]", title=f"{_acting(way)}{stretch}")
+    other = axes.twinx() if way.actuators.pushes and way.wrench is not None else axes
     if way.wrench is not None:
         x, y, angle = way.poses.T
         rows = ((MM * x, "x [mm]", "-"), (MM * y, "y [mm]", "--"), (np.degrees(angle), "angle [deg]", ":"))
@@ -83,25 +83,25 @@ def _hands_in_time(axes: Axes, way: Path) -> None:
     axes.legend(loc="center left", bbox_to_anchor=(1.0 if other is axes else 1.08, 0.5))
 
 
-def _acting(way: Path) -> str:
+def _acting(way: FollowedPath) -> str:
     if way.wrench is None:
-        return "Force" if len(way.hands.pushes) == 1 else "Forces"
-    return "Forces and gripper" if way.hands.pushes else "Gripper"
+        return "Force" if len(way.actuators.pushes) == 1 else "Forces"
+    return "Forces and gripper" if way.actuators.pushes else "Gripper"
 
 
-def _spread(axes: Axes, found: Shaped) -> None:
+def _spread(axes: Axes, result: ShapeResult) -> None:
     """Two standard deviations, where positions are wanted, by the band on k(s)."""
-    assert found.spread is not None
-    at, sd = MM * found.xy(found.targets.s), 2.0 * MM * found.spread.xy
+    assert result.spread is not None
+    at, sd = MM * result.xy(result.targets.s), 2.0 * MM * result.spread.xy
     label = "2 sd by the band on k(s)"
     axes.errorbar(at[:, 0], at[:, 1], xerr=sd[:, 0], yerr=sd[:, 1], fmt="none", ecolor=GREEN, lw=1.2, label=label)
 
 
-def _targets(axes: Axes, found: Shaped, length: float) -> None:
-    targets = found.targets
+def _targets(axes: Axes, result: ShapeResult, length: float) -> None:
+    targets = result.targets
     wanted = MM * targets.xy[targets.placed]
     axes.plot(*wanted.T, "x", color=ORANGE, markersize=7, markeredgewidth=1.8, zorder=6, label="wanted")
-    at = found.xy(targets.s)
+    at = result.xy(targets.s)
     for i in np.flatnonzero(targets.turned):
         way = MM * TICK * length * np.array([np.cos(targets.angle[i]), np.sin(targets.angle[i])])
         ends = np.stack([MM * at[i] - way, MM * at[i] + way])

@@ -11,34 +11,36 @@ from onebend.learning.validation import solved_frames
 from onebend.records import Array, BoolArray, Observations
 
 
-def largest_push(one: Comparison) -> int:
+def largest_push(comparison: Comparison) -> int:
     """Index of the frame with the largest force among those where most markers were seen."""
-    seen = np.isfinite(one.measured[..., 0]).sum(axis=1)
-    size = np.linalg.norm(one.force, axis=1)
+    seen = np.isfinite(comparison.measured[..., 0]).sum(axis=1)
+    size = np.linalg.norm(comparison.force, axis=1)
     return int(np.argmax(np.where((seen == seen.max()) & np.isfinite(size), size, -1.0)))
 
 
-def spread_of_pushes(one: Comparison, count: int) -> list[int]:
+def spread_of_pushes(comparison: Comparison, count: int) -> list[int]:
     """Frames with about 0, 1/(count-1), ..., 1 times the largest force, up to the largest."""
-    size = np.nan_to_num(np.linalg.norm(one.force, axis=1))
-    last = largest_push(one)
+    size = np.nan_to_num(np.linalg.norm(comparison.force, axis=1))
+    last = largest_push(comparison)
     rising = size[: last + 1]
     wanted = np.linspace(0.0, size[last], count)
     return sorted({int(np.argmin(np.abs(rising - value))) for value in wanted})
 
 
-def same_frame(one: Comparison, other: Comparison, t: int) -> int:
+def same_frame(comparison: Comparison, other: Comparison, t: int) -> int:
     """Index in `one` of the frame t of `other`, the nearest where it has not that very frame."""
-    return int(np.argmin(np.abs(one.time - other.time[t])))
+    return int(np.argmin(np.abs(comparison.time - other.time[t])))
 
 
-def centreline(beam: Beam, one: Comparison, seen: Observations, t: int, places: int = 121) -> Array | None:
+def centreline(
+    beam: Beam, comparison: Comparison, observations: Observations, t: int, places: int = 121
+) -> Array | None:
     """(places, 2) m, the beam simulated under the measured loads of the comparison's frame t; None if it cannot be."""
-    here: BoolArray = np.asarray(seen.frame == one.frame[t])
+    here: BoolArray = np.asarray(observations.frame == comparison.frame[t])
     if not np.any(here):
         return None
     try:
-        solved = solved_frames(beam, seen, here)[0]
+        solved = solved_frames(beam, observations, here)[0]
     except MechanicsError:
         return None
     return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None

@@ -13,34 +13,34 @@ from onebend.report.wording import millimetres, significant, worst_marker
 
 def cards(findings: Findings) -> list[dict[str, str]]:
     """What it is, its value, and a note, one a card."""
-    seen = findings.recordings[0]
-    found = [_stiffness_card(findings)]
+    recording = findings.recordings[0]
+    rows = [_stiffness_card(findings)]
     if findings.posterior is not None:
-        found.append(sureness_card(findings.posterior.stiffness))
-    found.append(_training_card(findings))
+        rows.append(band_card(findings.posterior.stiffness))
+    rows.append(_training_card(findings))
     if findings.validations:
-        worst = max(findings.validations, key=lambda one: np.max(np.nan_to_num(one.rms)))
+        worst = max(findings.validations, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
         others = len(findings.validations)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}"
-        found.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
-    if seen.clean_force is not None:
-        size = np.linalg.norm(seen.force[seen.loaded], axis=1)
-        noise = 1000.0 * float(np.max(seen.clean_force.noise_sd))
+        rows.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
+    if recording.source.clean_force is not None:
+        size = np.linalg.norm(recording.force[recording.loaded], axis=1)
+        noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
         note = f"noise left in it: {significant(noise, 2)} mN (sd)"
-        found.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
-    return found
+        rows.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
+    return rows
 
 
 def _training_card(findings: Findings) -> dict[str, str]:
-    """How near the beam comes to the tags that it was learned from."""
+    """The residual at the tags that the beam was learned from."""
     what = "learned recording, worst marker"
-    logged = max(findings.trainings, key=lambda one: np.max(np.nan_to_num(one.rms)))
+    logged = max(findings.trainings, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
     if findings.posterior is None:
         note = f"RMS over {len(logged.frame)} frames, under the force as logged"
         return {"what": what, "value": worst_marker(logged), "note": note}
-    fitted = max(float(np.nanmax(one)) for one in fitted_rms(findings.posterior))
-    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged, whose slow error the fit takes off"
+    fitted = max(float(np.nanmax(values)) for values in fitted_rms(findings.posterior))
+    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged; the fit corrects its slow error"
     return {"what": what, "value": f"{millimetres(fitted)} mm", "note": note}
 
 
@@ -64,8 +64,8 @@ def stiffness_range(findings: Findings) -> tuple[float, float]:
     return float(k.min()), float(k.max())
 
 
-def sureness_card(uncertain: UncertainStiffness) -> dict[str, str]:
-    """How narrow the band is, and over which part of the beam; whether it may be relied on."""
+def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
+    """The width of the band, where k is identified, and whether the fit can be trusted."""
     what = "k(s) is known to"
     if uncertain.doubts:
         return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}

@@ -16,9 +16,9 @@ from onebend.report.confidence import (
     alarm_words,
     gain_words,
     load_error_words,
+    model_test_rows,
     nuisance_rows,
     stop_words,
-    supposed_rows,
     tradeoff_words,
     unidentified_words,
 )
@@ -52,7 +52,7 @@ def _content(findings: Findings) -> dict[str, Any]:
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
-        "frames": " and ".join(_frames(one) for one in findings.recordings),
+        "frames": " and ".join(_frames(recording) for recording in findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
@@ -62,12 +62,12 @@ def _content(findings: Findings) -> dict[str, Any]:
         "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
         "k_rows": _stiffness_rows(findings),
         "tags": [f"M{i + 1}" for i in range(len(first.tag_id))],
-        "trainings": [_comparison_row(one) for one in findings.trainings],
+        "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
         "learned_figures": _learned_captions(findings),
         "trials": [] if learned is None else _trials(learned),
-        "validations": [_comparison_row(one) for one in findings.validations],
+        "validations": [_comparison_row(comparison) for comparison in findings.validations],
         "validation_figures": _validation_captions(findings.validations),
-        "inputs": [(one.name, inputs(one)) for one in findings.recordings],
+        "inputs": [(recording.source.name, inputs(recording)) for recording in findings.recordings],
         "assumptions": assumptions(findings),
         "files": files_described(findings),
         "stages": _stage_rows(findings),
@@ -75,18 +75,18 @@ def _content(findings: Findings) -> dict[str, Any]:
     }
 
 
-def _frames(seen: Observations) -> str:
-    return f"{int(seen.loaded.sum())} loaded frames out of {len(seen.time)}"
+def _frames(observations: Observations) -> str:
+    return f"{int(observations.loaded.sum())} loaded frames out of {len(observations.time)}"
 
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
     """What the page says of the fit."""
-    forced = any(one.clean_force is not None for one in recordings)
+    forced = any(recording.source.clean_force is not None for recording in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
-        "tests": supposed_rows(posterior),
+        "tests": model_test_rows(posterior),
         "alarm": alarm_words(posterior),
         "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
@@ -94,7 +94,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "stopped": stop_words(posterior),
         "nuisances": nuisance_rows(posterior.nuisances()),
         "tradeoffs": tradeoff_words(posterior),
-        "fitted": [{"name": one.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
+        "fitted": [{"name": one.source.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
     }
 
 
@@ -132,27 +132,31 @@ def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
     }
 
 
-def _comparison_row(one: Comparison) -> dict[str, Any]:
-    pairs = zip(one.rms, one.sensor_rms, strict=True)
+def _comparison_row(comparison: Comparison) -> dict[str, Any]:
+    pairs = zip(comparison.rms, comparison.sensor_rms, strict=True)
     cells = [{"rms": millimetres(rms), "sensor": millimetres(sensor)} for rms, sensor in pairs]
-    return {"name": one.name, "frames": len(one.frame), "cells": cells}
+    return {"name": comparison.name, "frames": len(comparison.frame), "cells": cells}
 
 
 def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
     captions = []
-    for i, one in enumerate(comparisons, start=1):
-        captions.append((f"validation-{i}-shapes", f"{one.name}: simulated beam and measured markers."))
-        captions.append((f"validation-{i}-residuals", f"{one.name}: distance between measured and simulated markers."))
+    for i, comparison in enumerate(comparisons, start=1):
+        captions.append((f"validation-{i}-shapes", f"{comparison.name}: simulated beam and measured markers."))
+        captions.append(
+            (f"validation-{i}-residuals", f"{comparison.name}: distance between measured and simulated markers.")
+        )
     return captions
 
 
 def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
     """Figures of the recordings after the first, whose own stand in the text."""
     captions = []
-    for i, one in enumerate(findings.trainings[1:], start=2):
-        captions.append((f"learned-{i}-shapes", f"{one.name}: the beam and measured markers."))
-        captions.append((f"learned-{i}-fitted", f"{one.name}: what the fit leaves of the tags."))
-        captions.append((f"learned-{i}-residuals", f"{one.name}: measured to simulated under the force as logged."))
+    for i, comparison in enumerate(findings.trainings[1:], start=2):
+        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured markers."))
+        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
+        captions.append(
+            (f"learned-{i}-residuals", f"{comparison.name}: measured to simulated under the force as logged.")
+        )
     return captions
 
 

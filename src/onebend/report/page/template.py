@@ -1,4 +1,4 @@
-"""Pages that carry everything in themselves: a template, the common frame and look, and pictures as data."""
+"""Self-contained pages: a template, the common frame and style, and figures as data."""
 
 from __future__ import annotations
 

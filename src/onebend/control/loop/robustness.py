@@ -1,0 +1,73 @@
+"""What to expect of a closed loop: it is rehearsed on beams softer and stiffer than the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Scaled, Uniform
+from onebend.beam.statics.problem import has_mass
+from onebend.control.loop.controller import Controller
+from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
+from onebend.errors import ControlError, MechanicsError
+
+SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
+_LEAST_MASS = 0.01  # kg/m of a beam whose mass is not known: it then swings, quickly, as any beam does
+
+
+@dataclass(frozen=True)
+class LoopTrial:
+    """One rehearsal. `run` is None where the beam snapped away under the loop."""
+
+    factor: float  # of the model's k(s), everywhere alike
+    run: LoopSimulation | None
+
+    @property
+    def steady(self) -> float:
+        """m: the largest distance from the goal in the last second."""
+        return float("inf") if self.run is None else self.run.steady()
+
+    def settled(self, within: float) -> float:
+        """s; infinite where it does not settle."""
+        return float("inf") if self.run is None else self.run.settled(within)
+
+
+def simulate_range(
+    control: Controller, *, k_error: float = 0.3, eye: LoopCamera = LoopCamera(), duration: float = 8.0, seed: int = 0
+) -> tuple[LoopTrial, ...]:
+    """The loop on the model itself, and on beams whose k(s) is `k_error` lower and higher everywhere.
+
+    A beam whose mass is not known is given a small one.
+
+    Raises:
+        ControlError: an error of k that is not in [0, 1), a duration below two seconds.
+    """
+    if not 0.0 <= k_error < 1.0:
+        raise ControlError(f"the error of k is a share from 0 to below 1, got {k_error}")
+    if not duration >= 2.0:
+        raise ControlError(f"a rehearsal takes two seconds at least, got {duration} s")
+    beam = _swinging(control.beam)
+    factors = (1.0, 1.0 - k_error, 1.0 + k_error) if k_error else (1.0,)
+    return tuple(LoopTrial(factor, _run(control, beam, factor, eye, duration, seed)) for factor in factors)
+
+
+def _swinging(beam: Beam) -> Beam:
+    return beam if has_mass(beam) else replace(beam, mass_per_length=Uniform(_LEAST_MASS))
+
+
+def _run(
+    control: Controller, beam: Beam, factor: float, eye: LoopCamera, duration: float, seed: int
+) -> LoopSimulation | None:
+    truth = TrueSystem(
+        replace(beam, stiffness=Scaled(factor, beam.stiffness)),
+        damping_ratio=control.settings.damping_ratio,
+        push_s=control.push_s,
+        point_s=control.point_s,
+        gravity=(float(control.gravity[0]), float(control.gravity[1])),
+        eye=eye,
+        hand=Actuator(lag=control.settings.timing.lag),
+    )
+    try:
+        return simulate_loop(control, truth, duration, seed=seed)
+    except MechanicsError:
+        return None

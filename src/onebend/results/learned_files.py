@@ -1,0 +1,75 @@
+"""The files of a results folder, written from what was found. Where they go and when is `folder`'s business."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from onebend.learning.design.instruments import instruments_if_pushed
+from onebend.learning.outcome import Comparison
+from onebend.records import Observations
+from onebend.report.findings import Findings
+from onebend.report.page.page import page
+from onebend.results.folder import files_in
+from onebend.results.model import FILE_NAME, origin_of, save_model
+from onebend.results.observations_file import save_observations
+from onebend.results.summary import write_summary
+from onebend.results.tables import (
+    write_markers,
+    write_nuisances,
+    write_selection,
+    write_stiffness,
+    write_validation,
+)
+
+
+def learned_writer(
+    findings: Findings, figures: Mapping[str, bytes], summary: Mapping[str, Any], *, version: str
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with the results of learning."""
+
+    def write(folder: Path) -> None:
+        learned, posterior = findings.learned, findings.posterior
+        uncertain = None if posterior is None else posterior.stiffness
+        origin = origin_of(learned, posterior, findings.trainings)
+        bench = None if posterior is None else instruments_if_pushed(posterior)
+        by = f"onebend {version}"
+        save_model(folder / FILE_NAME, findings.beam, written_by=by, origin=origin, uncertain=uncertain, bench=bench)
+        write_stiffness(folder / "stiffness.csv", findings.beam, uncertain)
+        if learned is not None:
+            write_selection(folder / "selection.csv", learned)
+        if posterior is not None:
+            write_nuisances(folder / "nuisances.csv", posterior.nuisances())
+        write_markers(folder / "markers.csv", (*findings.trainings, *findings.validations))
+        if findings.validations:
+            write_validation(folder / "validation.csv", findings.validations)
+        for i, recording in enumerate(findings.recordings, start=1):
+            save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
+        (folder / "report.html").write_text(page(findings, figures, version=version), encoding="utf-8")
+        _write_figures(folder, figures)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write
+
+
+def validation_writer(
+    pairs: Sequence[tuple[Comparison, Observations]], figures: Mapping[str, bytes], summary: Mapping[str, Any]
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with a validation."""
+
+    comparisons = [comparison for comparison, _ in pairs]
+
+    def write(folder: Path) -> None:
+        write_validation(folder / "validation.csv", comparisons)
+        write_markers(folder / "markers.csv", comparisons)
+        _write_figures(folder, figures)
+        write_summary(folder / "summary.json", summary, files_in(folder))
+
+    return write
+
+
+def _write_figures(folder: Path, figures: Mapping[str, bytes]) -> None:
+    (folder / "figures").mkdir()
+    for name, png in figures.items():
+        (folder / "figures" / f"{name}.png").write_bytes(png)

@@ -1,0 +1,66 @@
+"""One file as a result: written completely or not at all; another file is replaced only if asked for."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from onebend.errors import ResultsError
+
+
+def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> None:
+    """Write `data` to `path`; its folder is made if need be.
+
+    Raises:
+        ResultsError: the file exists and `overwrite` is False, or it cannot be written.
+    """
+    with fresh_file(path, overwrite=overwrite) as beside:
+        beside.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
+
+
+@contextmanager
+def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """An empty file beside `path` to write into; it takes that name when all went well, and is gone otherwise.
+
+    Raises:
+        ResultsError: as `write_file`.
+    """
+    check_free(path, overwrite=overwrite)
+    with _as_results_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+    beside = Path(name)
+    try:
+        yield beside
+        with _as_results_error(path):
+            beside.chmod(0o666 & ~_umask())
+            beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Raises `ResultsError` where `path` is a folder, or a file that is not to be replaced. Before long work."""
+    if path.is_dir():
+        raise ResultsError(f"{path}: this is a folder. Name a file in it")
+    if path.exists() and not overwrite:
+        raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
+
+
+@contextmanager
+def _as_results_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ResultsError(f"{path}: cannot be written ({error.strerror}). Choose another place") from error
+
+
+def _umask() -> int:
+    """The process's mask for new files; it can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,100 @@
+"""Rehearsals on beams that are not the model, and the command that makes them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
+from onebend.cli import app
+from onebend.control.loop.controller import ControllerSettings, controller
+from onebend.control.loop.robustness import simulate_range
+from onebend.control.loop.simulation import LoopCamera
+from onebend.errors import ControlError
+from onebend.results.looping import LOOP_COLUMNS
+from onebend.results.model import save_model
+
+BEAM = Beam(0.12, Powers((0.03, -0.015)), mass_per_length=Uniform(0.05))
+GOAL = BEAM.equilibrium((-0.05, 0.3)).xy(1.0)
+
+
+@pytest.mark.slow
+def test_feedback_takes_off_what_a_wrong_stiffness_leaves() -> None:
+    closed = controller(BEAM, GOAL)
+    open_loop = controller(BEAM, GOAL, settings=ControllerSettings(feedback=False))
+    eye = LoopCamera(noise=0.0)
+    good, bad = (simulate_range(one, eye=eye, duration=3.0) for one in (closed, open_loop))
+    assert [one.factor for one in good] == [1.0, 0.7, 1.3]
+    assert max(one.steady for one in good) < 3e-4
+    assert bad[0].steady < 1e-4
+    # Without feedback a softer beam ends where its own equilibrium under the model's force is.
+    for one in bad[1:]:
+        other = Beam(BEAM.length, Scaled(one.factor, BEAM.stiffness))
+        there = other.equilibrium(open_loop.reference.ends).xy(1.0)
+        assert one.steady == pytest.approx(float(np.linalg.norm(there - GOAL)), rel=0.02)
+
+
+def test_a_beam_of_unknown_mass_is_given_one() -> None:
+    light = Beam(BEAM.length, BEAM.stiffness)
+    (only,) = simulate_range(controller(light, GOAL), k_error=0.0, eye=LoopCamera(noise=0.0), duration=2.5)
+    assert only.factor == 1.0
+    assert only.steady < 1e-3
+
+
+@pytest.mark.parametrize("asked", [{"k_error": 1.0}, {"k_error": -0.1}, {"duration": 1.0}])
+def test_what_cannot_be_rehearsed_is_refused(asked: dict[str, float]) -> None:
+    with pytest.raises(ControlError):
+        simulate_range(controller(BEAM, GOAL), **asked)  # type: ignore[arg-type]
+
+
+def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.json", BEAM, written_by="a test")
+    goal = [f"{value:.6g}" for value in GOAL]
+    command = [
+        "loop",
+        str(tmp_path / "model.json"),
+        "--goal",
+        *goal,
+        "--duration-s",
+        "2",
+        "--k-error",
+        "0.2",
+        "--delay-ms",
+        "60",
+    ]
+    done = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["delay_s"] == 0.06
+    assert said["margins"]["gain"] > 2.0
+    assert [one["k_factor"] for one in said["rehearsals"]] == [1.0, 0.8, 1.2]
+    with (tmp_path / "out" / "loop.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == LOOP_COLUMNS
+    last = [row for row in rows if row["k_factor"] == "0.8"][-1]
+    np.testing.assert_allclose([float(last["x_m"]), float(last["y_m"])], GOAL, atol=4e-3)
+    assert (tmp_path / "out" / "loop.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_gravity_needs_a_mass(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.json", Beam(BEAM.length, BEAM.stiffness), written_by="a test")
+    asked = ["--goal", "0.1", "0.03", "--gravity-m-s2", "0", "-9.81"]
+    for command in ("reach", "loop"):
+        done = CliRunner().invoke(app, [command, str(tmp_path / "model.json"), *asked])
+        assert done.exit_code == 2
+        assert "the model has no mass" in " ".join(done.output.split())
+
+
+def test_command_carries_the_weight(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.json", BEAM, written_by="a test")
+    goal = BEAM.equilibrium((0.0, 0.3), gravity=(0.0, -9.81)).xy(1.0)
+    asked = ["reach", str(tmp_path / "model.json"), "--goal", *map(str, goal), "--gravity-m-s2", "0", "-9.81", "--json"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    np.testing.assert_allclose(json.loads(done.stdout)["force_N"], (0.0, 0.3), atol=1e-4)

@@ -1,0 +1,132 @@
+"""The fit's and the live learner's derivatives of the tags: the same numbers, and those of central differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.learning.live.forward import Inputs, Linear, linearise
+from onebend.learning.live.session import Setting, live_layout, place_at
+from onebend.learning.model.fit_data import fit_data
+from onebend.learning.model.forward import Prediction, predict
+from onebend.learning.model.parameters import Layout, Priors, make_layout
+from onebend.learning.model.spline import Spline
+from onebend.records import Array, View
+from tests.learning.bench import SOFT, forces, observed
+
+SPLINE, MASS, PUSH_S = Spline(7), 0.02, 0.8
+TAGS = np.array([0.3, 0.6, 0.9])  # none at the tip, where a tag that moves outwards leaves the curved beam
+FREE = Priors(
+    curvature=0.1,
+    mounting=0.02,
+    placement=5e-4,
+    clamp=0.01,
+    origin=4e-4,
+    scale=0.01,
+    clock=0.02,
+    place=1e-3,
+    direction=0.01,
+)  # nothing is frozen
+BLOCKS = (
+    "stiffness",
+    "curvature",
+    "mass",
+    "along",
+    "across",
+    "turn",
+    "clamp",
+    "origin",
+    "scale",
+    "clock",
+    "place",
+    "direction",
+)
+
+
+class Point:
+    """One recording at one point of all parameters, as the fit and as the live learner see it."""
+
+    def __init__(self) -> None:
+        made = observed(SOFT, forces(8), at_s=PUSH_S)
+        frames = np.ones(8, dtype=bool)
+        stated = replace(made.stated, mass=MASS, rest="unknown")
+        gravity, unseen = np.tile([1.0, -3.0], (8, 1)), np.full((3, 2), np.nan)
+        camera = View(np.eye(3), np.zeros(5), np.eye(3), np.ones(3), calibrated=False, corner_sd=0.1)
+        made = replace(
+            made,
+            marker_s=TAGS,
+            stated=stated,
+            source=replace(made.source, view=camera),
+            gravity=gravity,
+            rest_xy=unseen,
+        )
+        self.fit_data = fit_data(made, 0, frames, SPLINE)
+        self.fit_layout = make_layout(SPLINE, [made], [self.fit_data.error_weights.shape[1]], FREE)
+        self.live_layout = live_layout(
+            SPLINE, 3, FREE, placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=MASS
+        )
+        rng = np.random.default_rng(0)
+        sizes = {"stiffness": 0.3, "curvature": 0.1, "mass": 0.1, "across": 1e-3, "turn": 0.02, "along": 0.0}
+        self.values = {
+            name: sizes.get(name, 5e-3) * rng.standard_normal(len(self.live_layout.index[name, -1].labels))
+            for name in BLOCKS
+        }
+        self.values["stiffness"] += np.log(0.03)
+        self.session = Setting(0.15, TAGS, MASS, self.live_layout)
+        self.grid = place_at(self.session, PUSH_S)
+
+    def at(self, where: Layout, recording: int, **changed: Array) -> Array:
+        """(n,) parameters of one of the layouts."""
+        x = np.zeros(where.size)
+        for name, value in (self.values | changed).items():
+            x[_block(where, name, recording)] = value
+        return x
+
+    def fit(self, **changed: Array) -> Prediction:
+        return predict(self.fit_data, self.fit_layout, self.at(self.fit_layout, 0, **changed), None)
+
+    def live(self, **changed: Array) -> Linear:
+        data = self.fit_data
+        inputs = Inputs(data.force, data.rate, data.observations.gravity, np.zeros(8))
+        return linearise(self.session, self.grid, self.at(self.live_layout, -1, **changed), inputs, None)
+
+
+def _block(where: Layout, name: str, recording: int) -> slice:
+    return (where.index.get((name, -1)) or where.index[name, recording]).where
+
+
+@pytest.fixture(scope="module")
+def point() -> Point:
+    return Point()
+
+
+def test_the_grids_are_the_same(point: Point) -> None:
+    np.testing.assert_allclose(point.fit_data.problem.grid.nodes, point.grid.grid.nodes, atol=1e-14)
+
+
+def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:
+    """Tags stand on the places where they were put; off them the live learner goes along a circle."""
+    fit, live = point.fit(), point.live()
+    np.testing.assert_allclose(live.pose, fit.pose, atol=1e-12)
+    for name in BLOCKS:
+        ours = fit.slopes.written[..., _block(point.fit_layout, name, 0)]
+        theirs = live.j[..., _block(point.live_layout, name, -1)]
+        size = np.max(np.abs(ours), axis=(0, 1, 2))
+        assert np.all(size > 0.0), name
+        np.testing.assert_array_less(np.max(np.abs(theirs - ours), axis=(0, 1, 2)), 1e-8 * size, err_msg=name)
+    by_force = fit.slopes.a @ fit.slopes.axes
+    np.testing.assert_allclose(live.a, by_force, atol=1e-8 * np.max(np.abs(by_force)))
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_both_jacobians_are_those_of_central_differences(point: Point, name: str) -> None:
+    fit = point.fit().slopes.written[..., _block(point.fit_layout, name, 0)]
+    live = point.live().j[..., _block(point.live_layout, name, -1)]
+    h = 1e-5
+    for i, value in enumerate(np.eye(fit.shape[-1])):
+        ends = [{name: point.values[name] + sign * h * value} for sign in (1.0, -1.0)]
+        for model, column in ((point.fit, fit[..., i]), (point.live, live[..., i])):
+            difference = (model(**ends[0]).pose - model(**ends[1]).pose) / (2.0 * h)
+            np.testing.assert_allclose(column, difference, atol=3e-6 * max(1.0, float(np.max(np.abs(difference)))))
