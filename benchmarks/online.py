@@ -55,14 +55,14 @@ def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     return learner, np.array(wall), np.array(processor)
 
 
-def judged(one: UncertainStiffness, truth: Truth) -> tuple[float, float, float]:
+def judged(posterior: UncertainStiffness, truth: Truth) -> tuple[float, float, float]:
     """Error, share inside the band, sd."""
-    band, middle = one.band(truth.s), (truth.s >= 0.05) & (truth.s <= 0.9)
+    band, middle = posterior.band(truth.s), (truth.s >= 0.05) & (truth.s <= 0.9)
     inside = (truth.k > band.low) & (truth.k < band.high)
     return (
         stiffness_error(band.k, truth),
         float(np.mean(inside[middle])),
-        float(np.median(one.log_at(truth.s)[1][middle])),
+        float(np.median(posterior.log_at(truth.s)[1][middle])),
     )
 
 
@@ -97,10 +97,10 @@ def case(cell: str, seed: int) -> Case:
     learner = replay(seen, START, gain_sd=bench.declared.gain_sd)
     end = learner.stiffness
     learner.settle()
-    found = (end, learner.stiffness, batch)
-    bands = [[one.band(S, level) for level in LEVELS] for one in found]
-    inside = [[np.mean((truth > band.low) & (truth < band.high)) for band in one] for one in bands]
-    log, sd = (np.array([one.log_at(S)[i] for one in found]) for i in range(2))
+    posteriors = (end, learner.stiffness, batch)
+    bands = [[posterior.band(S, level) for level in LEVELS] for posterior in posteriors]
+    inside = [[np.mean((truth > band.low) & (truth < band.high)) for band in row] for row in bands]
+    log, sd = (np.array([posterior.log_at(S)[i] for posterior in posteriors]) for i in range(2))
     return Case(
         np.array(inside),
         np.median(sd / sd[2], axis=1),
@@ -115,19 +115,19 @@ def virtual(runs: int, cells: list[str]) -> None:
     print("| " + " | ".join((*titles, "from the fit [sd], RMS", "RMS error of log k")) + " |")
     print("| --- " * 7 + "|")
     for cell in cells:
-        found = []
+        cases = []
         for seed in range(runs):
             try:
-                found.append(case(cell, seed))
+                cases.append(case(cell, seed))
                 print(f"\r{seed + 1} of {runs}", end="", file=sys.stderr, flush=True)
             except (LearningError, ObservationError) as wrong:
                 print(f"seed {seed}: {wrong}")
         for i, name in enumerate(("live, at the end", "live, settled", "fit")):
-            inside = " / ".join(f"{100.0 * v:.0f}" for v in np.mean([one.inside[i] for one in found], axis=0))
-            ratio = " / ".join(f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in found], (10, 50, 90)))
-            apart = np.sqrt(np.mean([one.apart[i] ** 2 for one in found]))
-            error = np.sqrt(np.mean([one.error[i] ** 2 for one in found]))
-            print(f"| {cell} | {len(found)} | {name} | {inside} % | {ratio} | {apart:.2f} | {error:.3f} |")
+            inside = " / ".join(f"{100.0 * v:.0f}" for v in np.mean([one.inside[i] for one in cases], axis=0))
+            ratio = " / ".join(f"{q:.2f}" for q in np.percentile([one.ratio[i] for one in cases], (10, 50, 90)))
+            apart = np.sqrt(np.mean([one.apart[i] ** 2 for one in cases]))
+            error = np.sqrt(np.mean([one.error[i] ** 2 for one in cases]))
+            print(f"| {cell} | {len(cases)} | {name} | {inside} % | {ratio} | {apart:.2f} | {error:.3f} |")
 
 
 def main() -> None:
@@ -140,18 +140,18 @@ def main() -> None:
         virtual(asked.virtual, asked.cells)
         return
     folder = asked.recordings
-    found = []
+    rows = []
     for beam in BEAMS:
         seen = {kind: observe(folder / f"{beam}_{kind}") for kind in KINDS}
         start, truth = learn(seen["train"]).beam.stiffness, read_truth(folder / f"{beam}_train")
-        found += [row(f"{beam} {kind}", o, fit([o], start).stiffness, truth, asked.repeats) for kind, o in seen.items()]
+        rows += [row(f"{beam} {kind}", o, fit([o], start).stiffness, truth, asked.repeats) for kind, o in seen.items()]
     print(
         "| recording | error of k, live / batch | truth inside 95 % band | sd of log k | their ratio "
         "| live - batch [sd] "
         "| update, median / 99 % / slowest [ms] | the same, processor time |"
     )
     print("| --- " * 8 + "|")
-    for r in found:
+    for r in rows:
         times = [
             f"{np.median(t):.2f} / {np.percentile(t, 99):.2f} / {np.max(t):.2f}"
             for t in (1e3 * r.wall, 1e3 * r.processor)

@@ -100,9 +100,9 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
     precision = cho_solve((before.root, True), np.eye(len(best.x)))
 
     def target(x: Array) -> Here:
-        away, curvature = x - before.mean, precision + rests.information
-        slope = precision @ away + rests.information @ x - rests.b
-        value = 0.5 * float(away @ precision @ away + x @ rests.information @ x) - float(rests.b @ x)
+        away, curvature = x - before.mean, precision + rests.matrix
+        slope = precision @ away + rests.matrix @ x - rests.vector
+        value = 0.5 * float(away @ precision @ away + x @ rests.matrix @ x) - float(rests.vector @ x)
         for (recording, now, noise), r in zip(every, rows, strict=True):
             there: Prediction = predict(recording, layout, x, now.solved.q, now.own)
             if not np.all(there.solved.converged):

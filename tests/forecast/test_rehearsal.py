@@ -31,7 +31,8 @@ from onebend.forecast.writing import COLUMNS, writer_of
 from onebend.lab.designs import DESIGNS
 from onebend.lab.film_request import FilmRequest
 from onebend.learning.design.identifiability import STEPS
-from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.stiffness_prior import Draws, stiffness_mixture
 from onebend.records import PLACE_SD, Array
 from onebend.results.model import save_model
 
@@ -59,7 +60,7 @@ def test_band_and_bias_are_those_of_the_fits_own_posterior() -> None:
     used, found = instruments(setup), predict(setup)
     information = information_of(setup, used, derivatives(setup, used))
     truth = np.linalg.lstsq(BASIS, np.log(found.k), rcond=None)[0]
-    data, level = Told(information, information @ truth), float(np.mean(np.log(found.k)))
+    data, level = InformationForm(information, information @ truth), float(np.mean(np.log(found.k)))
     posterior = stiffness_mixture(SPLINE, [data], level, Draws(chains=20, burn=400, kept=400))
     sd = np.sqrt(np.einsum("si,ij,sj->s", BASIS, posterior.covariance, BASIS))
     assert np.sqrt(np.mean((found.own_sd / sd - 1.0) ** 2)) < 0.06

@@ -1,4 +1,4 @@
-"""What the live learner's tests share: settings without habits of their own, and recordings drawn as it believes."""
+"""Shared by the live learner's tests: plain settings, and recordings drawn from its own model."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ def any_beam(rng: np.random.Generator) -> Array:
         variance = spline.variances(tau, rho)
         free = (rho * spline.share) ** 2 / rng.gamma(0.5, 2.0, size=len(spline.share))
         variance[8:], variance[:2] = free / (1.0 + free / JUMP**2), (0.3**2, 0.5**2)
-        found = spline.parts @ (np.sqrt(variance) * rng.normal(size=len(variance)))
-        if np.ptp(found) < 2.0:
-            return np.asarray(np.log(0.025) + found)
+        coefficients = spline.parts @ (np.sqrt(variance) * rng.normal(size=len(variance)))
+        if np.ptp(coefficients) < 2.0:
+            return np.asarray(np.log(0.025) + coefficients)
 
 
 def drawn(log_k: Array, rng: np.random.Generator, count: int, sizes: tuple[float, float, float]) -> Observations:

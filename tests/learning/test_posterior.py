@@ -75,9 +75,9 @@ def test_a_frames_covariance_is_the_dense_one(curved: Observations) -> None:
         b += j.T @ np.linalg.solve(s, r)
         c += r @ np.linalg.solve(s, r)
         log_noise += 0.5 * np.linalg.slogdet(s)[1]
-    np.testing.assert_allclose(found.information, h, rtol=1e-7, atol=1e-7 * np.max(np.abs(h)))
-    np.testing.assert_allclose(found.b, b, rtol=1e-7, atol=1e-7 * np.max(np.abs(b)))
-    assert found.c == pytest.approx(c, rel=1e-7)
+    np.testing.assert_allclose(found.matrix, h, rtol=1e-7, atol=1e-7 * np.max(np.abs(h)))
+    np.testing.assert_allclose(found.vector, b, rtol=1e-7, atol=1e-7 * np.max(np.abs(b)))
+    assert found.constant == pytest.approx(c, rel=1e-7)
     assert found.log_noise == pytest.approx(log_noise, rel=1e-9)
 
 

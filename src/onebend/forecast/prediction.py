@@ -27,7 +27,8 @@ from onebend.learning.design.identifiability import (
     tag_derivatives,
 )
 from onebend.learning.design.proposals import PLACES, Quality
-from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.stiffness_prior import Draws, stiffness_mixture
 from onebend.learning.model.spline import Spline
 from onebend.recording.signals import runs
 from onebend.records import Array, BoolArray
@@ -164,7 +165,9 @@ def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -
     """What the fit's prior makes of data with this information (p, p), that show the setup's k without noise."""
     k = np.asarray(setup.beam.stiffness(PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
-    posterior = stiffness_mixture(SPLINE, [Told(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS)
+    posterior = stiffness_mixture(
+        SPLINE, [InformationForm(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS
+    )
     prior = equivalent_prior(posterior.covariance, information)
     bias = np.asarray(BASIS @ (posterior.mean - truth))
     return _band(k, bias, prior, information, used.bench.gain_sd)

@@ -7,7 +7,8 @@ from scipy.interpolate import BSpline
 from scipy.special import ndtri
 
 from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
-from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, Told, stiffness_mixture
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
 from onebend.learning.model.spline import LEVEL_SD, SLOPE_SD, Spline
 
 S = np.linspace(0.0, 1.0, 101)
@@ -54,7 +55,9 @@ def test_the_bands_of_a_mixture_are_its_quantiles() -> None:
     """One step of unknown place, seen from afar: few draws are far off, most are near, and the 50 % band is narrow."""
     spline, at = Spline(16), np.linspace(0.02, 0.98, 12)
     rows = spline.basis(at) / 0.05
-    found = stiffness_mixture(spline, [Told(rows.T @ rows, rows.T @ (20.0 * (at > 0.5)))], 0.0, Draws(30, 40, 60))
+    found = stiffness_mixture(
+        spline, [InformationForm(rows.T @ rows, rows.T @ (20.0 * (at > 0.5)))], 0.0, Draws(30, 40, 60)
+    )
     assert found.shape.shape == (len(SHAPE_LEVELS), len(SHAPE_PLACES))
     assert np.min(found.shape[0]) < 0.9
     assert np.all(np.diff(found.shape * ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None], axis=0) > 0.0)
@@ -93,7 +96,7 @@ def test_mean_and_covariance_are_those_of_the_exact_posterior() -> None:
     told = np.array([0.0, 0.3, 0.9, 1.1, 0.6]) + 0.1 * rng.standard_normal(5) - 4.0
     sd = np.array([0.5, 0.3, 0.3, 0.5, 1.0])
     information, b = (rows.T / sd**2) @ rows, (rows.T / sd**2) @ told
-    found = stiffness_mixture(spline, [Told(information, b)], -4.0, Draws(200, 60, 200))
+    found = stiffness_mixture(spline, [InformationForm(information, b)], -4.0, Draws(200, 60, 200))
     c, weight = drawn(spline, 300_000, rng)
     c -= 4.0
     weight = weight * np.exp(-0.5 * np.sum(((told - c @ rows.T) / sd) ** 2, axis=1))
@@ -108,7 +111,10 @@ def test_mean_and_covariance_are_those_of_the_exact_posterior() -> None:
 def test_several_tellings_are_averaged_by_their_weights() -> None:
     spline = Spline(6)
     rows = 30.0 * spline.basis(np.linspace(0.0, 1.0, 12))
-    low, high = (Told(rows.T @ rows, rows.T @ np.full(12, 30.0 * v), w) for v, w in ((-4.1, 0.25), (-3.9, 0.75)))
+    low, high = (
+        InformationForm(rows.T @ rows, rows.T @ np.full(12, 30.0 * v), weight=w)
+        for v, w in ((-4.1, 0.25), (-3.9, 0.75))
+    )
     found = stiffness_mixture(spline, [low, high], -4.0, Draws(8, 20, 30))
     np.testing.assert_allclose(found.mean, -3.95, atol=0.01)
     assert np.sqrt(found.covariance[2, 2]) > 0.08
@@ -120,7 +126,7 @@ def test_one_step_among_even_pieces_is_found_and_the_rest_kept_even() -> None:
     truth = np.where(at > 0.5, 0.8, 0.0)
     rows = spline.basis(at) / 0.05
     seen = (truth + 0.05 * rng.standard_normal(len(at))) / 0.05
-    found = stiffness_mixture(spline, [Told(rows.T @ rows, rows.T @ seen)], 0.0, Draws(30, 40, 80))
+    found = stiffness_mixture(spline, [InformationForm(rows.T @ rows, rows.T @ seen)], 0.0, Draws(30, 40, 80))
     steps = np.abs(found.steps)
     assert np.sort(steps)[-3:].sum() > 0.6 * steps.sum()
     assert 5 <= int(np.argmax(steps)) <= 9

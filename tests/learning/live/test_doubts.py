@@ -12,7 +12,7 @@ from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.live import smoother
 from onebend.learning.live.doubts import FAILED, TOO_SOFT
-from onebend.learning.live.key_frame_posterior import Solution, solve
+from onebend.learning.live.key_frame_posterior import KeyFramePosterior, solve
 from onebend.learning.live.key_frames import KeyFrames
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
@@ -30,7 +30,7 @@ def test_a_failed_solution_is_said_as_long_as_it_lasts(monkeypatch: pytest.Monke
     before = learner.stiffness
     assert np.any(before.band(S).identified)
 
-    def fails(*_: object) -> Solution:
+    def fails(*_: object) -> KeyFramePosterior:
         raise np.linalg.LinAlgError("not positive definite")
 
     monkeypatch.setattr(smoother, "solve", fails)
@@ -72,7 +72,7 @@ def test_a_key_frame_that_the_estimate_cannot_carry_is_said_and_taken_up_again(m
     made = observed(SOFT, forces(24), noise=NOISE, seed=2)
     learner = OnlineLearner(made.length, MARKERS, 0.03, settings=FEW)
     assert shown(learner, made, range(24))[-1].doubts == ()
-    linear = learner._state._linear
+    linear = learner._state._lineariser
     really = linear.renew
 
     def without_third(keys: KeyFrames, chosen: list[int], point: Array) -> set[int]:

@@ -10,12 +10,12 @@ from scipy.linalg import block_diag
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline
-from onebend.learning.live.force_process import ForceProcess, Spans, covariance, fast_variance, with_one_more
-from onebend.learning.live.forward import Inputs, linearise
-from onebend.learning.live.key_frame_posterior import LiveScales, Start, gather, solve
+from onebend.learning.live.force_process import ForceProcess, TimeSpans, covariance, fast_variance, with_one_more
+from onebend.learning.live.forward import FrameInputs, linearise
+from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior, gather, solve
 from onebend.learning.live.key_frames import KeyFrames, empty
-from onebend.learning.live.marginalised import loosened, nothing_folded
-from onebend.learning.live.session import Setting, live_layout, place_at
+from onebend.learning.live.marginalised import nothing_marginalised, with_error_change
+from onebend.learning.live.session import LiveSession, push_grid_at, session_layout
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.parameters import Layout, Priors, clamp_sd
 from onebend.learning.model.spline import Spline
@@ -26,27 +26,27 @@ from tests.learning.streamed import PLAIN, tags_of
 
 
 def test_every_derivative_matches_differences() -> None:
-    at = live_layout(
+    layout = session_layout(
         Spline(7), 3, Priors(clock=0.02), placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=0.02
     )
-    setting = Setting(0.15, MARKERS, 0.02, at)
-    place = place_at(setting, 0.8)
+    session = LiveSession(0.15, MARKERS, 0.02, layout)
+    push_grid = push_grid_at(session, 0.8)
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
-    given = Inputs(
+    inputs = FrameInputs(
         force, np.array([[0.5, -1.0], [0.2, 2.0]]), np.array([[0.0, -3.0], [1.0, 0.0]]), np.array([1e-3, 0.0])
     )
-    x = 1e-3 * np.sin(np.arange(at.size))
+    x = 1e-3 * np.sin(np.arange(layout.size))
     x[:7] = np.log(0.03) + 0.3 * np.cos(np.arange(7))
-    exact = linearise(setting, place, x, given, None)
+    exact = linearise(session, push_grid, x, inputs, None)
     h = 1e-5
-    for i in range(at.size):
-        step = h * np.eye(at.size)[i]
-        ends = [linearise(setting, place, x + sign * step, given, exact.q).pose for sign in (1.0, -1.0)]
+    for i in range(layout.size):
+        step = h * np.eye(layout.size)[i]
+        ends = [linearise(session, push_grid, x + sign * step, inputs, exact.q).pose for sign in (1.0, -1.0)]
         difference = (ends[0] - ends[1]) / (2.0 * h)
         np.testing.assert_allclose(exact.j[..., i], difference, atol=1e-6 * max(1.0, float(np.max(abs(difference)))))
     for c in range(2):
         pushes = [force + sign * h * np.eye(2)[c] for sign in (1.0, -1.0)]
-        there = [linearise(setting, place, x, replace(given, force=f), exact.q) for f in pushes]
+        there = [linearise(session, push_grid, x, replace(inputs, force=f), exact.q) for f in pushes]
         np.testing.assert_allclose(exact.a[..., c], (there[0].pose - there[1].pose) / (2.0 * h), atol=1e-6)
         np.testing.assert_allclose(exact.by_force[..., c], (there[0].q - there[1].q) / (2.0 * h), atol=1e-4)
 
@@ -55,18 +55,18 @@ def test_covariance_of_averages_is_that_of_fine_samples() -> None:
     process = ForceProcess(level=0.02, walk=0.01, coloured=0.03, memory=0.4, white=0.05, load=0.04)
     begin, end, frames = np.array([1.0, 1.5, 3.0]), np.array([1.4, 2.5, 3.0]), np.array([9.0, 20.0, 1.0])
     own = np.array([0.0, 2.0, 2.5])
-    spans = Spans(begin, end, frames, np.zeros(3), own)
-    found = covariance(process, spans)
+    spans = TimeSpans(begin, end, frames, np.zeros(3), own)
+    solution = covariance(process, spans)
     samples = [b + (e - b) * (np.arange(2000) + 0.5) / 2000 for b, e in zip(begin, end, strict=True)]
     for i in range(3):
         for k in range(3):
             t, u = samples[i][:, None] - 1.0, samples[k][None] - 1.0
             kernel = 0.02**2 + 0.01**2 * np.minimum(t, u) + 0.03**2 * np.exp(-abs(t - u) / 0.4)
             kernel = kernel + 0.04**2 * (1.0 + np.exp(-abs(own[i] - own[k])))
-            assert found[i, k] == pytest.approx(np.mean(kernel) + (i == k) * 0.05**2 / frames[i], rel=1e-3)
-    first = Spans(*(v[:2] for v in (begin, end, frames, np.zeros(3), own)))
+            assert solution[i, k] == pytest.approx(np.mean(kernel) + (i == k) * 0.05**2 / frames[i], rel=1e-3)
+    first = TimeSpans(*(v[:2] for v in (begin, end, frames, np.zeros(3), own)))
     with_others, alone = with_one_more(process, first, 3.0, 2.5)
-    np.testing.assert_allclose([*with_others, alone], found[2], rtol=1e-9)
+    np.testing.assert_allclose([*with_others, alone], solution[2], rtol=1e-9)
 
 
 def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Array) -> Array:
@@ -76,7 +76,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     slow = max(level, noise) ** 2 + (0.3 * noise) ** 2 * np.minimum(t[:, None], t)
     fast = noise**2 * np.exp(-np.abs(t[:, None] - t) / settings.force_memory) + noise**2 * np.eye(count)
     half = np.linalg.inv(np.linalg.cholesky(slow + fast))
-    of_k, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
+    smoothness, p = np.linalg.cholesky(spline.precision(settings.roughness, settings.steps)).T, spline.count
     along, across, turn, clamp, origin = v[p : p + 3], v[p + 3 : p + 6], v[p + 6 : p + 9], v[p + 9], v[p + 10 : p + 12]
     farther, turned, error = v[p + 12], v[p + 13], v[p + 14 :].reshape(count, 2)
     beam = Beam(o.length, LogSpline(tuple(spline.knots), tuple(v[:p])), clamp_angle=float(clamp))
@@ -88,7 +88,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     log = ((o.force - error)[at_rest] / (0.05 * noise)).ravel()
     last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, PLACE_SD, DIRECTION_SD]
     sd = np.concatenate([np.full(6, 5e-4), np.full(3, TURN_SD), last])
-    return np.concatenate([tags, log, of_k @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
+    return np.concatenate([tags, log, smoothness @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
 
 
 def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
@@ -102,9 +102,9 @@ def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
     )
     learner = replay(made, 0.03, settings=PLAIN)
     learner.settle(60)
-    mean, found = learner.parameters
+    mean, solution = learner.parameters
     v = np.concatenate([mean, learner._state.solution.e.ravel()])
-    scale = np.concatenate([np.sqrt(np.diag(found)), np.full(2 * len(force), 0.01)])
+    scale = np.concatenate([np.sqrt(np.diag(solution)), np.full(2 * len(force), 0.01)])
     steps = 1e-4 * np.diag(scale)
     ends = [[textbook(made, PLAIN, at_rest, v + sign * step) for step in steps] for sign in (1.0, -1.0)]
     rows = (np.array(ends[0]) - np.array(ends[1])).T / 2e-4
@@ -112,13 +112,13 @@ def test_key_frames_that_hold_every_frame_give_the_textbook_posterior() -> None:
     assert np.max(np.abs(away)) < 0.01  # of a sd: a tag's way along the beam is a circle in the learner
     n = len(mean)
     spread = np.linalg.inv(rows.T @ rows)[:n, :n]
-    np.testing.assert_allclose(found / np.outer(scale[:n], scale[:n]), spread, atol=5e-3)
+    np.testing.assert_allclose(solution / np.outer(scale[:n], scale[:n]), spread, atol=5e-3)
 
 
-def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
+def linear_frames(seed: int, layout: Layout, count: int) -> KeyFrames:
     """Key frames of a model that is linear: random derivatives, data, information and a rest."""
     rng = np.random.default_rng(seed)
-    keys = empty(count, 2, at.size, 4)
+    keys = empty(count, 2, layout.size, 4)
     keys.used = count
     keys.begin[:count] = keys.end[:count] = np.cumsum(rng.uniform(0.1, 0.4, count))
     keys.frames[:] = 1.0
@@ -134,54 +134,62 @@ def linear_frames(seed: int, at: Layout, count: int) -> KeyFrames:
 
 def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_nothing() -> None:
     """Against generalised least squares with the force errors integrated out, to 1e-8."""
-    at = live_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True, mass=0.0)
-    keys, start = linear_frames(1, at, 7), Start(at, np.where(np.arange(at.size) < 6, 0.3, 0.0), None)
-    scales, process = LiveScales(1.3, 0.02, 0.03, 0.3, 0.02, 0.0), ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02)
-    of_k = start.of_k(at.spline.variances(2.0, 0.2))
-    never = nothing_folded(at.size)
-    found = solve(gather(keys, never), start, of_k, scales, process)
+    layout = session_layout(Spline(6), 2, Priors(), placement_sd=0.1, rest_unknown=False, calibrated=True, mass=0.0)
+    keys, prior = linear_frames(1, layout, 7), LivePrior(layout, np.where(np.arange(layout.size) < 6, 0.3, 0.0), None)
+    hyperparameters, process = (
+        LiveHyperparameters(1.3, 0.02, 0.03, 0.3, 0.02, 0.0),
+        ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02),
+    )
+    stiffness_prior = prior.stiffness_prior(layout.spline.variances(2.0, 0.2))
+    never = nothing_marginalised(layout.size)
+    solution = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, process)
     c = covariance(process, keys.spans(np.zeros(7)))
     root = np.repeat(np.sqrt(keys.weight[:7]), 3, axis=1)[..., None] / 1.3
     j, z = (root * keys.rows_j[:7]).reshape(42, -1), (root[..., 0] * keys.rows_z[:7]).ravel()
     a = np.zeros((7, 6, 7, 2))
     for i in range(7):
         a[i, :, i] = -(root * keys.rows_a[:7])[i]
-    rows = np.concatenate([np.hstack([j, a.reshape(42, 14)]), np.eye(2, at.size + 14, at.size) / (0.05 * 0.02)])
+    rows = np.concatenate([np.hstack([j, a.reshape(42, 14)]), np.eye(2, layout.size + 14, layout.size) / (0.05 * 0.02)])
     right = np.concatenate([z, keys.force[0] / (0.05 * 0.02)])
-    prior = np.zeros((at.size + 14,) * 2)
-    prior[: at.size, : at.size] = block_diag(of_k.information, np.diag(start.others))
-    prior[at.size :, at.size :] = np.kron(np.linalg.inv(c), np.eye(2))
-    dense = np.linalg.inv(rows.T @ rows + prior)
-    best = dense @ (rows.T @ right + prior[:, : at.size] @ start.mean)
-    np.testing.assert_allclose(found.x, best[: at.size], rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(found.e.ravel(), best[at.size :], rtol=1e-7, atol=1e-8)
-    np.testing.assert_allclose(found.covariance(), dense[: at.size, : at.size], rtol=1e-6, atol=1e-10)
+    precision = np.zeros((layout.size + 14,) * 2)
+    precision[: layout.size, : layout.size] = block_diag(stiffness_prior.matrix, np.diag(prior.nuisance_precision))
+    precision[layout.size :, layout.size :] = np.kron(np.linalg.inv(c), np.eye(2))
+    dense = np.linalg.inv(rows.T @ rows + precision)
+    best = dense @ (rows.T @ right + precision[:, : layout.size] @ prior.mean)
+    np.testing.assert_allclose(solution.x, best[: layout.size], rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(solution.e.ravel(), best[layout.size :], rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(solution.covariance(), dense[: layout.size, : layout.size], rtol=1e-6, atol=1e-10)
     # Where the force error is one level, a folded frame says what it said.
     level = ForceProcess(0.05, 0.0, 1e-9, 0.3, 1e-4)
-    whole = solve(gather(keys, never), start, of_k, scales, level)
-    never.add(keys.said(0, 1.3, 1e-4), float(keys.end[0]), 0.0, slow=0.0, fast=fast_variance(level, 0.0, 1.0))
+    whole = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
+    never.add(
+        keys.likelihood_rows(0, 1.3, 1e-4), float(keys.end[0]), 0.0, slow=0.0, fast=fast_variance(level, 0.0, 1.0)
+    )
     keys.drop(0)
-    folded = solve(gather(keys, never), start, of_k, scales, level)
+    folded = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
     np.testing.assert_allclose(folded.x, whole.x, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(folded.covariance(), whole.covariance(), rtol=1e-4, atol=1e-8)
 
 
 def test_folding_over_and_over_leaves_what_exact_frames_say() -> None:
     """600 folds: more frames say more, and the answer is the truth (in a quadratic both are lost by then)."""
-    rng, n, past = np.random.default_rng(0), 12, nothing_folded(12)
+    rng, n, marginalised = np.random.default_rng(0), 12, nothing_marginalised(12)
     x, before = rng.normal(size=n), np.full(n, np.inf)
     for i in range(600):
-        said = np.zeros((9, n + 3))
-        said[:, :n], said[:, n : n + 2] = 300.0 * rng.normal(size=(9, n)), 3e4 * rng.normal(size=(9, 2))
-        said[:, -1] = said[:, :n] @ x
-        past.add(said, 0.1 * i, 0.0, slow=2e-4, fast=1e-4)
+        rows = np.zeros((9, n + 3))
+        rows[:, :n], rows[:, n : n + 2] = (
+            300.0 * rng.normal(size=(9, n)),
+            3e4 * rng.normal(size=(9, 2)),
+        )
+        rows[:, -1] = rows[:, :n] @ x
+        marginalised.add(rows, 0.1 * i, 0.0, slow=2e-4, fast=1e-4)
         if i % 100 == 99:
-            root = np.linalg.inv(past.rows[:, :-1])[:n]
+            root = np.linalg.inv(marginalised.rows[:, :-1])[:n]
             sd = np.sqrt(np.sum(root**2, axis=1))
             assert np.all(sd < before)
             before = sd
-    found = np.linalg.solve(past.rows[:, :-1], past.rows[:, -1])
-    np.testing.assert_allclose(found, np.append(x, [0.0, 0.0]), atol=1e-11)
+    solution = np.linalg.solve(marginalised.rows[:, :-1], marginalised.rows[:, -1])
+    np.testing.assert_allclose(solution, np.append(x, [0.0, 0.0]), atol=1e-11)
 
 
 def test_an_error_that_is_integrated_out_says_what_the_inverse_does() -> None:
@@ -192,7 +200,7 @@ def test_an_error_that_is_integrated_out_says_what_the_inverse_does() -> None:
     spread = np.linalg.inv(information)
     mean = spread @ b
     spread[-2:, -2:] += 0.7 * np.eye(2)
-    out = loosened(rows, 0.7)
+    out = with_error_change(rows, 0.7)
     np.testing.assert_allclose(np.linalg.inv(out[:, :-1].T @ out[:, :-1]), spread, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(np.linalg.lstsq(out[:, :-1], out[:, -1], rcond=None)[0], mean, rtol=1e-9)
-    assert loosened(rows, 0.0) is rows
+    assert with_error_change(rows, 0.0) is rows

@@ -1,19 +1,25 @@
-"""Parts of the live learner against what the fit does: the load's own time, and the sizes in log k's prior."""
+"""Parts of the live learner against the fit: the load's own time, and the hyperparameters of log k's prior."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from onebend.learning.inference.stiffness_prior import Draws, Told, stiffness_mixture
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.stiffness_prior import Draws, stiffness_mixture
 from onebend.learning.live import smoother
-from onebend.learning.live.force_process import ForceProcess
-from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, solve
-from onebend.learning.live.linearised_frames import Linearizer
-from onebend.learning.live.live_stages import LoadStages
+from onebend.learning.live.force_process import ForceProcess, LoadStages
+from onebend.learning.live.key_frame_posterior import (
+    KeyFramePosterior,
+    KeyFrameSums,
+    LiveHyperparameters,
+    LivePrior,
+    solve,
+)
+from onebend.learning.live.linearised_frames import Lineariser
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
-from onebend.learning.live.stiffness_hyperparameters import OfK, Sizes
+from onebend.learning.live.stiffness_hyperparameters import StiffnessChains
 from onebend.learning.model.force_error import ANEW, RELEASED
 from onebend.learning.model.spline import Spline
 from onebend.recording.force.load_stages import load_changes
@@ -30,7 +36,7 @@ def test_the_loads_own_time_is_the_whole_recordings() -> None:
     time, loaded = np.arange(len(size)) / 30.0, size > 0.0
     stages, seen = LoadStages(0.15, 1), np.array([True])
     for t, d, on in zip(time, size, loaded, strict=True):
-        stages.see(float(t), np.array([[0.0, d]]), seen, bool(on))
+        stages.add_frame(float(t), np.array([[0.0, d]]), seen, bool(on))
     changes = load_changes(time, size, loaded)
     assert sum(one.release for one in changes) == 1
     whole = np.sum([(RELEASED if one.release else ANEW) * one.fraction(time) for one in changes], axis=0)
@@ -43,28 +49,28 @@ def test_what_a_load_did_long_ago_is_kept() -> None:
     stages, seen, own = LoadStages(0.15, 1), np.array([True]), 0.0
     for t in range(400):
         d = 0.04 * abs(np.sin(2.0 * np.pi * t / 40.0))
-        stages.see(t / 30.0, np.array([[0.0, d]]), seen, d > 0.002)
+        stages.add_frame(t / 30.0, np.array([[0.0, d]]), seen, d > 0.002)
         own += stages.forgotten(np.zeros(1))[1]
     assert own + stages.own(np.array([400 / 30.0]))[0] == pytest.approx(20 * ANEW * 2 + 20 * RELEASED, rel=0.05)
 
 
 def test_sizes_drawn_on_the_way_give_the_fits_log_k() -> None:
-    """Against `roughness.mixed`, whose chains are many."""
+    """Against `stiffness_mixture`, whose chains are many."""
     spline, rng = Spline(10), np.random.default_rng(3)
     truth = np.where(np.arange(10) < 5, 0.0, 0.4)
     rows = 15.0 * rng.normal(size=(12, 10))
-    told = OfK(rows.T @ rows, rows.T @ (rows @ truth + rng.normal(size=12)))
-    sizes = Sizes(spline, 0.0, 3.0, 0.1)
+    form = InformationForm(rows.T @ rows, rows.T @ (rows @ truth + rng.normal(size=12)))
+    chains = StiffnessChains(spline, 0.0, 3.0, 0.1)
     for _ in range(200):
-        sizes.step(told)
+        chains.step(form)
     means, sds = [], []
     for _ in range(20):
         for _ in range(5):
-            sizes.step(told)
-        mean, covariance, _ = sizes.mixed(told)
+            chains.step(form)
+        mean, covariance, _ = chains.mixed(form)
         means.append(mean)
         sds.append(np.sqrt(np.diag(covariance)))
-    batch = stiffness_mixture(spline, [Told(told.information, told.b)], 0.0, Draws(30, 60, 300))
+    batch = stiffness_mixture(spline, [form], 0.0, Draws(30, 60, 300))
     sd = np.sqrt(np.diag(batch.covariance))
     np.testing.assert_allclose(np.mean(means, axis=0), batch.mean, atol=0.2 * float(np.max(sd)))
     np.testing.assert_allclose(np.mean(sds, axis=0), sd, rtol=0.2)
@@ -75,13 +81,13 @@ def test_the_directions_that_are_told_of_are_all_that_is_told(rows: int) -> None
     """As many rows as the information has directions give it back, and its right side."""
     spline, rng = Spline(10), np.random.default_rng(rows)
     seen, level = 5.0 * rng.normal(size=(rows, 10)), -3.0
-    told = OfK(seen.T @ seen, seen.T @ rng.normal(size=rows))
-    data = Sizes(spline, level, 3.0, 0.1)._data(told)
-    assert len(data.seen) == min(max(rows, 1), 10)
+    form = InformationForm(seen.T @ seen, seen.T @ rng.normal(size=rows))
+    data = StiffnessChains(spline, level, 3.0, 0.1)._data(form)
+    assert len(data.values) == min(max(rows, 1), 10)
     parts = spline.parts
-    np.testing.assert_allclose(data.on_parts.T @ data.on_parts, parts.T @ told.information @ parts, atol=1e-9)
-    right = parts.T @ (told.b - told.information @ np.full(10, level))
-    np.testing.assert_allclose(data.on_parts.T @ data.seen, right, atol=1e-8)
+    np.testing.assert_allclose(data.on_parts.T @ data.on_parts, parts.T @ form.matrix @ parts, atol=1e-9)
+    right = parts.T @ (form.vector - form.matrix @ np.full(10, level))
+    np.testing.assert_allclose(data.on_parts.T @ data.values, right, atol=1e-8)
 
 
 def test_reading_changes_nothing() -> None:
@@ -99,18 +105,24 @@ def test_reading_changes_nothing() -> None:
 def test_no_frame_costs_much_more_than_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """At most one solution a frame; none where many key frames are linearised, and those are never more than ten."""
     counts = {"solved": 0, "linearised": 0}
-    renew = Linearizer.renew
+    renew = Lineariser.renew
 
-    def solved(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: ForceProcess) -> Solution:
+    def solved(
+        sums: KeyFrameSums,
+        prior: LivePrior,
+        stiffness_prior: InformationForm,
+        hyperparameters: LiveHyperparameters,
+        process: ForceProcess,
+    ) -> KeyFramePosterior:
         counts["solved"] += 1
-        return solve(sums, start, of_k, scales, process)
+        return solve(sums, prior, stiffness_prior, hyperparameters, process)
 
-    def renewed(self: Linearizer, keys: object, chosen: list[int], point: Array) -> set[int]:
+    def renewed(self: Lineariser, keys: object, chosen: list[int], point: Array) -> set[int]:
         counts["linearised"] = len(chosen)
         return renew(self, keys, chosen, point)  # type: ignore[arg-type]
 
     monkeypatch.setattr(smoother, "solve", solved)
-    monkeypatch.setattr(Linearizer, "renew", renewed)
+    monkeypatch.setattr(Lineariser, "renew", renewed)
     made = observed(SOFT, forces(100), noise=NOISE, seed=2)
     learner = OnlineLearner(made.length, MARKERS, 0.06, settings=OnlineSettings(functions=8))
     many = []

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.live.session import live_layout
+from onebend.learning.live.session import session_layout
 from onebend.learning.model.parameters import Block, Priors, clamp_sd, make_layout
 from onebend.learning.model.rest import at_rest
 from onebend.learning.model.spline import Spline
@@ -134,7 +134,7 @@ def test_the_live_learner_has_what_is_stated() -> None:
     for name in NAMES:
         held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))
         for settings, wide in ((held, False), (free, True)):
-            at = live_layout(
+            at = session_layout(
                 SPLINE, 3, settings.priors, placement_sd=5e-4, rest_unknown=settings.rest_unknown,
                 calibrated=settings.calibrated, mass=0.0,
             )  # fmt: skip

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.live.forward import Inputs, Linear, linearise
-from onebend.learning.live.session import Setting, live_layout, place_at
+from onebend.learning.live.forward import FrameInputs, LinearisedTags, linearise
+from onebend.learning.live.session import LiveSession, push_grid_at, session_layout
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.parameters import Layout, Priors, make_layout
@@ -64,18 +64,18 @@ class Point:
         )
         self.fit_data = fit_data(made, 0, frames, SPLINE)
         self.fit_layout = make_layout(SPLINE, [made], [self.fit_data.error_weights.shape[1]], FREE)
-        self.live_layout = live_layout(
+        self.session_layout = session_layout(
             SPLINE, 3, FREE, placement_sd=5e-4, rest_unknown=True, calibrated=False, mass=MASS
         )
         rng = np.random.default_rng(0)
         sizes = {"stiffness": 0.3, "curvature": 0.1, "mass": 0.1, "across": 1e-3, "turn": 0.02, "along": 0.0}
         self.values = {
-            name: sizes.get(name, 5e-3) * rng.standard_normal(len(self.live_layout.index[name, -1].labels))
+            name: sizes.get(name, 5e-3) * rng.standard_normal(len(self.session_layout.index[name, -1].labels))
             for name in BLOCKS
         }
         self.values["stiffness"] += np.log(0.03)
-        self.session = Setting(0.15, TAGS, MASS, self.live_layout)
-        self.grid = place_at(self.session, PUSH_S)
+        self.session = LiveSession(0.15, TAGS, MASS, self.session_layout)
+        self.grid = push_grid_at(self.session, PUSH_S)
 
     def at(self, where: Layout, recording: int, **changed: Array) -> Array:
         """(n,) parameters of one of the layouts."""
@@ -87,10 +87,10 @@ class Point:
     def fit(self, **changed: Array) -> Prediction:
         return predict(self.fit_data, self.fit_layout, self.at(self.fit_layout, 0, **changed), None)
 
-    def live(self, **changed: Array) -> Linear:
+    def live(self, **changed: Array) -> LinearisedTags:
         data = self.fit_data
-        inputs = Inputs(data.force, data.rate, data.observations.gravity, np.zeros(8))
-        return linearise(self.session, self.grid, self.at(self.live_layout, -1, **changed), inputs, None)
+        inputs = FrameInputs(data.force, data.rate, data.observations.gravity, np.zeros(8))
+        return linearise(self.session, self.grid, self.at(self.session_layout, -1, **changed), inputs, None)
 
 
 def _block(where: Layout, name: str, recording: int) -> slice:
@@ -112,7 +112,7 @@ def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:
     np.testing.assert_allclose(live.pose, fit.pose, atol=1e-12)
     for name in BLOCKS:
         ours = fit.slopes.written[..., _block(point.fit_layout, name, 0)]
-        theirs = live.j[..., _block(point.live_layout, name, -1)]
+        theirs = live.j[..., _block(point.session_layout, name, -1)]
         size = np.max(np.abs(ours), axis=(0, 1, 2))
         assert np.all(size > 0.0), name
         np.testing.assert_array_less(np.max(np.abs(theirs - ours), axis=(0, 1, 2)), 1e-8 * size, err_msg=name)
@@ -123,7 +123,7 @@ def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:
 @pytest.mark.parametrize("name", BLOCKS)
 def test_both_jacobians_are_those_of_central_differences(point: Point, name: str) -> None:
     fit = point.fit().slopes.written[..., _block(point.fit_layout, name, 0)]
-    live = point.live().j[..., _block(point.live_layout, name, -1)]
+    live = point.live().j[..., _block(point.session_layout, name, -1)]
     h = 1e-5
     for i, value in enumerate(np.eye(fit.shape[-1])):
         ends = [{name: point.values[name] + sign * h * value} for sign in (1.0, -1.0)]

@@ -16,9 +16,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
+from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.inference.linear_gaussian import (
     LinearPosterior,
-    Quadratic,
     ResidualRows,
     force_shrinkage,
     marginal,
@@ -28,7 +28,6 @@ from onebend.learning.inference.linear_gaussian import (
 from onebend.learning.inference.stiffness_prior import (
     Draws,
     StiffnessMixture,
-    Told,
     mean_part_variances,
     stiffness_mixture,
 )
@@ -59,14 +58,14 @@ class Evidence:
     """The marginal likelihood of the linearised model as a function of the hyperparameters."""
 
     problem: FitProblem
-    data: Quadratic  # of tags and rests
+    data: InformationForm  # of tags and rests
 
-    def told(self, hyperparameters: Hyperparameters, weight: float = 1.0) -> Told:
+    def stiffness_form(self, hyperparameters: Hyperparameters, weight: float = 1.0) -> InformationForm:
         """What is known of log k beside its prior, all else integrated out."""
         layout, before = self.problem.layout, prior(self.problem, hyperparameters)
         p = layout.spline.count
         log_k = marginal(self.data, before, np.arange(p), np.arange(p, layout.size))
-        return Told(log_k.information + layout.differences.T @ layout.differences, log_k.b, weight)
+        return InformationForm(log_k.matrix + layout.differences.T @ layout.differences, log_k.vector, weight=weight)
 
     def posterior(self, hyperparameters: Hyperparameters) -> LinearPosterior:
         """Of all parameters, at these hyperparameters."""
@@ -121,9 +120,9 @@ class Evidence:
         others = np.setdiff1d(np.arange(problem.layout.size), mine)
         before = prior(problem, hyperparameters)
         errors, mean = marginal(self.data, before, mine, others), before.mean[mine]
-        right = errors.b - errors.information @ mean
-        constant = 0.5 * (errors.c - (errors.b + right) @ mean) + errors.log_noise
-        return axes, errors.information, right, float(constant)
+        right = errors.vector - errors.matrix @ mean
+        constant = 0.5 * (errors.constant - (errors.vector + right) @ mean) + errors.log_noise
+        return axes, errors.matrix, right, float(constant)
 
     def place(self, hyperparameters: Hyperparameters) -> Array:
         """(4,) sd of the force error's sizes from what was expected."""
@@ -141,7 +140,9 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
     spline = problem.layout.spline
-    variances, chains = mean_part_variances(spline, evidence.told(chosen), problem.level, _ON_THE_WAY, start.chains)
+    variances, chains = mean_part_variances(
+        spline, evidence.stiffness_form(chosen), problem.level, _ON_THE_WAY, start.chains
+    )
     return replace(chosen, part_variances=variances, chains=chains)
 
 
@@ -153,9 +154,9 @@ def averaged_posterior(evidence: Evidence, hyperparameters: Hyperparameters) -> 
     for weight, node in zip(weights, nodes, strict=True):
         posterior = evidence.posterior(node)
         covariance += weight * (posterior.covariance + np.outer(posterior.mean - best, posterior.mean - best))
-    told = [evidence.told(node, weight) for weight, node in zip(weights, nodes, strict=True)]
+    forms = [evidence.stiffness_form(node, weight) for weight, node in zip(weights, nodes, strict=True)]
     spline = problem.layout.spline
-    stiffness = stiffness_mixture(spline, told, problem.level, _AT_THE_END, hyperparameters.chains)
+    stiffness = stiffness_mixture(spline, forms, problem.level, _AT_THE_END, hyperparameters.chains)
     p = spline.count
     regression = np.linalg.solve(covariance[:p, :p], covariance[:p]).T  # of all parameters on those of log k
     covariance = covariance + regression @ (stiffness.covariance - covariance[:p, :p]) @ regression.T

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
+from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, IntArray
@@ -51,16 +52,6 @@ class ResidualRows:
     def by_force(self, r: Array) -> Array:
         """(F, 2) `A' r` of residuals (F, R)."""
         return np.asarray(np.einsum("frd,fr->fd", self.a, r))
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """A log likelihood to second order: `-2 log p = x' H x - 2 b' x + c`."""
-
-    information: Array  # (P, P)
-    b: Array  # (P,)
-    c: float
-    log_noise: float  # sum of the logs of the noise's sd: the rest of -log p
 
 
 def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
@@ -108,7 +99,9 @@ def misfit(rows: ResidualRows, r: Array, noise: RecordingNoise) -> float:
     return float(np.sum(r * unexplained)) / noise.marker**2
 
 
-def tag_information(rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise) -> Quadratic:
+def tag_information(
+    rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise
+) -> InformationForm:
     """Log likelihood of one recording's tags at given noise, all but the frames' own forces as parameters.
 
     The slow error of the log moves a frame's tags as the frame's own force does, so the information on its knots
@@ -137,10 +130,10 @@ def tag_information(rows: ResidualRows, layout: Layout, number: int, x: Array, n
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
     information, right = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
     information[np.ix_(mine, mine)], right[mine] = inside, b
-    return Quadratic(information, right, float(c), log_noise)
+    return InformationForm(information, right, float(c), log_noise)
 
 
-def rest_information(problem: FitProblem) -> Quadratic:
+def rest_information(problem: FitProblem) -> InformationForm:
     """Log likelihood of the force logs in the rests, where the true force is zero and the log is its own error."""
     size = problem.layout.size
     information, b, c, log_noise = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
@@ -154,26 +147,16 @@ def rest_information(problem: FitProblem) -> Quadratic:
         b[block.where] = weights.T @ values.ravel() / sd
         c += float(np.sum(values**2)) / sd**2
         log_noise += values.size * float(np.log(sd))
-    return Quadratic(information, b, c, log_noise)
+    return InformationForm(information, b, c, log_noise)
 
 
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
-) -> Quadratic:
+) -> InformationForm:
     """Log likelihood of all tags and all rests."""
     every = zip(problem.recordings, rows, hyperparameters.noise, strict=True)
     tags = [tag_information(r, problem.layout, recording.number, x, noise) for recording, r, noise in every]
     return total([*tags, rest_information(problem)])
-
-
-def total(parts: Sequence[Quadratic]) -> Quadratic:
-    """The log likelihood of independent data together."""
-    return Quadratic(
-        np.sum([p.information for p in parts], axis=0),
-        np.sum([p.b for p in parts], axis=0),
-        sum(p.c for p in parts),
-        sum(p.log_noise for p in parts),
-    )
 
 
 def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:
@@ -196,28 +179,28 @@ class LinearPosterior:
         return np.asarray(self.root.T @ self.root)
 
 
-def posterior_of(data: Quadratic, before: Prior) -> LinearPosterior:
+def posterior_of(data: InformationForm, before: Prior) -> LinearPosterior:
     """Data and prior together: with `x = m + L z`, z has the precision `I + L' H L = G G'`."""
-    factor = whitened_factor(data.information, before.root)
-    white = _solved(factor, before.root.T @ (data.b - data.information @ before.mean))
+    factor = whitened_factor(data.matrix, before.root)
+    white = _solved(factor, before.root.T @ (data.vector - data.matrix @ before.mean))
     root = _solved(factor, before.root.T)
-    misfit = data.c - 2.0 * data.b @ before.mean + before.mean @ data.information @ before.mean - white @ white
+    misfit = data.constant - 2.0 * data.vector @ before.mean + before.mean @ data.matrix @ before.mean - white @ white
     log_det = 2.0 * float(np.sum(np.log(np.diag(factor))))
     return LinearPosterior(before.mean + root.T @ white, root, float(-0.5 * (log_det + misfit) - data.log_noise))
 
 
-def marginal(data: Quadratic, before: Prior, kept: IntArray, others: IntArray) -> Quadratic:
+def marginal(data: InformationForm, before: Prior, kept: IntArray, others: IntArray) -> InformationForm:
     """What the data say of the `kept` parameters, the `others` integrated out under their prior (independent of that of
     the kept); its noise term includes the volume of the others."""
     mean, root = before.mean[others], before.root[np.ix_(others, others)]
-    information = data.information[np.ix_(others, others)]
+    information = data.matrix[np.ix_(others, others)]
     factor = whitened_factor(information, root)
-    cross = _solved(factor, root.T @ data.information[np.ix_(others, kept)])
-    white = _solved(factor, root.T @ (data.b[others] - information @ mean))
-    return Quadratic(
-        information=data.information[np.ix_(kept, kept)] - cross.T @ cross,
-        b=data.b[kept] - data.information[np.ix_(kept, others)] @ mean - cross.T @ white,
-        c=float(data.c - 2.0 * data.b[others] @ mean + mean @ information @ mean - white @ white),
+    cross = _solved(factor, root.T @ data.matrix[np.ix_(others, kept)])
+    white = _solved(factor, root.T @ (data.vector[others] - information @ mean))
+    return InformationForm(
+        matrix=data.matrix[np.ix_(kept, kept)] - cross.T @ cross,
+        vector=data.vector[kept] - data.matrix[np.ix_(kept, others)] @ mean - cross.T @ white,
+        constant=float(data.constant - 2.0 * data.vector[others] @ mean + mean @ information @ mean - white @ white),
         log_noise=data.log_noise + float(np.sum(np.log(np.diag(factor)))),
     )
 

@@ -16,8 +16,8 @@ from onebend.learning.inference.hyperparameters import (
     choose_hyperparameters,
     new_noise,
 )
+from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.inference.linear_gaussian import (
-    Quadratic,
     ResidualRows,
     data_information,
     posterior_of,
@@ -26,7 +26,6 @@ from onebend.learning.inference.linear_gaussian import (
     rest_information,
     split_off_force,
     tag_information,
-    total,
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
@@ -179,7 +178,7 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
     data = total([*tags, rest_information(problem)])
     covariance = posterior_of(data, prior(problem, hyperparameters)).covariance
-    spent = [float(np.sum(covariance * one.information)) for one in tags]  # parameters that each recording settled
+    spent = [float(np.sum(covariance * one.matrix)) for one in tags]  # parameters that each recording settled
     noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
     hyperparameters = replace(hyperparameters, noise=noise)
     data = data_information(problem, rows, estimate.x, hyperparameters)
@@ -201,9 +200,9 @@ def _descend(
     for _ in range(most_steps):
         rows = _rows(estimate)
         data = data_information(problem, rows, estimate.x, estimate.hyperparameters)
-        hessian = before.root.T @ data.information @ before.root + identity  # of z, see `Prior`
-        slope = before.root.T @ (data.b - data.information @ estimate.x) - before.whiten(estimate.x)
-        diagonal = np.diag(data.information) + before.precisions  # damped in the parameters' own units (Marquardt)
+        hessian = before.root.T @ data.matrix @ before.root + identity  # of z, see `Prior`
+        slope = before.root.T @ (data.vector - data.matrix @ estimate.x) - before.whiten(estimate.x)
+        diagonal = np.diag(data.matrix) + before.precisions  # damped in the parameters' own units (Marquardt)
         damped, cost = (before.root.T * diagonal) @ before.root, _cost(before, rests, rows, estimate)
         estimate = replace(estimate, steps=estimate.steps + 1)
         while True:
@@ -228,7 +227,7 @@ def _descend(
     return replace(estimate, converged=False)
 
 
-def _cost(before: Prior, rests: Quadratic, rows: Sequence[ResidualRows], estimate: MapEstimate) -> float:
+def _cost(before: Prior, rests: InformationForm, rows: Sequence[ResidualRows], estimate: MapEstimate) -> float:
     """Minus twice the log posterior at the weights of some rows, but for a constant; infinite without equilibrium."""
     if not _all_converged(estimate.predictions):
         return np.inf
@@ -236,7 +235,7 @@ def _cost(before: Prior, rests: Quadratic, rows: Sequence[ResidualRows], estimat
     every = zip(rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
     tags = sum(_misfit(r.root_weight * residuals(p), p.own, noise) for r, p, noise in every)
     z = before.whiten(x)
-    return float(tags + z @ z + x @ rests.information @ x - 2.0 * rests.b @ x)
+    return float(tags + z @ z + x @ rests.matrix @ x - 2.0 * rests.vector @ x)
 
 
 def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:

@@ -19,25 +19,17 @@ from scipy.linalg.lapack import dpotrs, dtrtrs
 from scipy.special import ndtri
 
 from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
+from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.model.spline import Spline
 from onebend.records import Array
 
 TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per unit of s
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
-_TOLD = 1e-4  # information of a direction of log k below which nothing is told of it
+_LEAST_INFORMATION = 1e-4  # information of a direction of log k below which nothing is told of it
 STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
 WIDE_SHARE = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
-
-
-@dataclass(frozen=True)
-class Told:
-    """What is known of log k's coefficients beside their prior: `-2 log p = c' H c - 2 b' c`."""
-
-    information: Array  # (p, p)
-    b: Array  # (p,)
-    weight: float = 1.0  # of this among others, their sum being one
 
 
 @dataclass(frozen=True)
@@ -84,22 +76,22 @@ def drawn_sizes(spline: Spline, logs: Array, local: Array, rng: np.random.Genera
 class _Target:
     """The density that the chains draw from."""
 
-    def __init__(self, spline: Spline, told: Sequence[Told], level: float, each: int) -> None:
+    def __init__(self, spline: Spline, forms: Sequence[InformationForm], level: float, each: int) -> None:
         self.spline, self.weights = spline, spline.parts
         rows, seen = [], []
-        for one in told:
-            e, u = np.linalg.eigh(one.information)
-            root = np.sqrt(np.maximum(e, _TOLD))
+        for form in forms:
+            e, u = np.linalg.eigh(form.matrix)
+            root = np.sqrt(np.maximum(e, _LEAST_INFORMATION))
             rows.append(root[:, None] * u.T)
-            seen.append((u.T @ one.b) / root - rows[-1] @ np.full(spline.count, level))
-        kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.information) > _TOLD for t in told], axis=1))), 1)
+            seen.append((u.T @ form.vector) / root - rows[-1] @ np.full(spline.count, level))
+        kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.matrix) > _LEAST_INFORMATION for t in forms], axis=1))), 1)
         self.seen = np.repeat(np.stack(seen)[:, -kept:], each, axis=0)  # (B, r)
         self.on_parts = np.repeat(np.stack(rows)[:, -kept:], each, axis=0) @ self.weights  # (B, r, n)
         line, smooth, local = np.split(self.on_parts, [2, spline.count], axis=-1)
         self.line = (line * spline.variances(TAU, RHO)[:2]) @ np.swapaxes(line, 1, 2) + np.eye(kept)
         self.smooth = smooth @ np.swapaxes(smooth, 1, 2)
         self.on_local = np.ascontiguousarray(local)
-        self.share = np.repeat([t.weight for t in told], each) / each
+        self.share = np.repeat([t.weight for t in forms], each) / each
         self.local = slice(spline.count, self.weights.shape[1])  # steps and bumps
 
     def at(self, logs: Array, own: Array) -> _Chains:
@@ -152,21 +144,21 @@ class Draws:
 
 
 def mean_part_variances(
-    spline: Spline, told: Told, level: float, draws: Draws, start: Array | None = None
+    spline: Spline, form: InformationForm, level: float, draws: Draws, start: Array | None = None
 ) -> tuple[Array, Array]:
     """(n,) mean variances of the parts of log k, and (B, 2 p + 1) where the chains stand.
 
     A sharp joint is found late by chains that begin anywhere; they begin where others ended (`start`) if given.
     """
-    chains = list(_drawn_chains(_Target(spline, [told], level, draws.chains), draws, start))
+    chains = list(_drawn_chains(_Target(spline, [form], level, draws.chains), draws, start))
     return np.mean([one.variance.mean(axis=0) for one in chains], axis=0), chains[-1].stand
 
 
 def stiffness_mixture(
-    spline: Spline, told: Sequence[Told], level: float, draws: Draws, start: Array | None = None
+    spline: Spline, forms: Sequence[InformationForm], level: float, draws: Draws, start: Array | None = None
 ) -> StiffnessMixture:
     """What is known of log k around `level`; `start` as for `mean_part_variances`."""
-    target, p = _Target(spline, told, level, draws.chains), spline.count
+    target, p = _Target(spline, forms, level, draws.chains), spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
     basis = spline.basis(SHAPE_PLACES)  # (S, p)

@@ -1,1 +1,1 @@
-"""k(s) while the beam is being pushed: the posterior, renewed with every frame."""
+"""The live learner: k(s) while the beam is being pushed, updated with every frame."""

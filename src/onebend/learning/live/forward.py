@@ -1,4 +1,4 @@
-"""Tags of a few frames at given parameters, with derivatives: the model of the live learner."""
+"""Poses of the tags in a few frames at given parameters, with derivatives: the model of the live learner."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
 from onebend.beam.statics.perturbation import Perturbation, minus_gradient
 from onebend.beam.statics.problem import Problem
-from onebend.learning.live.session import Place, Setting
+from onebend.learning.live.session import LiveSession, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
@@ -24,13 +24,13 @@ from onebend.learning.model.tag_jacobian import (
 )
 from onebend.records import Array, BoolArray
 
-_MOST = 8  # Newton iterations before the search from rest
+_NEWTON_ITERATIONS = 8  # at most, before the shape is sought from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
 _TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
 
 
 @dataclass(frozen=True)
-class Inputs:
+class FrameInputs:
     """What acts on the beam in B frames."""
 
     force: Array  # (B, 2) N, corrected
@@ -40,7 +40,7 @@ class Inputs:
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearisedTags:
     """Tags' poses and their derivatives in B frames."""
 
     converged: BoolArray  # (B,)
@@ -52,7 +52,7 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class _Load:
+class _LoadedBeam:
     """The beam and what acts on it in B frames, on the grid of a place."""
 
     length: float  # m
@@ -67,57 +67,60 @@ class _Load:
     pull: Array  # (2, B, Q) N m: that times the length and the nodes' weights
 
 
-def linearise(setting: Setting, place: Place, x: Array, given: Inputs, start: Array | None) -> Linear:
+def linearise(
+    session: LiveSession, push_grid: PushGrid, x: Array, inputs: FrameInputs, start: Array | None
+) -> LinearisedTags:
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any.
 
-    Tags are fewer than parameters: the tangent is solved for the former (adjoint), and for the force.
+    The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
+    for the force.
     """
-    at, m = setting.at, len(setting.marker_s)
-    axes = _axes(at, x)
-    force = (given.force + given.rate * at.get(x, "clock")) @ axes.T
-    load = _load(setting, place, x, force, given)
-    q, converged, factors = _shapes(place, load, start)
-    bent = _bent(place, load, q, converged)
+    layout, m = session.layout, len(session.marker_s)
+    axes = _axes(layout, x)
+    force = (inputs.force + inputs.rate * layout.get(x, "clock")) @ axes.T
+    loaded = _loaded_beam(session, push_grid, x, force, inputs)
+    q, converged, factors = _shapes(push_grid, loaded, start)
+    bent = _bent(push_grid, loaded, q, converged)
     columns = response_columns(balance_changes(bent))
     right = minus_gradient(bent.solved, columns.changes)
-    pose, by_shape, of_tags = _tags(setting, place, x, q)
+    pose, by_shape, partials = _tags(session, push_grid, x, q)
     push = right[..., columns.slices["push"]].swapaxes(1, 2)
     both = np.empty((len(q), 3 * m + 2, q.shape[1]))
     both[:, : 3 * m], both[:, 3 * m :] = by_shape.reshape(len(q), 3 * m, -1), push
-    for one, factor in zip(both, factors, strict=True):
-        one[:] = dpotrs(factor, one.T, lower=1, overwrite_b=1)[0].T
+    for rows, factor in zip(both, factors, strict=True):
+        rows[:] = dpotrs(factor, rows.T, lower=1, overwrite_b=1)[0].T
     response = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
-    response[..., columns.slices["clamp"].start] += of_tags.clamp
-    blocks, j = columns.split(response), np.zeros((len(q), m, 3, at.size))
-    put_blocks(j, setting.columns, blocks | push_blocks(blocks["push"], force, axes, given.rate))
-    put_tags(j, setting.columns, of_tags.motion)
-    return Linear(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, blocks["push"] @ axes)
+    response[..., columns.slices["clamp"].start] += partials.clamp
+    blocks, j = columns.split(response), np.zeros((len(q), m, 3, layout.size))
+    put_blocks(j, session.columns, blocks | push_blocks(blocks["push"], force, axes, inputs.rate))
+    put_tags(j, session.columns, partials.motion)
+    return LinearisedTags(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, blocks["push"] @ axes)
 
 
 @dataclass(frozen=True)
-class _OfTags:
-    """How tags move with what holds them, the shape staying as it is."""
+class _TagPartials:
+    """Derivatives of the tags' poses at a fixed curvature."""
 
     clamp: Array  # (B, m, 3) with the clamp's angle
     motion: TagMotion
 
 
-def _tags(setting: Setting, place: Place, x: Array, q: Array) -> tuple[Array, Array, _OfTags]:
+def _tags(session: LiveSession, push_grid: PushGrid, x: Array, q: Array) -> tuple[Array, Array, _TagPartials]:
     """Poses (B, m, 3) of the tags on shapes q (B, Q), and their derivatives (B, m, 3, Q) with the curvature."""
-    at, m = setting.at, len(setting.marker_s)
-    cos, sin = _directions(place, float(at.get(x, "clamp")[0]), q)
-    ways = np.concatenate([cos[:, None] * place.steps, sin[:, None] * place.steps], axis=1)  # (B, 2 m, Q)
+    layout, m = session.layout, len(session.marker_s)
+    cos, sin = _directions(push_grid, float(layout.get(x, "clamp")[0]), q)
+    ways = np.concatenate([cos[:, None] * push_grid.steps, sin[:, None] * push_grid.steps], axis=1)  # (B, 2 m, Q)
     xy = ways.sum(axis=2).reshape(-1, 2, m).swapaxes(0, 1)
-    moves, out = ways @ place.to_nodes, q @ place.reach.T
-    angle, curved = float(at.get(x, "clamp")[0]) + out[:, :m], out[:, m:]
-    along, across = at.get(x, "along"), at.get(x, "across")
+    moves, out = ways @ push_grid.to_nodes, q @ push_grid.reach.T
+    angle, curved = float(layout.get(x, "clamp")[0]) + out[:, :m], out[:, m:]
+    along, across = layout.get(x, "along"), layout.get(x, "across")
     half = 0.5 * along * curved
     way, angle = angle + half, angle + 2.0 * half  # a circle to where the tag sits
     u, v = np.array([np.cos(way), np.sin(way)]), np.array([-np.sin(angle), np.cos(angle)])  # (2, B, m)
-    scale = 1.0 + float(at.get(x, "scale")[0])
+    scale = 1.0 + float(layout.get(x, "scale")[0])
     xy = xy + along * u + across * v
-    turn = place.reach[:m] + along[:, None] * place.reach[m:]
-    half_turn, ahead, aside = 0.5 * (place.reach[:m] + turn), along * u, across * v
+    turn = push_grid.reach[:m] + along[:, None] * push_grid.reach[m:]
+    half_turn, ahead, aside = 0.5 * (push_grid.reach[:m] + turn), along * u, across * v
     by_shape = np.empty((len(q), m, 3, q.shape[1]))
     by_shape[:, :, 0] = -moves[:, m:] - ahead[1][..., None] * half_turn - aside[1][..., None] * turn
     by_shape[:, :, 1] = moves[:, :m] + ahead[0][..., None] * half_turn + aside[0][..., None] * turn
@@ -126,28 +129,28 @@ def _tags(setting: Setting, place: Place, x: Array, q: Array) -> tuple[Array, Ar
         by_shape[:, :, :2] *= scale
     clamp, pose = np.ones((len(q), m, 3)), np.empty((len(q), m, 3))
     clamp[..., 0], clamp[..., 1] = -scale * xy[1], scale * xy[0]
-    origin = at.get(x, "origin")
+    origin = layout.get(x, "origin")
     pose[..., 0], pose[..., 1] = scale * xy[0] + origin[0], scale * xy[1] + origin[1]
-    pose[..., 2] = angle + at.get(x, "turn")
+    pose[..., 2] = angle + layout.get(x, "turn")
     stride = scale * (u + half * np.array([-u[1], u[0]]) - (across * curved) * np.array([v[1], -v[0]]))
     motion = TagMotion(stride.transpose(1, 2, 0), curved, (scale * v).transpose(1, 2, 0), xy.transpose(1, 2, 0))
-    return pose, by_shape, _OfTags(clamp, motion)
+    return pose, by_shape, _TagPartials(clamp, motion)
 
 
-def _shapes(place: Place, load: _Load, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
+def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
     """Equilibria (B, Q), which of them were found, and the Cholesky factors of their tangents.
 
     Newton from `start`, its last tangent being good enough for derivatives; where it strays from a stable shape nearby,
     or without a start, the shapes are sought from rest.
     """
     if start is not None:
-        q, moved, b = start.copy(), 0.0, place.to_nodes.T
+        q, moved, b = start.copy(), 0.0, push_grid.to_nodes.T
         update, factors = np.empty_like(q), list[Array]([q]) * len(q)
-        for _ in range(_MOST):
-            unbalanced, matrices = _balance(load, place, q)
+        for _ in range(_NEWTON_ITERATIONS):
+            unbalanced, matrices = _balance(loaded, push_grid, q)
             info = 0
-            for i, one in enumerate(matrices):
-                factors[i], update[i], wrong = dposv(one, unbalanced[i], lower=1)
+            for i, matrix in enumerate(matrices):
+                factors[i], update[i], wrong = dposv(matrix, unbalanced[i], lower=1)
                 info |= wrong
             if info:
                 break
@@ -158,58 +161,58 @@ def _shapes(place: Place, load: _Load, start: Array | None) -> tuple[Array, Bool
                 return q, np.ones(len(q), dtype=bool), factors
             if not moved < _TRUST:
                 break
-    problem = _problem(place, load)
-    found = follow(problem)
-    good, factors = found.converged & found.stable, []
-    for i, one in enumerate(tangent(problem, found.q)):
-        factor, wrong = dpotrf(one, lower=1)
-        factors.append(factor if wrong == 0 else np.eye(len(one)))
+    problem = _problem(push_grid, loaded)
+    from_rest = follow(problem)
+    good, factors = from_rest.converged & from_rest.stable, []
+    for i, matrix in enumerate(tangent(problem, from_rest.q)):
+        factor, wrong = dpotrf(matrix, lower=1)
+        factors.append(factor if wrong == 0 else np.eye(len(matrix)))
         good[i] &= wrong == 0
-    return found.q, good, factors
+    return from_rest.q, good, factors
 
 
-def _balance(load: _Load, place: Place, q: Array) -> tuple[Array, Array]:
+def _balance(loaded: _LoadedBeam, push_grid: PushGrid, q: Array) -> tuple[Array, Array]:
     """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
-    cos, sin = _directions(place, load.alpha0, q)
-    x, y = load.pull
-    matrices = (x * cos + y * sin) @ place.squares
-    matrices[:, :: q.shape[1] + 1] += load.stiff
-    return load.stiff * (q - load.q0) - (y * cos - x * sin) @ place.to_nodes, matrices.reshape(*q.shape, -1)
+    cos, sin = _directions(push_grid, loaded.alpha0, q)
+    x, y = loaded.pull
+    matrices = (x * cos + y * sin) @ push_grid.squares
+    matrices[:, :: q.shape[1] + 1] += loaded.stiff
+    return loaded.stiff * (q - loaded.q0) - (y * cos - x * sin) @ push_grid.to_nodes, matrices.reshape(*q.shape, -1)
 
 
-def _load(setting: Setting, place: Place, x: Array, force: Array, given: Inputs) -> _Load:
-    at = setting.at
-    pushed = place.beyond + (float(at.get(x, "place")[0]) + given.farther)[:, None] * place.farther
+def _loaded_beam(session: LiveSession, push_grid: PushGrid, x: Array, force: Array, inputs: FrameInputs) -> _LoadedBeam:
+    layout = session.layout
+    pushed = push_grid.beyond + (float(layout.get(x, "place")[0]) + inputs.farther)[:, None] * push_grid.farther
     dead = pushed * force.T[..., None]
-    if setting.mass > 0.0:
-        mass = place.mass_beyond[:, 0] + place.mass_beyond @ at.get(x, "mass")
-        dead += mass * given.gravity.T[..., None]
-    return _Load(
-        setting.length,
-        place.weights * np.exp(place.on_nodes @ at.get(x, "stiffness")),
-        place.rest_on_nodes @ at.get(x, "curvature"),
-        float(at.get(x, "clamp")[0]),
+    if session.mass > 0.0:
+        mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
+        dead += mass * inputs.gravity.T[..., None]
+    return _LoadedBeam(
+        session.length,
+        push_grid.weights * np.exp(push_grid.on_nodes @ layout.get(x, "stiffness")),
+        push_grid.rest_on_nodes @ layout.get(x, "curvature"),
+        float(layout.get(x, "clamp")[0]),
         force,
         pushed,
-        given.gravity,
-        place.mass_beyond if setting.weighs else place.mass_beyond[:, :0],
+        inputs.gravity,
+        push_grid.mass_beyond if session.weighs else push_grid.mass_beyond[:, :0],
         dead,
-        setting.length * place.weights * dead,
+        session.length * push_grid.weights * dead,
     )
 
 
-def _problem(place: Place, load: _Load) -> Problem:
+def _problem(push_grid: PushGrid, loaded: _LoadedBeam) -> Problem:
     """The problem of B frames."""
-    size, nodes = load.pushed.shape
+    size, nodes = loaded.pushed.shape
     return Problem(
-        grid=place.grid,
-        weights=place.weights,
-        to_nodes=place.to_nodes,
-        length=np.asarray(load.length),
-        k=load.stiff / place.weights,
-        q0=load.q0,
-        alpha0=np.asarray(load.alpha0),
-        dead_force=load.dead.transpose(1, 2, 0),
+        grid=push_grid.grid,
+        weights=push_grid.weights,
+        to_nodes=push_grid.to_nodes,
+        length=np.asarray(loaded.length),
+        k=loaded.stiff / push_grid.weights,
+        q0=loaded.q0,
+        alpha0=np.asarray(loaded.alpha0),
+        dead_force=loaded.dead.transpose(1, 2, 0),
         moment=np.zeros((size, nodes)),
         follower=np.zeros((size, 0, 2)),
         follower_beyond=np.zeros((size, 0, nodes)),
@@ -217,24 +220,26 @@ def _problem(place: Place, load: _Load) -> Problem:
     )
 
 
-def _bent(place: Place, load: _Load, q: Array, converged: BoolArray) -> BentBeam:
+def _bent(push_grid: PushGrid, loaded: _LoadedBeam, q: Array, converged: BoolArray) -> BentBeam:
     """What the parameters change in the balance of shapes q (B, Q)."""
     reached, by_mass = converged.astype(float), None
-    solved = Equilibrium(_problem(place, load), q, converged, converged, reached, reached, ~converged, 0)
-    if load.masses.shape[1]:
-        pull = load.gravity[:, None, :, None] * load.masses[:, None, :]
-        by_mass = Perturbation(pull, None, None, np.zeros(load.masses.shape[1]))
-    return BentBeam(solved, place.on_nodes, place.rest_on_nodes, load.force, load.pushed, place.farther, by_mass)
+    solved = Equilibrium(_problem(push_grid, loaded), q, converged, converged, reached, reached, ~converged, 0)
+    if loaded.masses.shape[1]:
+        pull = loaded.gravity[:, None, :, None] * loaded.masses[:, None, :]
+        by_mass = Perturbation(pull, None, None, np.zeros(loaded.masses.shape[1]))
+    return BentBeam(
+        solved, push_grid.on_nodes, push_grid.rest_on_nodes, loaded.force, loaded.pushed, push_grid.farther, by_mass
+    )
 
 
-def _directions(place: Place, clamp: float, q: Array) -> tuple[Array, Array]:
+def _directions(push_grid: PushGrid, clamp: float, q: Array) -> tuple[Array, Array]:
     """(B, Q) cosine and sine of the beam's angle at the nodes."""
-    alpha = clamp + q @ place.to_nodes.T
+    alpha = clamp + q @ push_grid.to_nodes.T
     return np.cos(alpha), np.sin(alpha)
 
 
-def _axes(at: Layout, x: Array) -> Array:
+def _axes(layout: Layout, x: Array) -> Array:
     """(2, 2) by which the logged force is turned."""
-    turn = float(at.get(x, "direction")[0])
+    turn = float(layout.get(x, "direction")[0])
     cos, sin = np.cos(turn), np.sin(turn)
     return np.array([[cos, -sin], [sin, cos]])

@@ -1,11 +1,11 @@
 """The posterior over key frames: parameters x and each key frame's force error e, jointly normal once linearised.
 
-    -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e  +  the past  + logs
+    -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e + (marginalised) + logs
 
-C is the force error's covariance over the key frames' times. The unknowns are few (some 35 + 2 a key frame), so all of
-them are solved for at once, from Cholesky factors of matrices that are sums of squares: nothing is carried from frame
-to frame that could lose its definiteness. Log k comes last: what is known of it with all else integrated out is there
-before its prior is added.
+C is the force error's covariance over the key frames' times. The unknowns are few (some 70, and 2 for each key frame),
+so one Cholesky factorisation solves for all of them. The matrix is summed anew from squares each time, so it stays
+positive definite. Log k is eliminated last: this gives its information form with all else integrated out, before the
+prior of log k is added.
 """
 
 from __future__ import annotations
@@ -17,103 +17,105 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
-from onebend.learning.live.force_process import ForceProcess, Spans, covariance, with_one_more
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.live.force_process import ForceProcess, TimeSpans, covariance, with_one_more
 from onebend.learning.live.key_frames import AT_REST, KeyFrames
-from onebend.learning.live.marginalised import Past
-from onebend.learning.live.stiffness_hyperparameters import OfK
+from onebend.learning.live.marginalised import Marginalised
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
-_ROUNDING = 1e-11  # of the information: what rounding may take from what is folded and subtracted
+_ROUNDING = 1e-11  # of the information: added to its diagonal against rounding
 
 
 @dataclass(frozen=True)
-class LiveScales:
-    """Sizes that the data choose; those of log k's prior are drawn (`stiffness_hyperparameters.py`)."""
+class LiveHyperparameters:
+    """The hyperparameters but those of log k's prior, which are drawn (`stiffness_hyperparameters.py`)."""
 
     marker: float  # noise of the tags over what their covariances say
     white: float  # N, force error of every frame
     coloured: float  # N, Ornstein-Uhlenbeck part
     memory: float  # s, its correlation time
     walk: float  # N per root second
-    load: float  # of what was expected to come with the load
+    load: float  # error that comes with the load, over the size expected before the data
 
 
 @dataclass(frozen=True)
-class Start:
-    """What is known of the parameters before the data."""
+class LivePrior:
+    """The prior of the parameters."""
 
-    at: Layout
+    layout: Layout
     mean: Array  # (n,)
-    fixed: Array | None  # (p, p) precision of log k's coefficients where it is known; None: by the sizes of its parts
+    fixed: Array | None  # (p, p) precision of log k's coefficients; None: it follows from the variances of its parts
 
     @cached_property
-    def others(self) -> Array:
+    def nuisance_precision(self) -> Array:
         """(n - p,) precisions of all parameters but log k's coefficients; their means are zero."""
-        return np.asarray(1.0 / np.concatenate([b.prior_sd for b in self.at.blocks if b.start >= 0][1:]) ** 2)
+        return np.asarray(1.0 / np.concatenate([b.prior_sd for b in self.layout.blocks if b.start >= 0][1:]) ** 2)
 
-    def of_k(self, parts: Array) -> OfK:
-        """The prior of log k's coefficients, its parts having these variances (n,)."""
-        precision, spline = self.fixed, self.at.spline
+    def stiffness_prior(self, parts: Array) -> InformationForm:
+        """The prior of log k's coefficients; `parts` (n,): variances of its parts."""
+        precision, spline = self.fixed, self.layout.spline
         if precision is None:
             precision, _ = _inverse((spline.parts * parts) @ spline.parts.T)
-        return OfK(precision, precision @ self.mean[: spline.count])
+        return InformationForm(precision, precision @ self.mean[: spline.count])
 
 
 @dataclass(frozen=True)
-class Sums:
-    """What the key frames say, at unit noise; slot 0 is the past's where there is one."""
+class KeyFrameSums:
+    """Sums of products over the key frames, at unit noise; slot 0 is that of the marginalised frames, if any."""
 
-    spans: Spans
+    spans: TimeSpans
     xx: Array  # (n, n)
     xe: Array  # (n, 2 slots)
     ee: Array  # (slots, 2, 2)
     bx: Array  # (n,)
     be: Array  # (slots, 2)
     c: float
-    rows: float  # numbers measured
+    rows: float  # count of the numbers measured
     rest: Array  # (slots,) 1 where the log shows its error
     log: Array  # (slots, 2) N, the log there
-    past: Past
+    marginalised: Marginalised
 
 
 @dataclass(frozen=True)
-class Solution:
-    """The normal posterior of all e and x: of the e and all parameters but log k's first, then of log k's.
+class KeyFramePosterior:
+    """The normal posterior of the force errors e and the parameters x.
 
-    `factor` and `lower` are Cholesky factors of the information, `across` what is between the two parts:
-    `[[factor, 0], [across', lower]]` is that of all.
+    The unknowns are in two parts: first e and the nuisances, then log k's coefficients. The Cholesky factor of their
+    information is `[[factor, 0], [across', lower]]`.
     """
 
     x: Array  # (n,)
     e: Array  # (slots, 2) N
-    spans: Spans
+    spans: TimeSpans
     process: ForceProcess
     inverse: Array  # (slots, slots) of the force error's covariance
     factor: Array
     across: Array
     lower: Array
-    right: Array  # the right side of the first part, behind its factor
-    told: OfK
+    right: Array  # information vector of the first part, solved with its factor
+    stiffness_form: InformationForm  # of log k before its prior, all else integrated out
     minus_log: float  # -2 log evidence, but for what depends on the prior of log k
 
     def spread(self, errors: Array, j: Array) -> Array:
-        """(R, R) covariance of rows (R, 2 slots) times the e and (R, n) times the parameters."""
+        """(R, R) covariance of R linear functions: rows `errors` (R, 2 slots) times e, plus `j` (R, n) times x."""
         p = len(self.lower)
         first, _ = dtrtrs(self.factor, np.concatenate([errors.T, j[:, p:].T]), lower=1)
         last, _ = dtrtrs(self.lower, j[:, :p].T - self.across.T @ first, lower=1)
         return np.asarray(first.T @ first + last.T @ last)
 
-    def distance(self, errors: Array, x: Array) -> float:
-        """Of e (slots, 2) and x (n,) from zero, in sd of all that is unknown."""
-        p = len(self.lower)
-        first = np.concatenate([errors.ravel(), x[p:]])
+    def distance(self, error: Array, x: Array) -> float:
+        """Distance in posterior sd from a point whose last K force errors are `error` (K, 2) and whose parameters are
+        `x` (n,) away."""
+        p, away = len(self.lower), np.zeros_like(self.e)
+        away[len(away) - len(error) :] = self.e[len(away) - len(error) :] - error
+        first = np.concatenate([away.ravel(), x[p:]])
         ahead = self.factor.T @ first + self.across @ x[:p]
         behind = self.lower.T @ x[:p]
         return float(np.sqrt(ahead @ ahead + behind @ behind))
 
-    def with_k(self, k: Array, covariance: Array) -> tuple[Array, Array]:
-        """(n,) and (n, n): parameters and their covariance where those of log k's coefficients are these."""
+    def with_stiffness(self, k: Array, covariance: Array) -> tuple[Array, Array]:
+        """(n,) and (n, n): mean and covariance of all parameters where log k's have these, (p,) and (p, p)."""
         p, m = len(k), len(self.x) - len(k)
         root, across, right = self.factor[-m:, -m:], self.across[-m:], self.right[-m:]
         follow = -np.asarray(dtrtrs(root, across, lower=1, trans=1)[0])
@@ -129,23 +131,25 @@ class Solution:
     def covariance(self) -> Array:
         """(n, n) of the parameters."""
         inverse, _ = dpotri(self.lower, lower=1)
-        return self.with_k(self.x[: len(self.lower)], _symmetric(inverse))[1]
+        return self.with_stiffness(self.x[: len(self.lower)], _symmetric(inverse))[1]
 
-    def settled(self, start: Start, of_k: OfK) -> float:
-        """How many parameters the data have settled."""
+    def effective_parameters(self, prior: LivePrior, stiffness_prior: InformationForm) -> float:
+        """Effective number of parameters: how many the data determine, rather than the prior."""
         p, c = len(self.lower), self.covariance()
-        held = float(np.sum(c[:p, :p] * of_k.information)) + float(start.others @ np.diag(c)[p:])
+        held = float(np.sum(c[:p, :p] * stiffness_prior.matrix)) + float(prior.nuisance_precision @ np.diag(c)[p:])
         return len(self.x) - held
 
-    def error_at(self, time: float, own: float) -> tuple[Array, Array, float]:
-        """Of a frame to come: mean force error (2,), its rows (slots,) on the known ones, and its own variance."""
+    def predicted_error(self, time: float, own: float) -> tuple[Array, Array, float]:
+        """Force error of a frame to come: mean (2,), weights (slots,) on the known errors, and conditional variance."""
         with_others, alone = with_one_more(self.process, self.spans, time, own)
         rows = self.inverse @ with_others
         return rows @ self.e, rows, alone - float(rows @ with_others)
 
 
-def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.zeros_like) -> Sums:
-    """Sums over the key frames, robust weights included; `lately`: what the load's last changes add to its own time."""
+def gather(
+    keys: KeyFrames, marginalised: Marginalised, lately: Callable[[Array], Array] = np.zeros_like
+) -> KeyFrameSums:
+    """Sums over the key frames with their robust weights; `lately`: the part of the load's own time not yet settled."""
     used = keys.used
     rows, weight = keys.rows[:used], keys.weight[:used]
     if np.any((weight != 1.0) & (weight != 0.0)):
@@ -156,22 +160,30 @@ def gather(keys: KeyFrames, past: Past, lately: Callable[[Array], Array] = np.ze
     xe, ee, be = -each[..., :-3], each[..., -3:-1], -each[..., -1]
     rest, spans = keys.rest[:used].astype(float), keys.spans(lately(keys.centre))
     log = keys.force[:used] * rest[:, None]
-    if np.isfinite(past.time):
-        spans = spans.after(past.time, past.own + float(lately(np.array([past.time]))[0]))
+    if np.isfinite(marginalised.time):
+        spans = spans.after(marginalised.time, marginalised.own + float(lately(np.array([marginalised.time]))[0]))
         xe, ee, be, log = (np.concatenate([np.zeros((1, *v.shape[1:])), v]) for v in (xe, ee, be, log))
         rest = np.concatenate([[0.0], rest])
     count = 3.0 * float(np.count_nonzero(weight))
     xe = xe.reshape(-1, xe.shape[-1]).T
-    return Sums(spans, every[:-3, :-3], xe, ee, every[:-3, -1], be, float(every[-1, -1]), count, rest, log, past)
+    return KeyFrameSums(
+        spans, every[:-3, :-3], xe, ee, every[:-3, -1], be, float(every[-1, -1]), count, rest, log, marginalised
+    )
 
 
-def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: ForceProcess) -> Solution:
+def solve(
+    sums: KeyFrameSums,
+    prior: LivePrior,
+    stiffness_prior: InformationForm,
+    hyperparameters: LiveHyperparameters,
+    process: ForceProcess,
+) -> KeyFramePosterior:
     """The posterior under given scales; `of_k`: the prior of log k.
 
     Raises `numpy.linalg.LinAlgError` where a matrix is not positive definite.
     """
-    p, slots = start.at.spline.count, len(sums.spans.begin)
-    m, weight, known = len(sums.bx) - p, 1.0 / scales.marker**2, 2 * slots
+    p, slots = prior.layout.spline.count, len(sums.spans.begin)
+    m, weight, known = len(sums.bx) - p, 1.0 / hyperparameters.marker**2, 2 * slots
     inverse, log_process, certain = np.zeros((0, 0)), 0.0, np.zeros(0)
     h = np.zeros((known + m, known + m), order="F")  # the lower triangle
     side = np.empty((known + m, p + 1), order="F")  # behind it the right side
@@ -180,7 +192,7 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
         weight * sums.xx[p:, :p],
         weight * sums.bx[p:],
     )
-    h.ravel(order="K")[known * (known + m + 1) :: known + m + 1] += start.others
+    h.ravel(order="K")[known * (known + m + 1) :: known + m + 1] += prior.nuisance_precision
     information, right = weight * sums.xx[:p, :p], weight * sums.bx[:p]
     if slots:
         inverse, log_process = _inverse(covariance(process, sums.spans))
@@ -188,7 +200,7 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
         h[known:, :known], side[:known, :p] = weight * sums.xe[p:], weight * sums.xe[:p].T
         _force_part(h[:known, :known], inverse, weight * sums.ee, certain)
         side[:known, p] = (weight * sums.be + certain[:, None] * sums.log).ravel()
-        _put_past(sums.past, known, (h, side[:, :p], side[:, p]), (information, right))
+        _add_marginalised(sums.marginalised, known, (h, side[:, :p], side[:, p]), (information, right))
     h.ravel(order="K")[:: known + m + 1] *= 1.0 + _ROUNDING
     factor, info = dpotrf(h, lower=1, overwrite_a=1)
     if info:
@@ -196,37 +208,44 @@ def solve(sums: Sums, start: Start, of_k: OfK, scales: LiveScales, process: Forc
     both, _ = dtrtrs(factor, side, lower=1, overwrite_b=1)
     across, ahead = both[:, :p], both[:, p]
     information.ravel()[:: p + 1] *= 1.0 + _ROUNDING
-    told = OfK(information - across.T @ across, right - across.T @ ahead)
-    lower, info = dpotrf(told.information + of_k.information, lower=1)
+    stiffness_form = InformationForm(information - across.T @ across, right - across.T @ ahead)
+    lower, info = dpotrf(stiffness_form.matrix + stiffness_prior.matrix, lower=1)
     if info:
         raise np.linalg.LinAlgError("the information on log k is not positive definite")
-    of_all = told.b + of_k.b
+    of_all = stiffness_form.vector + stiffness_prior.vector
     k, _ = dpotrs(lower, of_all, lower=1)
     rest, _ = dtrtrs(factor, ahead - across @ k, lower=1, trans=1)
     total = weight * sums.c + float(certain @ np.sum(sums.log**2, axis=1)) - float(ahead @ ahead) - float(of_all @ k)
     logs = 2.0 * float(np.sum(np.log(np.diag(factor)))) + 2.0 * float(np.sum(np.log(np.diag(lower)))) + log_process
-    logs += log_process + 2.0 * sums.rows * np.log(scales.marker) - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
+    logs += (
+        log_process
+        + 2.0 * sums.rows * np.log(hyperparameters.marker)
+        - 2.0 * float(np.sum(np.log(certain[certain > 0.0])))
+    )
     x = np.concatenate([k, rest[known:]])
     e = rest[:known].reshape(-1, 2)
-    return Solution(x, e, sums.spans, process, inverse, factor, across, lower, ahead, told, total + logs)
+    return KeyFramePosterior(
+        x, e, sums.spans, process, inverse, factor, across, lower, ahead, stiffness_form, total + logs
+    )
 
 
-def _put_past(past: Past, known: int, first: tuple[Array, Array, Array], of_k: tuple[Array, Array]) -> None:
-    """Add what the folded frames say of the first two e, of log k and of the other parameters."""
-    if not np.isfinite(past.time):
+def _add_marginalised(
+    marginalised: Marginalised, known: int, first: tuple[Array, Array, Array], of_stiffness: tuple[Array, Array]
+) -> None:
+    """Add the marginalised frames' information on the first two e, on log k and on the other parameters."""
+    if not np.isfinite(marginalised.time):
         return
-    (h, side, b), (information, right), told = first, of_k, past.information
-    p, n = len(right), len(told) - 2
-    said = past.b
-    h[known:, known:] += told[p:n, p:n]
-    h[known:, :2] += told[p:n, n:]
-    h[:2, :2] += told[n:, n:]
-    side[known:] += told[p:n, :p]
-    side[:2] += told[n:, :p]
-    b[known:] += said[p:n]
-    b[:2] += said[n:]
-    information += told[:p, :p]
-    right += said[:p]
+    (h, side, b), (matrix, vector), form = first, of_stiffness, marginalised.form
+    p, n = len(vector), len(form.vector) - 2
+    h[known:, known:] += form.matrix[p:n, p:n]
+    h[known:, :2] += form.matrix[p:n, n:]
+    h[:2, :2] += form.matrix[n:, n:]
+    side[known:] += form.matrix[p:n, :p]
+    side[:2] += form.matrix[n:, :p]
+    b[known:] += form.vector[p:n]
+    b[:2] += form.vector[n:]
+    matrix += form.matrix[:p, :p]
+    vector += form.vector[:p]
 
 
 def _inverse(c: Array) -> tuple[Array, float]:
@@ -248,7 +267,7 @@ def _symmetric(lower: Array) -> Array:
 def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
     """Fill the force errors' information: `C^-1` on each axis, and what each key frame says of its own."""
     out[0::2, 0::2] = out[1::2, 1::2] = inverse
-    at = 2 * np.arange(len(inverse))
-    out[at, at] += ee[:, 0, 0] + certain
-    out[at + 1, at + 1] += ee[:, 1, 1] + certain
-    out[at + 1, at] += ee[:, 1, 0]
+    x = 2 * np.arange(len(inverse))
+    out[x, x] += ee[:, 0, 0] + certain
+    out[x + 1, x + 1] += ee[:, 1, 1] + certain
+    out[x + 1, x] += ee[:, 1, 0]

@@ -1,9 +1,9 @@
-"""A bounded set of frames that stand for all that was seen: averaged where alike, folded away where old.
+"""Key frames: a bounded set of frames that stands for all frames so far.
 
-A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps what it was
-measured at, so it can be linearised anew. Two neighbours in time under nearly the same force are averaged: what the
-present estimate leaves of both, put on its prediction under the mean force, is as if measured there. Where none can be
-averaged the oldest is folded away (`marginalised.py`).
+A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps its
+measurement, so that it can be linearised anew. Two neighbours in time under nearly the same force are averaged: the
+mean of their residuals, added to the prediction under their mean force, counts as a measurement under that force.
+Where no two are alike, the oldest is marginalised (`marginalised.py`).
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.learning.live.force_process import Spans
+from onebend.learning.live.force_process import TimeSpans
 from onebend.records import Array, BoolArray, IntArray
 
 _SAME_PLACE = 0.01  # of s: pushes closer than this may be averaged
 _SAME_GRAVITY = 0.5  # m/s^2
 _SAME_FORCE = 0.15  # of the largest force
 _SAME_STAGE = 0.5  # of the load's own time
-AT_REST = 0.05  # of the force's white noise: where nothing pushes, the log IS the error
+AT_REST = 0.05  # of the force's white noise: sd of the log around its error, where nothing pushes
 _EYE = np.eye(3)
-_REST_SHARE = 0.1  # a frame at rest says less: it is averaged earlier
+_REST_SHARE = 0.1  # of its cost counts at rest: such frames say less and are averaged earlier
 
 
 @dataclass
 class KeyFrames:
-    """K places, `used` of them taken, in order of time. Few arrays: frames are moved and averaged all the time."""
+    """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
     numbers: Array  # (K, 14): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, `gravity`, `error`
@@ -35,7 +35,7 @@ class KeyFrames:
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
     root: Array  # (K, m, 3, 3) R with R' R = information
     weight: Array  # (K, m) robust
-    left: Array  # (K, m, 3) measured less predicted, where it was linearised
+    residual: Array  # (K, m, 3) measured less predicted, where it was linearised
     linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
     rows: Array  # (K, 3 m, n + 3): the same, whitened
     shape: Array  # (K, Q, 3): `q`, `by_force`
@@ -97,12 +97,12 @@ class KeyFrames:
 
     @property
     def stale(self) -> BoolArray:
-        """(K,) linearised at other parameters than the frames that came last, and to follow them."""
+        """(K,) linearised at an earlier linearisation point; to be renewed."""
         return self.flags[:, 1]
 
     @property
     def lost(self) -> BoolArray:
-        """(K,) has no equilibrium at those parameters: stays as it was linearised before."""
+        """(K,) has no equilibrium at the linearisation point; keeps its earlier linearisation."""
         return self.flags[:, 2]
 
     @property
@@ -150,14 +150,14 @@ class KeyFrames:
         """(used,) s, in the middle of each frame's stretch of time."""
         return 0.5 * (self.begin[: self.used] + self.end[: self.used])
 
-    def spans(self, more: Array) -> Spans:
+    def spans(self, more: Array) -> TimeSpans:
         """Stretches of time of the frames in use; `more` (used,) is added to the load's own time."""
         begin, end, frames = (values[: self.used].copy() for values in (self.begin, self.end, self.frames))
-        return Spans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
+        return TimeSpans(begin, end, frames, np.zeros(self.used), self.own[: self.used] + more)
 
     def arrays(self) -> list[Array | BoolArray]:
         """All that is kept of every frame."""
-        shapes = [self.left, self.linear, self.rows, self.shape]
+        shapes = [self.residual, self.linear, self.rows, self.shape]
         return [self.numbers, self.flags, self.measured, self.information, self.root, self.weight, *shapes]
 
     def drop(self, i: int) -> None:
@@ -173,16 +173,16 @@ class KeyFrames:
         """
         measured, error, linear = self.measured[i], self.error[i], np.empty((len(i), *self.linear.shape[1:]))
         measured[..., 2] -= 2.0 * np.pi * np.round((measured[..., 2] - pose[..., 2]) / (2.0 * np.pi))
-        left = measured - pose
+        residual = measured - pose
         linear[..., :-3] = j
         linear[..., -3:-1] = a * ~self.rest[i][:, None, None, None]
-        linear[..., -1] = left + j @ x - (linear[..., -3:-1] @ error[:, None, :, None])[..., 0]
-        self.measured[i], self.left[i], self.linear[i], self.flags[i, 1:] = measured, left, linear, False
+        linear[..., -1] = residual + j @ x - (linear[..., -3:-1] @ error[:, None, :, None])[..., 0]
+        self.measured[i], self.residual[i], self.linear[i], self.flags[i, 1:] = measured, residual, linear, False
         self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
 
-    def said(self, i: int, marker: float, white: float) -> Array:
-        """(R, n + 3) what frame i says of x and its own force error at given noise: rows `[J, -A | zeta]` of unit
-        noise, and two of the log itself where nothing pushes.
+    def likelihood_rows(self, i: int, marker: float, white: float) -> Array:
+        """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise;
+        at rest two more, of the log itself.
         """
         root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
         rows = root * self.rows[i]
@@ -200,7 +200,7 @@ class KeyFrames:
 
 
 def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
-    """Room for `most` key frames, two that have come since, and two averages that are being made."""
+    """Room for `most` key frames, two new ones, and two averages in the making."""
     count = most + 4
 
     def room(*shape: int) -> Array:
@@ -214,7 +214,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         information=room(tags, 3, 3),
         root=room(tags, 3, 3),
         weight=room(tags),
-        left=room(tags, 3),
+        residual=room(tags, 3),
         linear=room(tags, 3, parameters + 3),
         rows=room(3 * tags, parameters + 3),
         shape=room(nodes, 3),
@@ -223,14 +223,14 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 
 def _roots(information: Array) -> Array:
     """R (m, 3, 3) with R' R = information; zero where that is zero."""
-    seen = information[:, 0, 0] > 0.0
-    safe = np.where(seen[:, None, None], information, _EYE)
-    return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * seen[:, None, None])
+    visible = information[:, 0, 0] > 0.0
+    safe = np.where(visible[:, None, None], information, _EYE)
+    return np.asarray(np.swapaxes(np.linalg.cholesky(safe), 1, 2) * visible[:, None, None])
 
 
 def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most: int) -> list[int]:
-    """Neighbours (i, i + 1) among the first `count` whose averaging loses least (Ward's sum of squares), none in two of
-    them; at most so many, and those that are alike. `own` (used,): the load's own time.
+    """At most `most` pairs (i, i + 1) of the first `count` frames to average: those alike whose averaging loses least
+    (Ward's sum of squares). No frame is in two pairs. `largest`: N, largest force; `own` (used,): the load's own time.
     """
     if count < 2 or most < 1:
         return []
@@ -257,38 +257,40 @@ def closest_pairs(keys: KeyFrames, count: int, largest: float, own: Array, most:
     return out
 
 
-def propose_average(keys: KeyFrames, i: int, at: int) -> None:
-    """What acts on the average of frames i and i + 1, written to the free place `at`, to be linearised there."""
+def propose_average(keys: KeyFrames, i: int, slot: int) -> None:
+    """Write the average of frames i and i + 1, its tags aside, to the free `slot`; it is linearised there next."""
     k = i + 1
     first, second = keys.numbers[i], keys.numbers[k]
     share = keys.frames[k] / (keys.frames[i] + keys.frames[k])
-    keys.numbers[at] = (1.0 - share) * first + share * second
-    keys.shape[at] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
-    keys.begin[at], keys.end[at], keys.frames[at] = first[0], second[1], first[3] + second[3]
-    keys.rest[at], keys.lost[at] = keys.rest[i], False
-    keys.grid[at] = keys.grid[i]
+    keys.numbers[slot] = (1.0 - share) * first + share * second
+    keys.shape[slot] = (1.0 - share) * keys.shape[i] + share * keys.shape[k]
+    keys.begin[slot], keys.end[slot], keys.frames[slot] = first[0], second[1], first[3] + second[3]
+    keys.rest[slot], keys.lost[slot] = keys.rest[i], False
+    keys.grid[slot] = keys.grid[i]
     if keys.grid[k] != keys.grid[i]:
-        keys.shape[at] = keys.shape[i]
-    keys.measured[at], keys.root[at] = 0.0, 0.0
+        keys.shape[slot] = keys.shape[i]
+    keys.measured[slot], keys.root[slot] = 0.0, 0.0
 
 
-def accept_average(keys: KeyFrames, i: int, at: int, x: Array) -> None:
-    """The average at `at` replaces frames i and i + 1. All three were linearised just now, at parameters x."""
+def accept_average(keys: KeyFrames, i: int, slot: int, x: Array) -> None:
+    """The average in `slot` replaces frames i and i + 1. All three have just been linearised at parameters x."""
     k = i + 1
-    share = keys.frames[k] / keys.frames[at]
-    # At rest all frames are alike, and tags are read wrong in the same way: an average of them counts as one.
+    share = keys.frames[k] / keys.frames[slot]
+    # At rest the error of reading a tag is the same in all frames: their average counts as one frame.
     counts = (1.0 - share, share) if keys.rest[i] else (1.0, 1.0)
-    says = [w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)]
-    total = says[0] + says[1]
-    seen = total[:, 0, 0] > 0.0
-    both = says[0] @ keys.left[i][..., None] + says[1] @ keys.left[k][..., None]
-    left = np.linalg.solve(np.where(seen[:, None, None], total, _EYE), both)[..., 0] * seen[:, None]
-    keys.information[at], keys.root[at], keys.weight[at] = total, _roots(total), seen
-    keys.measured[at] += left - keys.left[at]
-    keys.left[at] = left
-    linear = keys.linear[at]
-    linear[..., -1] = left + linear[..., :-3] @ x - linear[..., -3:-1] @ keys.error[at]
-    keys.whiten(at)
+    informations = [
+        w * keys.weight[f][:, None, None] * keys.information[f] for f, w in zip((i, k), counts, strict=True)
+    ]
+    total = informations[0] + informations[1]
+    visible = total[:, 0, 0] > 0.0
+    both = informations[0] @ keys.residual[i][..., None] + informations[1] @ keys.residual[k][..., None]
+    residual = np.linalg.solve(np.where(visible[:, None, None], total, _EYE), both)[..., 0] * visible[:, None]
+    keys.information[slot], keys.root[slot], keys.weight[slot] = total, _roots(total), visible
+    keys.measured[slot] += residual - keys.residual[slot]
+    keys.residual[slot] = residual
+    linear = keys.linear[slot]
+    linear[..., -1] = residual + linear[..., :-3] @ x - linear[..., -3:-1] @ keys.error[slot]
+    keys.whiten(slot)
     for values in keys.arrays():
-        values[i] = values[at]
+        values[i] = values[slot]
     keys.drop(k)

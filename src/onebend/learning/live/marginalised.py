@@ -1,9 +1,9 @@
-"""Frames that were folded away: what they say of the parameters x and of one slow force error, as linearised last.
+"""Key frames that were marginalised: their information on the parameters x and on one slow force error e.
 
-They are kept as rows of unit noise, not as the quadratic that the rows make. What each change of the force's error
-takes from the past is a difference; in a quadratic its rounding grows from fold to fold, until the information has
-directions below zero and the answer runs away. Rows that are made triangular cannot do that: the square-root
-information filter (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977).
+It is kept as a square root: rows of unit noise, not the information matrix. Each change of the force error subtracts
+information; subtracted from a matrix, rounding errors would grow until it is no longer positive definite. Triangular
+rows stay valid: the square-root information filter (Bierman, Factorization Methods for Discrete Sequential Estimation,
+1977).
 """
 
 from __future__ import annotations
@@ -13,62 +13,59 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.live.force_process import ForceProcess, fast_variance, slow_variance
 from onebend.learning.live.key_frames import KeyFrames
 from onebend.records import Array
 
 
 @dataclass
-class Past:
-    """The folded frames."""
+class Marginalised:
+    """The marginalised frames, as they were linearised last."""
 
     rows: Array  # (n + 2, n + 3) upper triangular `[R | z]`: -2 log likelihood |R (x, e) - z|^2
-    time: float  # s, of the slow force error e (2,); minus infinity while nothing is folded
+    time: float  # s, of the slow force error e (2,); minus infinity while nothing is marginalised
     own: float = 0.0  # the load's own time there
 
     @property
-    def information(self) -> Array:
-        """(n + 2, n + 2)."""
-        return self.rows[:, :-1].T @ self.rows[:, :-1]
+    def form(self) -> InformationForm:
+        """The same on all n + 2 of (x, e)."""
+        root, z = self.rows[:, :-1], self.rows[:, -1]
+        return InformationForm(root.T @ root, root.T @ z)
 
-    @property
-    def b(self) -> Array:
-        """(n + 2,) the right side."""
-        return self.rows[:, :-1].T @ self.rows[:, -1]
+    def add(self, new_rows: Array, time: float, own: float, *, slow: float, fast: float) -> None:
+        """Add one frame's rows (R, n + 3) on x and its own force error; the slow error moves to that frame's time.
 
-    def add(self, said: Array, time: float, own: float, *, slow: float, fast: float) -> None:
-        """One more frame's say (R, n + 3) in x and its own force error; the slow error of the past moves to its time.
-
-        `slow`: N^2, variance of the slow error's change since; `fast`: of what the frame's error has besides.
+        `slow`: N^2, variance of the slow error's change since the last; `fast`: N^2, of the rest of the frame's error.
         """
-        before = loosened(self.rows, slow) if np.isfinite(self.time) else self.rows
-        both = np.concatenate([before, loosened(said, fast)])
+        before = with_error_change(self.rows, slow) if np.isfinite(self.time) else self.rows
+        both = np.concatenate([before, with_error_change(new_rows, fast)])
         self.rows, self.time, self.own = _triangle(both)[: len(self.rows)], time, own
 
 
-def nothing_folded(parameters: int) -> Past:
-    """The past before a frame was folded."""
-    return Past(np.zeros((parameters + 2, parameters + 3)), -np.inf)
+def nothing_marginalised(parameters: int) -> Marginalised:
+    """The start: no frame is marginalised."""
+    return Marginalised(np.zeros((parameters + 2, parameters + 3)), -np.inf)
 
 
-def fold_oldest(
-    keys: KeyFrames, past: Past, process: ForceProcess, marker: float, lately: Callable[[Array], Array]
+def marginalise_oldest(
+    keys: KeyFrames, marginalised: Marginalised, process: ForceProcess, marker: float, lately: Callable[[Array], Array]
 ) -> None:
-    """The oldest key frame becomes part of the past, under this force error and noise of the tags.
+    """Marginalise the oldest key frame, under this force error and noise `marker` of the tags.
 
     `lately`: what the load's last changes add to its own time at given times.
     """
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
-    here, there = lately(np.array([keys.centre[0], past.time])).tolist()
-    own = float(keys.own[0]) - past.own + here - there
-    slow, fast = slow_variance(process, end - past.time, own), fast_variance(process, end - begin, frames)
-    past.add(keys.said(0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
+    here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
+    own = float(keys.own[0]) - marginalised.own + here - there
+    slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
+    marginalised.add(keys.likelihood_rows(0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
     keys.drop(0)
 
 
-def loosened(rows: Array, variance: float) -> Array:
-    """Rows (R, n + 3) on (x, e) as what they say where e = c + d, d (2,) normal of that variance [N^2] and integrated
-    out: at most as many rows on (x, c).
+def with_error_change(rows: Array, variance: float) -> Array:
+    """Rows on (x, c) that hold the information of `rows` (R, n + 3) on (x, e), where e = c + d and d (2,) is integrated
+    out: normal with this variance [N^2] on each axis. There are at most as many as before.
     """
     if variance <= 0.0:
         return rows

@@ -1,10 +1,10 @@
 """k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
 
 A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
-linearised anew at the present estimate, and the posterior over all of them is solved for at once
-(`key_frame_posterior.py`): a poor start does not stay in the answer as it would in an extended Kalman filter. The
-sizes of noise and force error climb the evidence, one trial in two updates; those in log k's prior are drawn. Memory
-and time per update do not grow.
+linearised anew at the present estimate, and the posterior is solved for over all of them (`key_frame_posterior.py`).
+So a poor start is forgotten, which in an extended Kalman filter it would not be. The hyperparameters of noise and force
+error are searched for, one trial in two updates; those of log k's prior are drawn. Memory and time per update do not
+grow.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.live.frame_input import checked_frame
-from onebend.learning.live.key_frame_posterior import LiveScales, Start
-from onebend.learning.live.session import Setting, live_layout
+from onebend.learning.live.incoming_frame import checked_frame
+from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
+from onebend.learning.live.session import LiveSession, session_layout
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.live.smoother import Smoother
 from onebend.learning.model.parameters import Layout
@@ -29,23 +29,23 @@ from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
 
-_EXACT = 1e-12  # of the largest variance of a start: none is smaller, in rounding
-_STIFFER = 0.2  # of log k, where the estimate has no equilibrium under a force that the beam withstood
+_EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
+_STIFFER = 0.2  # added to log k where the estimate has no equilibrium under a force that the beam withstood
 
 
 @dataclass(frozen=True)
 class Update:
-    """What one frame did."""
+    """The result of one frame."""
 
     innovation: Array  # (m, 3) m, m, rad: measured minus expected; NaN where a tag was not seen
     distance: Array  # (m,) the same in sd of what was expected (root of chi-square with 3 degrees); NaN likewise
     accepted: BoolArray  # (m,) tags that were used
     solved: bool  # False: the estimate has no equilibrium under this force, nothing was learned from the frame
-    doubts: tuple[str, ...]  # why k(s) is not to be relied on after this frame; empty as a rule
+    doubts: tuple[str, ...]  # reasons not to rely on k(s) after this frame; usually none
 
 
 class OnlineLearner:
-    """Learns one beam from one frame after another. Not for two threads at once."""
+    """Learns k(s) of one beam frame by frame. Not thread-safe."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class OnlineLearner:
         s = np.asarray(marker_s, dtype=float)
         _check(length, s, mass)
         settings.check()
-        at = live_layout(
+        layout = session_layout(
             Spline(settings.functions),
             len(s),
             settings.priors,
@@ -82,9 +82,9 @@ class OnlineLearner:
             mass=mass,
         )
         self.settings = settings
-        self._setting, self._gain_sd = Setting(length, s, mass, at), gain_sd
-        known, x = _start(at, start)
-        self._state = Smoother(self._setting, known, x, settings.scales, settings.habits)
+        self._session, self._gain_sd = LiveSession(length, s, mass, layout), gain_sd
+        prior, x = _prior_and_point(layout, start)
+        self._state = Smoother(self._session, prior, x, settings.hyperparameters, settings.smoother)
         self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None
         self._frames = 0
@@ -119,25 +119,25 @@ class OnlineLearner:
                 is not positive definite, time that does not go on, a place outside (0, 1], gravity without mass. The
                 learner stays as it was.
         """
-        tags = len(self._setting.marker_s)
+        tags = len(self._session.marker_s)
         frame = checked_frame(tags, time, xy, angle, covariance, force, push_s, loaded, gravity)
         if self._last is not None and not time > self._last[0]:
             raise LearningError(f"frames must come in order of time: {time:g} s after {self._last[0]:g} s")
-        if np.any(frame.gravity != 0.0) and self._setting.mass <= 0.0:
+        if np.any(frame.gravity != 0.0) and self._session.mass <= 0.0:
             raise LearningError("gravity acts in the plane, so the beam's mass must be given")
         rate = np.zeros(2) if self._last is None else (frame.force - self._last[1]) / (time - self._last[0])
         self._last = (time, frame.force)
         nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
         state = self._state
-        if loaded and not np.any(frame.seen):
+        if loaded and not np.any(frame.visible):
             return Update(*nothing, solved=True, doubts=self._doubts + state.last_doubts)
         if not state.enter(frame, rate):
             state.stiffen(_STIFFER)
             return Update(*nothing, solved=False, doubts=self._doubts + state.last_doubts)
-        found = state.gate(frame)
+        gated = state.gate(frame)
         state.advance()
         self._frames += 1
-        return Update(*found, solved=True, doubts=self._doubts + state.last_doubts)
+        return Update(*gated, solved=True, doubts=self._doubts + state.last_doubts)
 
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
@@ -149,9 +149,9 @@ class OnlineLearner:
         return self._frames
 
     @property
-    def scales(self) -> LiveScales:
-        """Noise, force error and roughness as they are now."""
-        return self._state.scales
+    def hyperparameters(self) -> LiveHyperparameters:
+        """Sizes of the tags' noise and of the force error, as they are now."""
+        return self._state.hyperparameters
 
     @property
     def parameters(self) -> tuple[Array, Array]:
@@ -164,7 +164,7 @@ class OnlineLearner:
     def stiffness(self) -> UncertainStiffness:
         """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
         self._state.catch_up()
-        spline, (mean, covariance, steps) = self._setting.at.spline, self._state.posterior()
+        spline, (mean, covariance, steps) = self._session.layout.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
         coefficients, spread = onto @ mean[:p], 0.5 * (spread + spread.T)
@@ -174,7 +174,7 @@ class OnlineLearner:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why `stiffness` is not to be relied on as it is now; empty as a rule."""
+        """Reasons not to rely on `stiffness` as it is now; usually none."""
         self._state.catch_up()
         return self._doubts + self._state.doubts
 
@@ -190,7 +190,7 @@ class OnlineLearner:
         mean, covariance = self.parameters
         sd = np.sqrt(np.diag(covariance))
         out = []
-        for block in self._setting.at.blocks:
+        for block in self._session.layout.blocks:
             if block.start >= 0 and block.name != "stiffness":
                 values = zip(block.labels, mean[block.where], sd[block.where], block.prior_sd, strict=True)
                 out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
@@ -200,18 +200,18 @@ class OnlineLearner:
     def beam(self) -> Beam:
         """The beam as it is now."""
         self._state.catch_up()
-        theta0 = self._setting.at.get(self._state.x, "curvature")
+        theta0 = self._session.layout.get(self._state.x, "curvature")
         rest: Profile = Uniform(0.0)
         if np.any(theta0 != 0.0):
             rest = Powers(tuple(np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0).tolist()))
-        length = self._setting.length
-        mass = Uniform(self._setting.mass / length)
+        length = self._session.length
+        mass = Uniform(self._session.mass / length)
         return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)
 
 
-def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Start, Array]:
-    """What is known before the data, and the parameters to begin with."""
-    x, mean, p = np.zeros(at.size), np.zeros(at.size), at.spline.count
+def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness) -> tuple[LivePrior, Array]:
+    """The prior, and the parameters to begin with."""
+    x, mean, p = np.zeros(layout.size), np.zeros(layout.size), layout.spline.count
     if isinstance(start, UncertainStiffness):
         if len(start.mean) < p:
             raise LearningError(
@@ -219,17 +219,17 @@ def _start(at: Layout, start: Profile | float | UncertainStiffness) -> tuple[Sta
                 "fit it with more, or go on with fewer"
             )
         s = np.linspace(0.0, 1.0, 8 * len(start.mean))
-        onto = np.linalg.lstsq(at.spline.basis(s), start.basis(s), rcond=None)[0]
+        onto = np.linalg.lstsq(layout.spline.basis(s), start.basis(s), rcond=None)[0]
         x[:p] = mean[:p] = onto @ start.mean
         size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
-        return Start(at, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
+        return LivePrior(layout, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
     s = np.linspace(0.0, 1.0, 8 * p)
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
     if not np.all(k > 0.0):
         raise LearningError("the start stiffness must be positive everywhere")
-    x[:p] = np.linalg.lstsq(at.spline.basis(s), np.log(k), rcond=None)[0]
+    x[:p] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
     mean[:p] = np.mean(np.log(k))
-    return Start(at, mean, None), x
+    return LivePrior(layout, mean, None), x
 
 
 def _check(length: float, marker_s: Array, mass: float) -> None:

@@ -1,5 +1,5 @@
-"""What does not change while the live learner films one beam: its parameters, how it works, and grids for pushes
-anywhere on the beam."""
+"""What stays the same while one beam is filmed live: its parameters, the settings, and grids for the places of the
+push."""
 
 from __future__ import annotations
 
@@ -16,51 +16,51 @@ from onebend.learning.model.tag_jacobian import free_columns
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, SCALE_SD, TURN_SD, Array
 
 ORDER, WIDEST = 12, 0.5
-_GRIDS = 50  # over the length: a push between two is moved there along the tangent
+_GRIDS = 50  # over the length; a push between two places acts along the tangent from the nearer one
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What does not change while one beam is filmed."""
+class LiveSession:
+    """The beam, its tags and its parameters."""
 
     length: float  # m
     marker_s: Array  # (m,)
     mass: float  # kg
-    at: Layout
+    layout: Layout
 
     @cached_property
     def columns(self) -> dict[str, slice]:
         """Columns of all parameters that are not frozen."""
-        return free_columns(self.at)
+        return free_columns(self.layout)
 
     @property
     def weighs(self) -> bool:
         """Whether the mass is among the parameters."""
-        return self.mass > 0.0 and self.at.index["mass", -1].start >= 0
+        return self.mass > 0.0 and self.layout.index["mass", -1].start >= 0
 
 
 @dataclass(frozen=True)
-class Habits:
-    """How the live learner works."""
+class SmootherSettings:
+    """Settings of the smoother; see `OnlineSettings`."""
 
     key_frames: int
     renewed: int  # key frames linearised anew with every frame
     zero: float  # N, sd of the log's zero
     least_zero: float  # N
-    load: float | None  # N, expected to come with the load; None: a share of the largest force
-    roughness: float  # of log k: where its sizes begin
-    steps: float
+    load: float | None  # N, error expected to come with the load; None: a share of the largest force
+    roughness: float  # of log k, first value
+    steps: float  # of log k, first value
     memory_doubt: float  # of the log of the force error's memory
     adapt: bool
-    bulk: float  # sd
-    gate: float  # sd
+    bulk: float  # sd: tags that fit worse get less weight
+    gate: float  # sd: tags farther from where they are expected are left out
     patience: int  # frames
-    step: float  # of log k
+    step: float  # of log k: the most that one update changes it
 
 
 @dataclass(frozen=True)
-class Place:
-    """Everything that depends only on where the force acts."""
+class PushGrid:
+    """The grid for a push at one place, and everything that depends only on it."""
 
     push_s: float
     grid: Grid
@@ -76,7 +76,7 @@ class Place:
     reach: Array  # (2 m, Q): integrals up to the markers; 1/m, turn of the beam there per metre along it
 
 
-def live_layout(
+def session_layout(
     spline: Spline, tags: int, priors: Priors, *, placement_sd: float, rest_unknown: bool, calibrated: bool, mass: float
 ) -> Layout:
     """The parameters of one beam under one camera; the force's error is a process and not among them."""
@@ -113,7 +113,7 @@ def live_layout(
     return Layout(spline, tuple(blocks), start, {(b.name, -1): b for b in blocks})
 
 
-def grid_place(push_s: float) -> float:
+def nearest_grid_place(push_s: float) -> float:
     """The place nearest to a push at which there is a grid."""
     return max(round(push_s * _GRIDS), 1) / _GRIDS
 
@@ -123,24 +123,24 @@ def grid_places() -> list[float]:
     return [i / _GRIDS for i in range(1, _GRIDS + 1)]
 
 
-def place_at(setting: Setting, push_s: float) -> Place:
-    """The grid and what stands on it for a push at `push_s`."""
+def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
+    """The grid for a push at `push_s`."""
     grid = make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
     nodes, to_nodes, weights = grid.nodes, grid.integral_to_nodes, grid.weights
-    parts, rows = MASS_MODES.curvature(nodes), grid.integral_to(setting.marker_s)
+    parts, rows = MASS_MODES.curvature(nodes), grid.integral_to(session.marker_s)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    return Place(
+    return PushGrid(
         push_s=push_s,
         grid=grid,
         to_nodes=to_nodes,
         squares=(to_nodes[:, :, None] * to_nodes[:, None, :]).reshape(len(nodes), -1),
         weights=weights,
         beyond=np.asarray(beyond, dtype=float),
-        farther=np.asarray(last / (setting.length * weights)),
-        mass_beyond=setting.mass * (weights @ parts - to_nodes @ parts),
-        on_nodes=setting.at.spline.basis(nodes),
+        farther=np.asarray(last / (session.length * weights)),
+        mass_beyond=session.mass * (weights @ parts - to_nodes @ parts),
+        on_nodes=session.layout.spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        steps=setting.length * rows,
-        reach=np.concatenate([rows, grid.value_at(setting.marker_s) / setting.length]),
+        steps=session.length * rows,
+        reach=np.concatenate([rows, grid.value_at(session.marker_s) / session.length]),
     )

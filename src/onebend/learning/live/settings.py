@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from onebend.errors import LearningError
 from onebend.learning.inference.stiffness_prior import RHO, TAU
 from onebend.learning.live.force_hyperparameters import MEMORY_DOUBT
-from onebend.learning.live.key_frame_posterior import LiveScales
-from onebend.learning.live.session import Habits
+from onebend.learning.live.force_process import ForceProcess
+from onebend.learning.live.key_frame_posterior import LiveHyperparameters
+from onebend.learning.live.session import SmootherSettings
+from onebend.learning.model.force_error import LOAD
 from onebend.learning.model.parameters import Priors
 
+_LEVEL = 0.05  # of the largest force: one sd of the log's zero
+_WRONG = 4.0  # times the error that comes with the load, while the model misses the tags by far
 _WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
 
 
 @dataclass(frozen=True)
 class OnlineSettings:
-    """How the live learner runs. Noise sizes are where it begins; it finds its own."""
+    """How the live learner works. Sizes of noise are first values; unless `adapt` is off, it learns them."""
 
     functions: int = 45  # of the spline of log k
     key_frames: int = 30
@@ -35,16 +41,16 @@ class OnlineSettings:
     force_load: float | None = None  # N, sd of its error that comes with the load; None: 3 % of the largest force
     roughness: float = TAU  # of log k
     steps: float = RHO  # of log k
-    adapt: bool = True  # False: the sizes stay as they begin
+    adapt: bool = True  # False: the hyperparameters keep their first values
     bulk: float = 3.0  # sd: a tag that fits worse gets less weight; infinite: plain least squares
     gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
-    patience: int = 8  # unless it stays away for so many frames
+    patience: int = 8  # unless it is that far off in so many frames in a row
     step: float = 0.7  # of log k: the most that one update moves it
 
     @property
-    def habits(self) -> Habits:
-        """What of it the smoother needs."""
-        return Habits(
+    def smoother(self) -> SmootherSettings:
+        """The part that the smoother needs."""
+        return SmootherSettings(
             key_frames=self.key_frames,
             renewed=self.renewed,
             zero=self.force_zero,
@@ -61,9 +67,9 @@ class OnlineSettings:
         )
 
     @property
-    def scales(self) -> LiveScales:
-        """Where they begin."""
-        return LiveScales(
+    def hyperparameters(self) -> LiveHyperparameters:
+        """The values that the hyperparameters begin with."""
+        return LiveHyperparameters(
             marker=self.marker_noise,
             white=self.force_noise if self.force_white is None else self.force_white,
             coloured=self.force_noise,
@@ -86,3 +92,17 @@ class OnlineSettings:
         for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
             if getattr(self, name) < least:
                 raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")
+
+
+def force_process(
+    settings: SmootherSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
+) -> ForceProcess:
+    """The force log's error. `largest`: N, the largest force so far; `far_off`: the residuals are far above the tags'
+    noise, so the force may also be further off than its log says."""
+    level = float(np.hypot(settings.zero, max(_LEVEL * largest, settings.least_zero)))
+    load = hyperparameters.load * (LOAD * largest if settings.load is None else settings.load)
+    if far_off:
+        load *= _WRONG
+    return ForceProcess(
+        level, hyperparameters.walk, hyperparameters.coloured, hyperparameters.memory, hyperparameters.white, load
+    )

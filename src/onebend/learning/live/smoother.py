@@ -1,4 +1,4 @@
-"""The moving parts of the live learner: key frames, their posterior, and the search for the sizes of noise."""
+"""The state of the live learner: key frames, their posterior, and the search for the hyperparameters."""
 
 from __future__ import annotations
 
@@ -6,84 +6,96 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.live.doubts import FAILED, FAR_OFF, TOO_SOFT, live_doubts, misfit, missed_tag
-from onebend.learning.live.force_hyperparameters import ScaleSearch
-from onebend.learning.live.force_process import ForceProcess
-from onebend.learning.live.frame_input import Frame
-from onebend.learning.live.key_frame_posterior import LiveScales, Solution, Start, Sums, gather, solve
+from onebend.learning.live.doubts import FAILED, FAR_OFF, TOO_SOFT, key_frame_doubts, misfit, missed_tag
+from onebend.learning.live.force_hyperparameters import HyperparameterSearch
+from onebend.learning.live.force_process import ForceProcess, LoadStages
+from onebend.learning.live.incoming_frame import CheckedFrame, expect_shape, surprise, write_frame
+from onebend.learning.live.key_frame_posterior import (
+    KeyFramePosterior,
+    KeyFrameSums,
+    LiveHyperparameters,
+    LivePrior,
+    gather,
+    solve,
+)
 from onebend.learning.live.key_frames import accept_average, closest_pairs, empty, propose_average
-from onebend.learning.live.linearised_frames import Linearizer
-from onebend.learning.live.live_entry import expect_shape, surprise, write_frame
-from onebend.learning.live.live_stages import LoadStages
-from onebend.learning.live.marginalised import fold_oldest, nothing_folded
-from onebend.learning.live.session import ORDER, Habits, Setting
-from onebend.learning.live.stiffness_hyperparameters import Sizes
-from onebend.learning.live.tag_noise import left_of, robust_weights, tags_noise
-from onebend.learning.model.force_error import LOAD
+from onebend.learning.live.linearised_frames import Lineariser
+from onebend.learning.live.marginalised import marginalise_oldest, nothing_marginalised
+from onebend.learning.live.session import ORDER, LiveSession, SmootherSettings
+from onebend.learning.live.settings import force_process
+from onebend.learning.live.stiffness_hyperparameters import StiffnessChains
+from onebend.learning.live.tag_noise import robust_weights, tag_noise_size, tag_residuals
 from onebend.records import Array, BoolArray
 
-_MOVED = 0.5  # sd of all that is unknown: so far the estimate may go from where frames are linearised
-_NOISE_EVERY = 8  # looks about, one of which counts the parameters that the data have settled
-_MANY = 6  # key frames linearised at once: then nothing else is done
-_MISSED_EVERY = 8  # turns between two solutions, in one of which missed tags are sought
-_WRONG = 4.0  # times: what comes with the load, while more than noise is left of the tags
-_LEVEL = 0.05  # of the largest force: what the zero of the log may be wrong by
+_MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
+_NOISE_EVERY = 8  # of so many trials one counts the effective parameters instead
+_MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
+_MISSED_EVERY = 8  # of so many updates without a solution one looks for a missed tag
 
 
 class Smoother:
     """All state of a live learner; its size is fixed when it is made."""
 
-    def __init__(self, setting: Setting, start: Start, x: Array, scales: LiveScales, habits: Habits) -> None:
-        tags, n = len(setting.marker_s), setting.at.size
+    def __init__(
+        self,
+        session: LiveSession,
+        prior: LivePrior,
+        x: Array,
+        hyperparameters: LiveHyperparameters,
+        settings: SmootherSettings,
+    ) -> None:
+        tags, n = len(session.marker_s), session.layout.size
         self.x = x  # (n,) the estimate
-        self.point = x  # (n,) where frames are linearised: all at the same, for else they seem to say what none does
-        self.scales = scales
-        self.keys = empty(habits.key_frames, tags, n, 3 * ORDER)
-        self.past = nothing_folded(n)
-        self._setting, self._start, self._habits = setting, start, habits
-        self._search = ScaleSearch(scales, ("coloured", "memory", "walk", "load", "white"), habits.memory_doubt)
-        spline, level = setting.at.spline, float(start.mean[0])
-        begin = spline.variances(habits.roughness, habits.steps)
-        self._of_k = start.of_k(begin)
-        drawn = habits.adapt and start.fixed is None
-        self._sizes = Sizes(spline, level, habits.roughness, habits.steps) if drawn else None
-        self._stages = LoadStages(setting.length, tags)
-        self._before = 0.0  # the load's own time by changes that are not looked at any more
-        self._guess, self._spent = scales.marker, 0.0
+        self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
+        self.hyperparameters = hyperparameters
+        self.keys = empty(settings.key_frames, tags, n, 3 * ORDER)
+        self.marginalised = nothing_marginalised(n)
+        self._session, self._prior, self._settings = session, prior, settings
+        self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
+        spline, level = session.layout.spline, float(prior.mean[0])
+        begin = spline.variances(settings.roughness, settings.steps)
+        self._stiffness_prior = prior.stiffness_prior(begin)
+        drawn = settings.adapt and prior.fixed is None
+        self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
+        self._stages = LoadStages(session.length, tags)
+        self._before = 0.0  # the load's own time from changes of the load that are settled
+        self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0
-        self._linearised = 0  # key frames, with the last frame
-        self._coarse = 0.0
-        self._failed = False  # the last attempt to solve
-        self._missed = ""  # the tag that was missed when that was last looked at
-        self._too_soft = False  # the last frame had no equilibrium
-        self.pending = True  # a frame has come since the posterior was solved for
-        self._linear = Linearizer(setting)
+        self._linearised = 0  # key frames linearised in the last update
+        self._misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
+        self._failed = False  # whether the last solution failed
+        self._missed = ""  # what `missed_tag` returned last
+        self._too_soft = False  # whether the last frame had no equilibrium
+        self.pending = True  # whether a frame has come since the last solution
+        self._lineariser = Lineariser(session)
         self._away = np.zeros(tags, dtype=np.int64)
         self._largest = 0.0
-        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before it was seen
-        self._sums: Sums = gather(self.keys, self.past)
-        self.solution: Solution = solve(self._sums, start, self._of_k, scales, self._process(scales))
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before its tags count
+        self._sums: KeyFrameSums = gather(self.keys, self.marginalised)
+        self.solution: KeyFramePosterior = solve(
+            self._sums, prior, self._stiffness_prior, hyperparameters, self._process(hyperparameters)
+        )
 
-    def enter(self, frame: Frame, rate: Array) -> bool:
-        """Make the frame the last key frame, linearised; False where it has no equilibrium: then it is left out.
+    def enter(self, frame: CheckedFrame, rate: Array) -> bool:
+        """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
 
-        In the same stroke the key frames that have waited longest are linearised anew, and room is made.
+        Also linearise the stale key frames that have waited longest, and average or marginalise others to make room.
         """
         keys = self.keys
-        self._stages.see(frame.time, frame.measured[:, :2], frame.seen, frame.loaded)
+        self._stages.add_frame(frame.time, frame.measured[:, :2], frame.visible, frame.loaded)
         i = self._write(frame, rate)
-        over = 0 if self.pending else keys.used - self._habits.key_frames  # less is done where it is solved too
+        over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
         own = keys.own[: keys.used] + self._stages.own(keys.centre)
         pairs = closest_pairs(keys, i, self._largest, own, over)
         fresh = [i]
-        for at, pair in enumerate(pairs, keys.used):
-            propose_average(keys, pair, at)
-            fresh += [at, *(k for k in (pair, pair + 1) if keys.stale[k])]
-        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._habits.key_frames + 1:
-            fresh.append(0)  # it will be folded, and stays as it is linearised then
-        room = 1 if self.pending else self._habits.renewed - len(fresh) + 1
+        for slot, pair in enumerate(pairs, keys.used):
+            propose_average(keys, pair, slot)
+            fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
+            fresh.append(0)  # it is marginalised next, with the linearisation that it has then
+        room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
         waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
-        solved = self._linearise([*fresh, *self._linear.near(keys, waiting, i)])
+        solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
         self._too_soft = i not in solved
         if self._too_soft:
             keys.used -= 1
@@ -91,65 +103,63 @@ class Smoother:
         if frame.loaded:
             self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
         missed = set(fresh) - solved
-        for pair, at in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
-            if missed.isdisjoint((pair, pair + 1, at)):
-                accept_average(keys, pair, at, self.point)
-        while keys.used > self._habits.key_frames + 1:
-            marker = max(self.scales.marker, self._coarse)
-            fold_oldest(keys, self.past, self._process(self.scales), marker, self._stages.own)
+        for pair, slot in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+            if missed.isdisjoint((pair, pair + 1, slot)):
+                accept_average(keys, pair, slot, self.point)
+        while keys.used > self._settings.key_frames + 1:
+            marker = max(self.hyperparameters.marker, self._misfit)
+            marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)
         return True
 
     def _linearise(self, chosen: list[int]) -> set[int]:
-        """Those of the chosen key frames that have an equilibrium at the point; the others are not waited for."""
+        """Linearise the chosen key frames; returns those that have an equilibrium. The others count as lost."""
         self._linearised = len(chosen)
-        solved = self._linear.renew(self.keys, chosen, self.point)
+        solved = self._lineariser.renew(self.keys, chosen, self.point)
         gone = [k for k in chosen if k not in solved]
         self.keys.lost[gone], self.keys.stale[gone] = True, False
         return solved
 
-    def _write(self, frame: Frame, rate: Array) -> int:
-        """The frame in the place behind the key frames in use, which is returned."""
+    def _write(self, frame: CheckedFrame, rate: Array) -> int:
+        """Write the frame behind the key frames in use; returns its index."""
         keys, i = self.keys, write_frame(self.keys, frame, rate)
         if frame.loaded:
-            self._linear.pushed_at(frame.push_s)
+            self._lineariser.pushed_at(frame.push_s)
         self._forget_changes(i)
         now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
-        self._expected = self.solution.error_at(frame.time, now)
+        self._expected = self.solution.predicted_error(frame.time, now)
         expect_shape(keys, i, self._expected[0])
         return i
 
     def _forget_changes(self, i: int) -> None:
-        """Keep what changes of the load that are not looked at any more did to the own time of what came before them;
-        i: the frame that has just come."""
-        keys = self.keys
-        keys.own[i] = self._before
-        added, after = self._stages.forgotten(np.append(keys.centre, self.past.time))
+        """Add the settled changes of the load to the own times of the frames before; i: the frame that just came."""
+        keys, self.keys.own[i] = self.keys, self._before
+        added, after = self._stages.forgotten(np.append(keys.centre, self.marginalised.time))
         keys.own[: keys.used] += added[:-1]
-        self.past.own += float(added[-1])
+        self.marginalised.own += float(added[-1])
         self._before += after
 
-    def gate(self, frame: Frame) -> tuple[Array, Array, BoolArray]:
+    def gate(self, frame: CheckedFrame) -> tuple[Array, Array, BoolArray]:
         """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
 
-        Tags too far from where they were expected get no weight, unless they stay away.
+        A tag too far from where it was expected gets no weight, unless that lasts for some frames.
         """
         keys, i = self.keys, self.keys.used - 1
-        innovation, distance = surprise(keys, frame, self.solution, self.x, self.scales.marker, self._expected[1:])
-        far = frame.seen & (distance > self._habits.gate)
-        self._away = np.where(far, self._away + 1, np.where(frame.seen, 0, self._away))
-        used = np.asarray(frame.seen & (~far | (self._away >= self._habits.patience)))
+        marker, expected = self.hyperparameters.marker, self._expected[1:]
+        innovation, distance = surprise(keys, frame, self.solution, self.x, marker, expected)
+        far = frame.visible & (distance > self._settings.gate)
+        self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
+        used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
         keys.weight[i] = used
-        if not np.array_equal(used, frame.seen):
+        if not np.array_equal(used, frame.visible):
             keys.information[i] *= used[:, None, None]
             keys.root[i] *= used[:, None, None]
             keys.whiten(i)
-        unseen = ~frame.seen
-        innovation[unseen], distance[unseen] = np.nan, np.nan
+        innovation[~frame.visible], distance[~frame.visible] = np.nan, np.nan
         return innovation, distance, used
 
     def advance(self) -> None:
-        """After a frame: every other time the posterior is solved for; in between log k's sizes make a step and other
-        scales are tried on it in turn, unless many frames were linearised: no frame shall cost much more than others.
+        """After a frame: every other update solves for the posterior. The updates between take one step of the chains
+        or try other hyperparameters; after many linearisations they do neither, so that all updates cost alike.
         """
         if self.pending or self._failed:
             self.pending = False
@@ -161,51 +171,52 @@ class Smoother:
         self._turns += 1
         if self._turns % _MISSED_EVERY == 0:
             self._missed = missed_tag(self.keys)
-        elif self._turns % 2 and self._sizes is not None:
-            if self._coarse == 0.0:
-                self._sizes.step(self.solution.told)
-        elif self._habits.adapt:
+        elif self._turns % 2 and self._chains is not None:
+            if self._misfit == 0.0:
+                self._chains.step(self.solution.stiffness_form)
+        elif self._settings.adapt:
             self.look_about()
 
     def look_about(self) -> None:
-        """Other scales on what the last solution was made from, or a count of what the data have settled."""
+        """Try other hyperparameters on the last solution's sums, or count the effective parameters."""
         self._looks += 1
         if self._looks % _NOISE_EVERY == 0:
-            self._spent = self.solution.settled(self._start, self._of_k)
+            self._spent = self.solution.effective_parameters(self._prior, self._stiffness_prior)
         else:
-            self._try_scale()
+            self._try_hyperparameters()
 
     def renew(self) -> bool:
-        """Solve with what is linearised now, move the estimate, weigh the tags anew. False where that fails: what was
-        known before stands, which `doubts` says, until a later frame's attempt."""
-        keys, habits = self.keys, self._habits
-        self._sums = gather(keys, self.past, self._stages.own)
-        if self._sizes is not None:
-            self._of_k = self._start.of_k(self._sizes.parts)
-        self._coarse = misfit(keys, self.scales.marker)
+        """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
+        last one stays, and `doubts` says so until a later one succeeds."""
+        keys, settings = self.keys, self._settings
+        self._sums = gather(keys, self.marginalised, self._stages.own)
+        if self._chains is not None:
+            self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
+        self._misfit = misfit(keys, self.hyperparameters.marker)
         try:
-            self.solution = solution = self._solve(self.scales)
+            self.solution = solution = self._solve(self.hyperparameters)
         except np.linalg.LinAlgError:
             self._failed = True
             return False
         self._failed = False
         step = solution.x - self.x
-        largest = float(np.max(np.abs(step[: self._setting.at.spline.count])))
-        self.x = self.x + step * min(1.0, habits.step / max(largest, 1e-300))
-        left = left_of(keys, solution)
-        if habits.adapt:
-            self.scales = replace(self.scales, marker=tags_noise(keys, left, self._spent, self._guess))
-        marker = max(self.scales.marker, self._coarse)
-        keys.weight[: keys.used] = robust_weights(keys, left, marker, habits.bulk)
-        moved = 0.0 if np.any(keys.stale[: keys.used]) else self._moved()
-        if moved > _MOVED:
+        largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
+        self.x = self.x + step * min(1.0, settings.step / largest)
+        residual = tag_residuals(keys, solution)
+        if settings.adapt:
+            marker = tag_noise_size(keys, residual, self._spent, self._guess)
+            self.hyperparameters = replace(self.hyperparameters, marker=marker)
+        marker = max(self.hyperparameters.marker, self._misfit)
+        keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
+        fresh = not np.any(keys.stale[: keys.used])
+        if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
             self.move()
         return True
 
-    def _solve(self, scales: LiveScales) -> Solution:
-        """The posterior under other scales; on the way to the answer the tags' fine print would mislead."""
-        coarse = replace(scales, marker=max(scales.marker, self._coarse))
-        return solve(self._sums, self._start, self._of_k, coarse, self._process(scales))
+    def _solve(self, hyperparameters: LiveHyperparameters) -> KeyFramePosterior:
+        """The posterior under these hyperparameters; a misfit beyond the tags' noise counts as noise."""
+        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self._misfit))
+        return solve(self._sums, self._prior, self._stiffness_prior, coarse, self._process(hyperparameters))
 
     def catch_up(self) -> None:
         """Solve now if a frame has come since the last time."""
@@ -214,85 +225,76 @@ class Smoother:
             self.pending = False
 
     def settle(self, rounds: int) -> None:
-        """Linearise everything anew and solve, several times; then look about the scales once more."""
+        """Linearise all key frames and solve, several times; then try other hyperparameters for two rounds."""
         self.catch_up()
-        if self._failed and not self.renew():  # where it would be linearised is of other key frames
+        if self._failed and not self.renew():  # its force errors belong to other key frames
             return
         for _ in range(rounds):
             self.move()
             self._linearise(list(range(self.keys.used)))
             if not self.renew():
                 return
-        if self._habits.adapt:
+        if self._settings.adapt:
             for _ in range(2 * self._search.round):
                 self.look_about()
-                if self._sizes is not None:
-                    self._sizes.step(self.solution.told)
+                if self._chains is not None:
+                    self._chains.step(self.solution.stiffness_form)
 
     def move(self) -> None:
-        """Linearise at the present estimate from now on."""
+        """Make the present estimate the linearisation point."""
         keys = self.keys
         self.point = self.x
         keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
         keys.stale[: keys.used] = True
 
     def stiffen(self, amount: float) -> None:
-        """Raise log k by so much, and linearise there from now on: the beam stood where the estimate cannot."""
+        """Raise log k by `amount` and linearise there: the beam withstood a force that the estimate cannot."""
         self.x = self.x.copy()
-        self.x[: self._setting.at.spline.count] += amount
+        self.x[: self._session.layout.spline.count] += amount
         self.point = self.x
         self.keys.stale[: self.keys.used] = True
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Why the posterior is not to be relied on at the moment; empty as a rule."""
+        """Reasons not to rely on the posterior as it is now; usually none."""
         self._missed = missed_tag(self.keys)
         return self.last_doubts
 
     @property
     def last_doubts(self) -> tuple[str, ...]:
-        """The same; whether a tag is missed is looked at every now and then only."""
-        found = {FAILED: self._failed, TOO_SOFT: self._too_soft}
-        said = tuple(words for words, holds in found.items() if holds)
-        return said + live_doubts(self.keys, self.scales.marker, self._coarse, self._missed)
+        """The same, with the missed tag of the last look for one."""
+        reasons = {FAILED: self._failed, TOO_SOFT: self._too_soft}
+        return tuple(words for words, holds in reasons.items() if holds) + key_frame_doubts(
+            self.keys, self.hyperparameters.marker, self._misfit, self._missed
+        )
 
-    def _moved(self) -> float:
-        """How far the estimate is from where frames are linearised, in sd of all that is unknown."""
-        keys, solution = self.keys, self.solution
-        away = np.zeros_like(solution.e)
-        away[len(away) - keys.used :] = solution.e[len(away) - keys.used :] - keys.error[: keys.used]
-        return solution.distance(away, self.x - self.point)
-
-    def _try_scale(self) -> None:
-        """One trial of other scales on what the last solution was made from."""
-        search, here, now = self._search, self.solution, self.scales
+    def _try_hyperparameters(self) -> None:
+        """One trial of other hyperparameters on the last solution's sums."""
+        search, solution, now = self._search, self.solution, self.hyperparameters
         tried = search.proposal(now)
         try:
             there = self._solve(tried)
         except np.linalg.LinAlgError:
             search.failed()
             return
-        worse = there.minus_log + search.cost(tried) - here.minus_log - search.cost(now)
+        worse = there.minus_log + search.cost(tried) - solution.minus_log - search.cost(now)
         if not search.climbs:
-            search.looked(worse, there, here)
+            search.looked(worse, there, solution)
             return
         search.climbed(worse < 0.0)
         if worse < 0.0:
-            self.scales, self.solution = tried, there
+            self.hyperparameters, self.solution = tried, there
 
     def posterior(self) -> tuple[Array, Array, Array]:
-        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over what all sizes may be."""
-        solution, p = self.solution, len(self._of_k.b)
-        if self._sizes is None:
-            k, of_k, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
+        solution, p = self.solution, self._session.layout.spline.count
+        if self._chains is None:
+            k, covariance, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
         else:
-            k, of_k, steps = self._sizes.mixed(solution.told)
-        return *solution.with_k(*self._search.averaged(k, of_k)), steps
+            k, covariance, steps = self._chains.mixed(solution.stiffness_form)
+        return *solution.with_stiffness(*self._search.averaged(k, covariance)), steps
 
-    def _process(self, scales: LiveScales) -> ForceProcess:
-        """The force's error under these scales."""
-        level = float(np.hypot(self._habits.zero, max(_LEVEL * self._largest, self._habits.least_zero)))
-        load = scales.load * (LOAD * self._largest if self._habits.load is None else self._habits.load)
-        if self._coarse > FAR_OFF * scales.marker:  # then the force may be wrong by more than is thought, too
-            load *= _WRONG
-        return ForceProcess(level, scales.walk, scales.coloured, scales.memory, scales.white, load)
+    def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
+        """The force log's error under these hyperparameters."""
+        far_off = self._misfit > FAR_OFF * hyperparameters.marker
+        return force_process(self._settings, hyperparameters, self._largest, far_off)
