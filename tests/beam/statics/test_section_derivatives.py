@@ -184,3 +184,24 @@ def test_thickness_may_differ_from_frame_to_frame() -> None:
         np.testing.assert_allclose(both.xy(S)[i], alone.xy(S)[i], atol=1e-13)
         exact = respond(both, of_section_thickness(both.problem)).xy(S)[i]
         np.testing.assert_allclose(exact, respond(alone, of_section_thickness(alone.problem)).xy(S)[i], atol=1e-13)
+
+
+def test_a_fit_of_log_k_and_log_thickness() -> None:
+    """As a fit uses it: k = exp(basis c), the section follows k by itself, and both have exact derivatives."""
+    carrier = make_problem(Beam(0.15, Gaussians(CENTRES, WIDTH, (1.0, 1.0, 1.0))), push([(0.1, 0.3), (0.0, 0.5)]), FINE)
+    basis = gaussian_basis(carrier.grid.nodes, CENTRES, WIDTH)
+
+    def predicted(p: Array) -> Equilibrium:
+        k, h0 = np.exp(basis @ (p[:3] - 4.0)), 0.02 * float(np.exp(p[3]))
+        return follow(replace(carrier, k=k, section=RectangularSection(h0)))
+
+    solved = predicted(np.zeros(4))
+    problem = solved.problem
+    exact = respond(solved, of_stiffness(solved, problem.k[:, None] * basis) + of_section_thickness(problem)).poses(S)
+    h = 1e-4
+    for i in range(4):
+        e = h * np.eye(4)[i]
+        moved = (predicted(e).xy(S) - predicted(-e).xy(S)) / (2.0 * h)
+        np.testing.assert_allclose(exact[:, :, :2, i], moved, atol=1e-6 * np.max(np.abs(moved)))
+    held = of_stiffness(follow(replace(problem, section=None)), problem.k[:, None] * basis)
+    assert held.compliance is None

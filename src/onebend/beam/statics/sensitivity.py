@@ -50,11 +50,11 @@ class Response:
     def poses(self, s: Array) -> Array:
         """(T, S, 3, P) m, m, rad per unit: of position and angle at places `s` (S,) or (T, S)."""
         integral = self.solved.problem.grid.integral_to(s)
-        moved, turned = self._ways(s)
+        moved, turned = self._ways(integral)
         angle = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))[:, :, None]
         ones = np.ones((*moved.shape[:2], 1))
         out = self._derivative_of(np.concatenate([moved, angle], axis=2), np.concatenate([turned, ones], axis=-1))
-        self._add_strain(out[:, :, :2], s)
+        self._add_strain(out[:, :, :2], integral)
         return out
 
     def angle(self, s: Array) -> Array:
@@ -65,8 +65,9 @@ class Response:
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2, P) m per unit, of the position at places `s` (S,) or (T, S)."""
-        out = self._derivative_of(*self._ways(s))
-        self._add_strain(out, s)
+        integral = self.solved.problem.grid.integral_to(s)
+        out = self._derivative_of(*self._ways(integral))
+        self._add_strain(out, integral)
         return out
 
     def clamp_wrench(self) -> Array:
@@ -92,10 +93,13 @@ class Response:
     def _parts(self) -> list[tuple[slice, Perturbation]]:
         return Perturbations(self.perturbation.parts).columns
 
-    def _ways(self, s: Array) -> tuple[Array, Array]:
-        """(T, S, 2, Q) m: how positions at `s` go with the curvature at the nodes; (T, S, 2) m: with a common turn."""
+    def _ways(self, integral: Array) -> tuple[Array, Array]:
+        """(T, S, 2, Q) m: how positions go with the curvature at the nodes; (T, S, 2) m: with a common turn.
+
+        `integral` (S, Q) or (T, S, Q) integrates from 0 to their places.
+        """
         problem = self.solved.problem
-        rows = problem.length[..., None] * problem.grid.integral_to(s)
+        rows = problem.length[..., None] * integral
         ways = self.solved.forces.lever
         turning = np.stack([ways[:, None, :, 0] * rows, ways[:, None, :, 1] * rows], axis=-2)
         b = problem.to_nodes
@@ -125,10 +129,9 @@ class Response:
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
-    def _add_strain(self, out: Array, s: Array) -> None:
-        """Adds how places (T, S, 2, P) at `s` move by strain alone."""
-        problem = self.solved.problem
-        rows = problem.length[..., None] * problem.grid.integral_to(s)
+    def _add_strain(self, out: Array, integral: Array) -> None:
+        """Adds how positions (T, S, 2, P) move by strain alone."""
+        rows = self.solved.problem.length[..., None] * integral
         for columns, part in self._parts:
             moved = moved_by_strain(self.solved, rows, part)
             if moved is not None:
