@@ -92,7 +92,7 @@ class UncertainStiffness:
         """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
         if self.shape is None:
             return 1.0
-        at_places = [np.interp(level, SHAPE_LEVELS, one) for one in self.shape.T]
+        at_places = [np.interp(level, SHAPE_LEVELS, widths) for widths in self.shape.T]
         return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
 
     def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
@@ -102,7 +102,7 @@ class UncertainStiffness:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))
-        return tuple(LogSpline(tuple(self.knots.tolist()), tuple(one.tolist()), self.degree) for one in drawn)
+        return tuple(LogSpline(tuple(self.knots.tolist()), tuple(c.tolist()), self.degree) for c in drawn)
 
     def basis(self, s: Array) -> Array:
         """(S, p) the splines' values at `s`."""
@@ -127,7 +127,7 @@ class UncertainStiffness:
         arrays = [np.asarray(data[key], dtype=float) for key in ("knots", "mean", "covariance")]
         shape = None if data.get("shape") is None else np.asarray(data["shape"], dtype=float)
         arrays += [] if shape is None else [shape]
-        if not all(np.all(np.isfinite(one)) for one in arrays) or not float(data["gain_sd"]) >= 0.0:
+        if not all(np.all(np.isfinite(array)) for array in arrays) or not float(data["gain_sd"]) >= 0.0:
             raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
         doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before, as the shape
         gain_sd, degree = float(data["gain_sd"]), int(data["degree"])

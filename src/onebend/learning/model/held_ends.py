@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.clamped_ends.end_pose import end_pose
-from onebend.beam.clamped_ends.near_shape import hold_near, under
+from onebend.beam.clamped_ends.end_pose import end_pose, with_end_wrench
+from onebend.beam.clamped_ends.near_shape import hold_near
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
@@ -111,7 +111,14 @@ def solve(problem: Problem, ends: HeldEnds, away: Array, start: Array | None) ->
     q[ends.frames], well[ends.frames] = one.q, one.converged
     nothing, factor = np.full(count, np.nan), np.where(well, 1.0, np.nan)
     return Equilibrium(
-        under(problem, wrench), q, well, well.copy(), factor, nothing, np.zeros(count, dtype=bool), one.iterations
+        with_end_wrench(problem, wrench),
+        q,
+        well,
+        well.copy(),
+        factor,
+        nothing,
+        np.zeros(count, dtype=bool),
+        one.iterations,
     )
 
 
