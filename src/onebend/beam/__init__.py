@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from onebend.beam.profiles.stiffness import Scaled as Scaled
     from onebend.beam.profiles.stiffness import Table as Table
     from onebend.beam.statics.equilibrium import Equilibrium as Equilibrium
+    from onebend.beam.statics.nodal_forces import NodalForces as NodalForces
     from onebend.beam.statics.perturbation import Perturbation as Perturbation
     from onebend.beam.statics.problem import Problem as Problem
     from onebend.beam.statics.problem import Resolution as Resolution
@@ -38,6 +39,7 @@ else:
             "onebend.beam.profiles.stiffness": "Gaussians LogSpline Powers Profile Scaled Table",
             "onebend.beam.statics.equilibrium": "Equilibrium",
             "onebend.beam.statics.problem": "Problem Resolution Rod",
+            "onebend.beam.statics.nodal_forces": "NodalForces",
             "onebend.beam.statics.perturbation": "Perturbation",
         },
     )
