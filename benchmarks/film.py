@@ -26,12 +26,13 @@ import numpy as np
 from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import Truth, parser_of, read_truth
+from onebend.beam.profiles.uncertain import half_width
 from onebend.errors import OnebendError
 from onebend.lab.filming.film import film
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.learning.posterior import FitSettings, Posterior
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.progress import Progress, Silent
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
@@ -77,7 +78,7 @@ class Run:
     inside_all: float = 0.0  # share of all places, identified or not
     identified: float = 0.0  # share of the places
     error: float = 0.0  # RMS of log k over the identified places
-    width: float = 0.0  # RMS of half the 95 % band of log k there, over 1.96
+    width: float = 0.0  # RMS of half the 95 % band of log k there, over that of a normal of sd 1
     warnings: tuple[str, ...] = ()
 
 
@@ -117,7 +118,7 @@ def learned(filming: Filming, folder: Path, seed: int) -> Run:
     detect, truth = Keeping(), read_truth(folder)
     begun = replace(begun, steepest=float(np.max(np.abs(np.gradient(np.log(truth.k), truth.s)))))
     try:
-        found = learn_recording(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
+        found = learn(folder, fitting=FitSettings(), observing=ObserveSettings(threads=1), detect=detect)
     except OnebendError as wrong:
         return replace(begun, failure=f"learn: {wrong}", film_seconds=filmed)
     assert found.posterior is not None
@@ -142,7 +143,7 @@ def against(made: Run, posterior: Posterior, truth: Truth) -> Run:
     band, k = posterior.band(S), np.interp(S, truth.s, truth.k)
     held = (band.low <= k) & (k <= band.high)
     known = band.identified
-    sd = np.log(band.high / band.low) / (2.0 * 1.96)
+    sd = np.log(band.high / band.low) / (2.0 * half_width(1.0))
     some = bool(known.any())
     return replace(
         made,

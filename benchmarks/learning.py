@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, perfect, read_truth, recordings_asked, stiffness_error
 from onebend.errors import LearningError
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import Method, RegressionSettings
 from onebend.learning.validation import validate
 from onebend.recording.observe import observe
@@ -40,7 +40,7 @@ class Row:
 def row(beam: str, method: Method, inputs: str, seen: dict[str, Observations], truth: Truth) -> Row:
     """Learn the training push, validate on the others (with the same kind of inputs)."""
     try:
-        learned = learn(seen[f"{beam}_train"], RegressionSettings(method=method))
+        learned = regress(seen[f"{beam}_train"], RegressionSettings(method=method))
     except LearningError as error:
         return Row(beam, inputs, method, 0, 0, np.nan, (), {}, str(error))
     best = learned.trials[learned.chosen]

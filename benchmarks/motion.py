@@ -22,7 +22,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import equilibrium
 from onebend.learning.swing.damping import DampingSettings, SwingFit, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.records import Observations
@@ -76,7 +76,7 @@ def main() -> None:
     truth = read_truth(RECORDINGS / FREE)
     true, tau = true_beam(truth), float(truth.facts["eta"])
     frequency = float(vibration(true, equilibrium(true, push([[0.0, 0.0]])), count=1).frequency[0])
-    run = learn_recording(RECORDINGS / PUSH)
+    run = learn(RECORDINGS / PUSH)
     assert run.posterior is not None
     seen = observe(read_recording(RECORDINGS / FREE))
     print(

@@ -11,11 +11,10 @@ import numpy as np
 from benchmarks.studies import LEVELS, S, bench_of, fit_from_nothing
 from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.live.online_learner import OnlineLearner
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.posterior import fit
 from onebend.learning.replay import live_frames, replay, settings_for
 from onebend.recording.observe import observe
@@ -40,7 +39,6 @@ class Row:
     processor: Array  # (T,) s, the same without waiting for the processor
 
 
-@one_blas_thread
 def replayed(o: Observations) -> tuple[OnlineLearner, Array, Array]:
     """The learner at the end of a recording, and wall and processor time of every update."""
     mass = o.stated.mass if np.isfinite(o.stated.mass) else 0.0
@@ -143,7 +141,7 @@ def main() -> None:
     rows = []
     for beam in BEAMS:
         seen = {kind: observe(folder / f"{beam}_{kind}") for kind in KINDS}
-        start, truth = learn(seen["train"]).beam.stiffness, read_truth(folder / f"{beam}_train")
+        start, truth = regress(seen["train"]).beam.stiffness, read_truth(folder / f"{beam}_train")
         rows += [row(f"{beam} {kind}", o, fit([o], start).stiffness, truth, asked.repeats) for kind, o in seen.items()]
     print(
         "| recording | error of k, live / batch | truth inside 95 % band | sd of log k | their ratio "

@@ -11,14 +11,14 @@ from benchmarks.studies import KINDS as BEAM_KINDS
 from benchmarks.studies import PLACEMENT, PUSHED, bench_of, fit_from_nothing
 from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.pushes import PushProfile
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import PLACES, Proposal
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.observe import observe
@@ -42,7 +42,7 @@ class Row:
 
 def widths(known: UncertainStiffness) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """(101,) of the band of log k."""
-    return np.asarray(2.0 * 1.959964 * known.log_at(PLACES)[1])
+    return 2.0 * half_width(known.log_at(PLACES)[1])
 
 
 def rows(recordings: Path = RECORDINGS) -> list[Row]:
@@ -50,7 +50,7 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
     out = []
     for beam in BEAMS:
         seen: dict[str, Observations] = {k: observe(recordings / f"{beam}_{k}") for k in ("train", *OTHERS)}
-        start = learn(seen["train"]).beam.stiffness
+        start = regress(seen["train"]).beam.stiffness
         alone = fit([seen["train"]], start)
         bench = instruments_of(alone)
         for other in OTHERS:

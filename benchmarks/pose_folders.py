@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from onebend.learning.posterior import Posterior
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "realdata"
 
@@ -41,6 +41,6 @@ def write_toml(
 
 
 def learned(folders: Sequence[Path]) -> Posterior:
-    posterior = learn_recording(*folders).posterior
+    posterior = learn(*folders).posterior
     assert posterior is not None
     return posterior

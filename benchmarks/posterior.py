@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.truth import RECORDINGS, read_truth, recordings_asked, stiffness_error
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.observe import observe
 from onebend.records import Observations
@@ -35,7 +35,7 @@ class Row:
 def row(beam: str, kinds: tuple[str, ...], seen: dict[str, Observations], recordings: Path) -> Row:
     """Fit, and compare with the truth."""
     truth = read_truth(recordings / f"{beam}_train")
-    start = learn(seen["train"]).beam.stiffness
+    start = regress(seen["train"]).beam.stiffness
     begin = time.perf_counter()
     found: Posterior = fit([seen[kind] for kind in kinds], start)
     seconds = time.perf_counter() - begin

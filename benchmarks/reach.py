@@ -19,7 +19,6 @@ from benchmarks.truth import parser_of
 from onebend.beam.loads import push
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.blas import one_blas_thread
 from onebend.control.reach.paper_iteration import paper_force
 from onebend.control.reach.reach import ReachSettings, reach
 from onebend.control.reach.tracking import WarmReach
@@ -122,7 +121,6 @@ def anywhere(beams: int, *, seed: int) -> tuple[Tally, int]:
     return tally, missed
 
 
-@one_blas_thread
 def whole_calls(beams: int, *, seed: int) -> Array:
     """(G, 4) s: `reach` to new goals on beams already met, processor's and wall, and the first calls beside them."""
     rows = []
@@ -136,7 +134,6 @@ def whole_calls(beams: int, *, seed: int) -> Array:
     return np.array(rows)
 
 
-@one_blas_thread
 def warm_times(*, seed: int) -> tuple[Array, Array]:
     """(G, 2) s, processor's and wall, of each goal of walks on ten beams, and the iterations."""
     seconds, iterations = [], []

@@ -19,7 +19,7 @@ from onebend.beam.statics.problem import Resolution, make_problems
 from onebend.control.reach.reach import Reach, reach
 from onebend.control.reach.uncertainty import PredictedError, predicted_error
 from onebend.lab.random_beams import force_that_bends
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.records import Array
 
 BEAMS = ("linear", "quadratic", "cubic")
@@ -107,7 +107,7 @@ def learned(recordings: Path = RECORDINGS) -> list[Known]:
     out = []
     for name in BEAMS:
         folder = recordings / f"{name}_train"
-        run = learn_recording(folder)
+        run = learn(folder)
         assert run.posterior is not None
         out.append(Known(name, folder, run.beam, run.posterior.stiffness))
     return out

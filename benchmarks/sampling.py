@@ -22,7 +22,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from benchmarks.studies import bench_of, fit_from_nothing
-from onebend.blas import one_blas_thread
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.inference.fit_problem import prior
 from onebend.learning.inference.linear_gaussian import (
@@ -159,7 +158,6 @@ class _Followed:
         return There(here.value, here.slope[outer] @ self.root[outer], -float(np.sum(np.log(np.diag(root)))))
 
 
-@one_blas_thread
 def sample(found: Posterior, count: int, *, seed: int) -> tuple[Sampled, Array]:
     """`count` Hamiltonian steps from the optimum, the first quarter left out, in which the stride is set; and Laplace's
     covariance (P, P) at fixed scales."""

@@ -16,7 +16,6 @@ from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
 from onebend.beam.statics.continuation import equilibrium
-from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals, point_goals
 from onebend.control.goals.targets import curve
 from onebend.control.path.follow import PathSettings, follow_goals
@@ -130,7 +129,6 @@ def paths() -> list[Row]:
     return out
 
 
-@one_blas_thread
 def rows() -> list[Row]:
     """All figures."""
     one, two = (Pusher(1.0),), (Pusher(0.5), Pusher(1.0))

@@ -15,7 +15,7 @@ from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table
 from onebend.learning.model.frames import marker_rms
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.validation import validate
@@ -54,9 +54,9 @@ def rows(recordings: Path = RECORDINGS) -> list[Row]:
     for name in BEAMS:
         seen = {kind: observe(recordings / f"{name}_{kind}") for kind in KINDS}
         truth = {kind: read_truth(recordings / f"{name}_{kind}") for kind in KINDS}
-        paper = learn(seen["train"], RegressionSettings(method="paper")).beam
+        paper = regress(seen["train"], RegressionSettings(method="paper")).beam
         for kinds in LEARNED_FROM:
-            found = fit([seen[kind] for kind in kinds], learn(seen["train"]).beam.stiffness)
+            found = fit([seen[kind] for kind in kinds], regress(seen["train"]).beam.stiffness)
             out += [row(name, " + ".join(kinds), found, paper, seen[kind], truth[kind], kind) for kind in KINDS]
     return out
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import half_width
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 
 LENGTH = 1.5  # m
 LINES = {"black": 0.081 / 2.98, "red": 0.043 / 2.0, "white": 0.087 / 5.0}  # kg/m, weighed
@@ -54,12 +55,13 @@ def bending(posterior: Posterior) -> tuple[float, float, float]:
     row = uncertain.basis(s).mean(axis=0)
     sd = float(np.sqrt(row @ uncertain.covariance @ row))
     middle = LENGTH * float(np.exp(row @ uncertain.mean))
-    return middle, middle * float(np.exp(-1.96 * sd)), middle * float(np.exp(1.96 * sd))
+    factor = float(np.exp(half_width(sd)))
+    return middle, middle / factor, middle * factor
 
 
 def learned(table: Path, wire: str, digitisations: Iterable[str]) -> Posterior:
     with tempfile.TemporaryDirectory() as place:
-        posterior = learn_recording(wire_folder(Path(place) / wire, table, wire, digitisations)).posterior
+        posterior = learn(wire_folder(Path(place) / wire, table, wire, digitisations)).posterior
     assert posterior is not None
     return posterior
 

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
-from onebend.control.loop.controller import ControllerSettings, controller
-from onebend.control.loop.simulation import LoopCamera, LoopSimulation, TrueSystem, simulate_loop
+from onebend import Beam, Uniform, controller
+from onebend.beam import Powers, Scaled
+from onebend.control import ControllerSettings, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.report.figures.style import BLUE, GREEN, ORANGE, blank, png_of, styled
 
 TARGET = Path(__file__).parents[1] / "docs" / "images" / "loop.png"

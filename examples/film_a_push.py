@@ -5,12 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.lab.designs import design_named
-from onebend.lab.film_request import FilmRequest, filming_of
-from onebend.lab.filming.film import film
-from onebend.recording.camera.projection import measure_markers
-from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
+from onebend.lab import FilmRequest, design_named, film, filming_of
+from onebend.recording import detect_tags, measure_markers, read_recording
 
 request = FilmRequest(push="s08", seconds=1.5, camera="webcam", fps=6.0, sensor="wrist")
 with tempfile.TemporaryDirectory() as place:

@@ -6,7 +6,7 @@ import onebend
 
 HERE = Path(__file__).parent / "hung-weights"
 
-run = onebend.learn_recording(HERE)
+run = onebend.learn(HERE)
 band = run.posterior.band([0.1, 0.35, 0.6])
 print("k at s = 0.1, 0.35 and 0.6 [N m]:", band.k.round(2))
 print("95 % band, from:", band.low.round(2), "to:", band.high.round(2))

@@ -7,8 +7,7 @@ import onebend
 HERE = Path(__file__).parent / "linear-beam"
 
 observations = onebend.observe(HERE / "train")  # files --> markers [m] and forces [N] on one clock
-learned = onebend.learn(observations)  # the paper's regression, with the whole (n, m) table
-found = onebend.fit([observations], learned.beam.stiffness)  # --> k(s) with a band, in the space of the markers
+found = onebend.fit([observations])  # --> k(s) with a band, in the space of the markers
 
 band = found.band([0.0, 0.5, 1.0])
 print("k at base, middle and tip [N m]:", band.k.round(4))

@@ -9,15 +9,21 @@ import math
 import sys
 from pathlib import Path
 
-from onebend import Design
-from onebend.lab.designs import width_table
-from onebend.lab.expected import Expected, expect
-from onebend.lab.fabrication.clamp import carriers, clamp
-from onebend.lab.fabrication.mould import MouldSettings, mould
-from onebend.lab.fabrication.page import write_pages
-from onebend.lab.fabrication.sheet import Sheet, tag_pages
-from onebend.lab.fabrication.solids import write_mesh
-from onebend.lab.materials import silicone
+from onebend.lab import (
+    Design,
+    Expected,
+    MouldSettings,
+    Sheet,
+    carriers,
+    clamp,
+    expect,
+    mould,
+    silicone,
+    tag_pages,
+    width_table,
+    write_mesh,
+    write_pages,
+)
 
 
 def main(folder: Path) -> Expected:

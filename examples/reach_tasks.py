@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
-from onebend.control.reach.reach import Reach, reach
-from onebend.control.reach.reachable import reachable
+from onebend import Beam, reach
+from onebend.beam import Table
+from onebend.control import Reach, reachable
 from onebend.report.figures.reaching import draw_reach, reachable_places
 from onebend.report.figures.style import blank, png_of, styled
 

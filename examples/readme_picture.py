@@ -16,7 +16,7 @@ TARGET = HERE.parent / "docs" / "images" / "learned.jpg"
 HEIGHT = 560  # px
 
 observations = onebend.observe(HERE / "linear-beam" / "train")
-learned = onebend.learn(observations)
+learned = onebend.paper.regress(observations)
 found = onebend.fit([observations], learned.beam.stiffness)
 
 figures = [

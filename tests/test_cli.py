@@ -38,7 +38,7 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """A pipeline that finds made-up things at once; what it was asked is listed."""
     asked: list[dict[str, Any]] = []
 
-    def learn_recording(*folders: Path, **options: Any) -> made_up.MadeUp:
+    def learn_from(*folders: Path, **options: Any) -> made_up.MadeUp:
         asked.append({"folders": folders, **options})
         return made_up.findings(len(options["validate_on"]), fitted=options["fitting"] is not None)
 
@@ -46,7 +46,7 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         asked.append({"folders": folders, **options})
         return [(made_up.comparison(one.name), made_up.observations(one.name)) for one in folders]
 
-    monkeypatch.setattr(learning_commands, "learn_recording", learn_recording)
+    monkeypatch.setattr(learning_commands, "learn_from", learn_from)
     monkeypatch.setattr(learning_commands, "compare", compare)
     return asked
 
@@ -172,22 +172,18 @@ def test_a_validation_does_not_replace_what_was_learned(tmp_path: Path, pipeline
 
 
 def test_a_mistake_ends_in_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        learning_commands, "learn_recording", fails(LearningError("too few frames; film a longer push"))
-    )
+    monkeypatch.setattr(learning_commands, "learn_from", fails(LearningError("too few frames; film a longer push")))
     refused(run("learn", "REC", "-o", tmp_path / "out"), "onebend: too few frames; film a longer push")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        learning_commands, "learn_recording", fails(PermissionError(13, "Permission denied", "video.mp4"))
-    )
+    monkeypatch.setattr(learning_commands, "learn_from", fails(PermissionError(13, "Permission denied", "video.mp4")))
     refused(run("learn", "REC", "-o", tmp_path / "out"), "video.mp4: Permission denied")
 
 
 def test_a_bug_is_not_dressed_up_as_a_mistake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learning_commands, "learn_recording", fails(ZeroDivisionError()))
+    monkeypatch.setattr(learning_commands, "learn_from", fails(ZeroDivisionError()))
     result = run("learn", "REC", "-o", tmp_path / "out")
     assert result.exit_code == 1
     assert isinstance(result.exception, ZeroDivisionError)
@@ -201,7 +197,7 @@ def test_what_was_found_before_the_end_is_kept_and_said(
         (detect.__self__.folder / "detections-1.npz").write_bytes(b"tags")
         raise error
 
-    monkeypatch.setattr(learning_commands, "learn_recording", found_then)
+    monkeypatch.setattr(learning_commands, "learn_from", found_then)
     result = run("learn", "REC", "-o", tmp_path / "out")
     assert result.exit_code == (130 if isinstance(error, KeyboardInterrupt) else 2)
     assert "is kept in" in result.stderr
@@ -210,7 +206,7 @@ def test_what_was_found_before_the_end_is_kept_and_said(
 
 
 def test_interrupted_before_anything_was_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learning_commands, "learn_recording", fails(KeyboardInterrupt()))
+    monkeypatch.setattr(learning_commands, "learn_from", fails(KeyboardInterrupt()))
     result = run("learn", "REC", "-o", tmp_path / "out")
     assert (result.exit_code, result.stderr) == (130, "onebend: Interrupted. Nothing was written.\n")
     assert list(tmp_path.iterdir()) == []

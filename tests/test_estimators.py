@@ -12,7 +12,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from onebend.beam.profiles.stiffness import equidistant, gaussian_basis
 from onebend.errors import LearningError
 from onebend.estimators import StiffnessDistribution, StiffnessRegression, regression_rows
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.records import Observations
 from tests.learning.bench import SOFT, forces, in_family, observed
@@ -28,7 +28,7 @@ def test_the_regression_keeps_scikit_learns_rules(estimator: StiffnessRegression
 def test_the_rows_give_the_papers_own_answer() -> None:
     made = in_family(SOFT, forces(), 5)
     found = StiffnessRegression().fit(*regression_rows(made, 5, 3))
-    paper = learn(made, RegressionSettings(method="paper", n=5, m=3))
+    paper = regress(made, RegressionSettings(method="paper", n=5, m=3))
     np.testing.assert_allclose(found.coef_, paper.trials[paper.chosen].coefficients, rtol=1e-9)
     s = np.linspace(0.0, 1.0, 11)
     np.testing.assert_allclose(gaussian_basis(s, equidistant(3), 0.5) @ found.coef_, SOFT.stiffness(s), rtol=1e-4)

@@ -16,7 +16,7 @@ from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.errors import RecordingError
 from onebend.progress import track
 from onebend.report.overview import overview
-from onebend.terminal import bars, plots, tables
+from onebend.terminal import bars, parts, plots, tables
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "fast"
@@ -115,7 +115,7 @@ def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
 
 def test_nothing_odd_is_said_too() -> None:
     where = console()
-    where.print(tables.remarks_list([]))
+    where.print(parts.remarks_list([]))
     assert "Nothing looked odd." in shown(where)
 
 

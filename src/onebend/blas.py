@@ -53,7 +53,8 @@ class _Limit:
                     if library not in before:
                         before[library] = library.get_num_threads()
                         self._before.setdefault(library, before[library])
-                        library.set_num_threads(1)
+                        if before[library] != 1:
+                            _set(library, 1)
         here["depth"] = depth + 1
 
     def __exit__(self, *_: object) -> None:
@@ -65,14 +66,12 @@ class _Limit:
         with self._lock:
             self._threads -= 1
             for library, count in before.items():
-                if _is_of_one_thread(library):
+                if count != 1 and _is_of_one_thread(library):
                     library.set_num_threads(count)
             if self._threads == 0:
                 for library, count in self._before.items():
-                    if not _is_of_one_thread(library):
-                        _release(library)
-                        library.set_num_threads(count)
-                        _release(library)
+                    if count != 1 and not _is_of_one_thread(library):
+                        _set(library, count)
                 self._before.clear()
 
 
@@ -96,8 +95,13 @@ def _is_of_one_thread(library: Any) -> bool:
     return library.internal_api == "mkl" or getattr(library, "threading_layer", "") == "openmp"
 
 
-def _release(library: Any) -> None:
-    """Let this thread set OpenBLAS's threads: threadpoolctl (3.8 and later) reserves that to who set them first."""
-    clear = getattr(library, "clear_controlling_thread", None)
-    if clear is not None:
-        clear(force=True)
+def _set(library: Any, count: int) -> None:
+    """Set the number of threads. threadpoolctl (3.8 and later) leaves that to the Python thread that did it first."""
+    release = getattr(library, "clear_controlling_thread", _nothing)
+    release(force=True)
+    library.set_num_threads(count)
+    release(force=True)
+
+
+def _nothing(*, force: bool) -> None:
+    """For a library whose threads every Python thread may set."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.model.frames import usable_frames
 from onebend.learning.paper.inverse_kinematics import solve_states
@@ -30,6 +31,7 @@ except ImportError as error:  # an optional part, said before anything else fail
     raise ImportError('onebend.estimators needs scikit-learn: pip install "onebend[sklearn]"') from error
 
 
+@one_blas_thread
 def regression_rows(
     observations: Observations, n: int, m: int, *, family: Family = "gaussians", width: float | None = None
 ) -> tuple[Array, Array]:

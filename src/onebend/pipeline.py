@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.paper.selection import pairs as trials
 from onebend.learning.posterior import FitSettings, Posterior, fit
@@ -50,7 +51,8 @@ class Run:
     video_seconds: float  # length of all videos together, to compare the stages with
 
 
-def learn_recording(
+@one_blas_thread
+def learn(
     folder: Path | str,
     *more: Path | str,
     settings: RegressionSettings = RegressionSettings(),
@@ -136,7 +138,7 @@ def _regression(
     if seen.static and not needed:
         return None, (Remark("note", "the paper's regression needs a filmed push; bench poses are learned by the fit"),)
     try:
-        learned = learn(seen, settings, progress=progress)
+        learned = regress(seen, settings, progress=progress)
     except LearningError as error:
         if needed:
             raise
@@ -188,6 +190,7 @@ def _result(
     return learned.beam, (learned.training,)
 
 
+@one_blas_thread
 def compare(
     beam: Beam,
     folders: Sequence[Path | str],
@@ -199,7 +202,7 @@ def compare(
     """The beam against each of the recordings (Tables IV to VI).
 
     Raises:
-        ObservationError: a recording of a beam of another length; and all that `learn_recording` raises.
+        ObservationError: a recording of a beam of another length; and all that `learn` raises.
     """
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
@@ -211,6 +214,7 @@ def compare(
     return pairs
 
 
+@one_blas_thread
 def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), progress: Progress = Silent()) -> Plan:
     """Which push to make next on the beam in `model`, a `model.json` or the folder that holds one.
 

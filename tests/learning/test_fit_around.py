@@ -16,7 +16,7 @@ from onebend.errors import LearningError
 from onebend.learning import posterior
 from onebend.learning.model.frames import nothing_moves
 from onebend.learning.model.parameters import Priors
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of
@@ -50,7 +50,7 @@ def test_without_a_regression_the_start_is_the_nearest_uniform_beam(k: float) ->
 
 
 def test_the_start_is_the_regressions_unless_a_uniform_beam_is_nearer() -> None:
-    learned = learn(made())
+    learned = regress(made())
     assert start_of([made()], learned) is learned.beam.stiffness
     soft = replace(learned, beam=Beam(0.15, Uniform(1e-5)))
     assert 0.02 < float(start_of([made()], soft)(0.5)) < 0.08
@@ -65,7 +65,7 @@ def test_a_recording_without_a_load_gives_no_start() -> None:
         with pytest.raises(LearningError, match=r"made: nothing moves in the film: .* within 0 mm"):
             start_of([one], None)
         with pytest.raises(LearningError, match="nothing moves"):
-            learn(one, RegressionSettings(n=4, m=3))
+            regress(one, RegressionSettings(n=4, m=3))
     assert nothing_moves(replace(still, gravity=np.full((30, 2), -9.81))) == ""
     assert nothing_moves(replace(still, xy=np.add(still.xy, 1e-3))) == ""
     heavy = replace(made(), gravity=np.full((30, 2), -9.81))
@@ -159,7 +159,7 @@ def test_a_tag_that_was_never_seen_is_no_hindrance() -> None:
         rest_angle=np.where(there[:, 0], made().rest_angle, np.nan),
         covariance=np.where(there[..., None], made().covariance, np.nan),
     )
-    learned = learn(seen, RegressionSettings(n=4, m=3))
+    learned = regress(seen, RegressionSettings(n=4, m=3))
     found = fit([seen], learned.beam.stiffness, settings=FitSettings(functions=8))
     assert found.doubts == ()
     s = np.linspace(0.1, 0.8, 8)
@@ -204,7 +204,7 @@ def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pyte
 
     monkeypatch.setattr(pipeline, "learn", none)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
-    run = pipeline.learn_recording(EXAMPLE / "train", fitting=FitSettings(functions=8))
+    run = pipeline.learn(EXAMPLE / "train", fitting=FitSettings(functions=8))
     assert run.learned is None
     assert run.posterior is not None
     assert run.remarks[0].level == "warning"
@@ -212,13 +212,13 @@ def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pyte
     s = np.linspace(0.05, 0.9, 30)
     np.testing.assert_allclose(run.beam.stiffness(s), SOFT.stiffness(s), rtol=0.15)
     with pytest.raises(LearningError, match="gave a beam"):
-        pipeline.learn_recording(EXAMPLE / "train", fitting=None)
+        pipeline.learn(EXAMPLE / "train", fitting=None)
 
 
 def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = iter([with_stated(made(), gain_sd=0.02), with_stated(with_source(made(1), name="again"), gain_sd=0.05)])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
-    run = pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
+    run = pipeline.learn(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
     assert run.posterior is not None
     assert run.posterior.stiffness.gain_sd == 0.05
     assert [one.name for one in run.trainings] == ["made", "again"]
@@ -231,7 +231,7 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
     monkeypatch.setattr(posterior, "laplace_posterior", singular)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
-        pipeline.learn_recording(EXAMPLE / "train")
+        pipeline.learn(EXAMPLE / "train")
 
 
 def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,4 +240,4 @@ def test_recordings_of_two_beams_that_look_alike_on_paper_are_refused(monkeypatc
     seen = iter([made(), other])
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: next(seen))
     with pytest.raises(LearningError, match=r"do not agree on one beam\. .*misses tag"):
-        pipeline.learn_recording(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))
+        pipeline.learn(EXAMPLE / "train", EXAMPLE / "fast", fitting=FitSettings(functions=8))

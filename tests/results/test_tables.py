@@ -12,7 +12,8 @@ import pytest
 
 from onebend.records import Detections, Remark
 from onebend.results.detection_cache import DetectionCache, key_of
-from onebend.results.summary import summary_of, validation_summary, write_summary
+from onebend.results.folder import write_summary
+from onebend.results.summary import summary_of, validation_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
 from tests import made_up
@@ -122,7 +123,7 @@ def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> Non
     assert read["stiffness"]["identified"] == band.identified.tolist()
     assert fit["converged"] is True
     assert {"name", "unit", "value", "sd", "prior_sd"} == set(fit["nuisances"][0])
-    assert len(fit["scales"]["films"]) == 1
+    assert len(fit["hyperparameters"]["noise"]) == 1
     assert read["validation"][1]["recording"] == "other-2"
     assert read["remarks"][0]["level"] == "warning"
     texts = [(remark["recording"], remark["text"]) for remark in read["remarks"]]

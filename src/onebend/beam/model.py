@@ -14,6 +14,7 @@ from onebend.beam.profiles.stiffness import Profile, Uniform, profile_from_dict
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.snap_through import Side
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
@@ -67,6 +68,7 @@ class Beam:
         """From which EA and kGA follow; None for a beam that neither stretches nor shears."""
         return None if self.thickness is None else RectangularSection(self.thickness, self.poisson, self.varies)
 
+    @one_blas_thread
     def equilibrium(
         self,
         force: ArrayLike,

@@ -63,21 +63,21 @@ COMMANDS = {
         "loop",
         "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
     ),
-    "new": Place("looking", "new", "Write a recording.toml to fill in."),
+    "new": Place("recordings", "new", "Write a recording.toml to fill in."),
     "topics": Place(
-        "bags",
+        "recordings",
         "topics",
         "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
     ),
     "check": Place(
-        "looking", "check", "Read a recording's files without looking for tags, and say what was understood."
+        "recordings", "check", "Read a recording's files without looking for tags, and say what was understood."
     ),
     "calibrate": Place(
         "calibrating",
         "calibrate",
         "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
     ),
-    "show": Place("looking", "show", "Draw the learned k(s) in the terminal."),
+    "show": Place("models", "show", "Draw the learned k(s) in the terminal."),
     "export": Place(
         "exporting",
         "export_command",

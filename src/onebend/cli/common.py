@@ -11,16 +11,11 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
-from onebend.beam.model import Beam
-from onebend.beam.statics.problem import has_mass
-from onebend.errors import ControlError, OnebendError
+from onebend.errors import OnebendError
 from onebend.progress import Progress, Silent
 from onebend.results.folder import OutputFolder, abandon, prepare
-from onebend.results.model import StoredModel, read_model
 from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars
-
-HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
 @contextmanager
@@ -68,26 +63,6 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
         return
     with Bars(Console(stderr=True)) as bars:
         yield bars
-
-
-def read_trusted(model: Path) -> StoredModel:
-    """The model; a warning on standard error where its k(s) is in doubt."""
-    stored = read_model(model)
-    doubts = () if stored.uncertain is None else stored.uncertain.doubts
-    if doubts:
-        typer.echo(f"onebend: warning: k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", err=True)
-    return stored
-
-
-def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
-    """The gravity [m/s^2] that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
-    if not all(math.isfinite(one) for one in gravity):
-        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
-    if math.hypot(*gravity) > HEAVY:
-        raise ControlError(f"gravity of {math.hypot(*gravity):g} m/s^2 is no planet's: is it in m/s^2?")
-    if any(gravity) and not has_mass(beam):
-        raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
-    return gravity
 
 
 def print_json(data: object) -> None:

@@ -10,15 +10,14 @@ import typer
 from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, gravity_on, print_summary, read_trusted, workplace
+from onebend.cli.common import clean_errors, print_summary, workplace
+from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.reach.reach import Reach, ReachSettings
 from onebend.control.reach.reach import reach as solve_reach
 from onebend.control.reach.reachable import ReachableSet, reachable
 from onebend.control.reach.uncertainty import predicted_error
 from onebend.errors import ControlError
-from onebend.report.figures.reaching import reaching
-from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
 from onebend.terminal.reaching import show_reach
@@ -75,6 +74,9 @@ def reach(
         error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
+            from onebend.report.figures.reaching import reaching  # here: Matplotlib is for pictures alone
+            from onebend.report.figures.style import png_of
+
             with workplace(output, REACH_FORMAT, overwrite) as place:
                 picture = png_of(reaching(found, error, _within(found)))
                 publish(place, reach_writer(found, picture, summary))

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from onebend.cli.common import clean_errors, progress_of, read_trusted
+from onebend.cli.common import clean_errors, progress_of
+from onebend.cli.models import read_trusted
 from onebend.cli.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun

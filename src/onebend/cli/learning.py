@@ -13,14 +13,16 @@ from rich.console import Console
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, read_trusted, workplace
+from onebend.cli.common import clean_errors, print_json, progress_of, workplace
+from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings
-from onebend.pipeline import compare, learn_recording, plan_next
+from onebend.pipeline import compare, plan_next
+from onebend.pipeline import learn as learn_from
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw, draw_all, validation_figures
@@ -116,7 +118,7 @@ def learn(
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting = _fitting(clamp_sd) if method == "fit" else None
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-        run = learn_recording(
+        run = learn_from(
             *recordings,
             settings=settings,
             fitting=fitting,

@@ -8,15 +8,14 @@ import typer
 from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli.common import clean_errors, or_unlimited, print_summary, workplace
+from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.loop.controller import ControllerSettings, controller
 from onebend.control.loop.margins import Timing
 from onebend.control.loop.robustness import simulate_range
 from onebend.control.loop.simulation import LoopCamera
 from onebend.control.loop.tuning import RequiredMargins
-from onebend.report.figures.looping import looping
-from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
 from onebend.terminal.looping import show_loop
@@ -73,6 +72,9 @@ def loop(
         known = control.margins()
         summary = loop_summary(str(model), control, known, trials, written_by=BY)
         if output is not None:
+            from onebend.report.figures.looping import looping  # here: Matplotlib is for pictures alone
+            from onebend.report.figures.style import png_of
+
             with workplace(output, LOOP_FORMAT, overwrite) as place:
                 publish(place, loop_writer(trials, png_of(looping(control, trials)), summary))
     if as_json:

@@ -10,7 +10,8 @@ import typer
 from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, read_trusted
+from onebend.cli.common import clean_errors, print_json, progress_of
+from onebend.cli.models import read_trusted
 from onebend.cli.options import Json, Model, Overwrite, Quiet, Recording, Threads
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart

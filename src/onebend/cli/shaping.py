@@ -11,7 +11,8 @@ from rich.console import Console
 
 from onebend.beam.model import Beam
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, gravity_on, or_unlimited, print_summary, read_trusted, workplace
+from onebend.cli.common import clean_errors, or_unlimited, print_summary, workplace
+from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Gravity, Json, Model, Output, Overwrite
 from onebend.control.goals.moving_goals import Between, Goals
 from onebend.control.goals.target_files import read_goals, read_targets
@@ -24,8 +25,6 @@ from onebend.control.shape.actuators import Grip, Pusher
 from onebend.control.shape.shape import ShapeSettings
 from onebend.control.shape.shape import shape as solve_shape
 from onebend.errors import ControlError
-from onebend.report.figures.shaping import path_figure, shaping
-from onebend.report.figures.style import png_of
 from onebend.results.folder import publish
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
 from onebend.terminal.shaping import show_path, show_shape
@@ -107,7 +106,7 @@ def shape(
     """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
     with clean_errors():
         stored = read_trusted(model)
-        pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
         wanted = read_targets(targets, stored.beam.length)
         found = solve_shape(
             stored.beam,
@@ -125,6 +124,9 @@ def shape(
             )
         summary = shape_summary(str(model), found, written_by=BY)
         if output is not None:
+            from onebend.report.figures.shaping import shaping  # here: Matplotlib is for pictures alone
+            from onebend.report.figures.style import png_of
+
             with workplace(output, SHAPE_FORMAT, overwrite) as place:
                 publish(place, shape_writer(found, png_of(shaping(stored.beam, found)), summary))
     if as_json:
@@ -159,7 +161,7 @@ def path(
     with clean_errors():
         stored = read_trusted(model)
         _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
-        pushes, holding = _hands(grip, push_at, max_force, max_moment)
+        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
         if not pushes and max_force_rate is not None:
             raise ControlError(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
@@ -176,6 +178,9 @@ def path(
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
         summary = path_summary(str(model), way, sure, written_by=BY)
         if output is not None:
+            from onebend.report.figures.shaping import path_figure  # here: Matplotlib is for pictures alone
+            from onebend.report.figures.style import png_of
+
             with workplace(output, PATH_FORMAT, overwrite) as place:
                 publish(place, path_writer(way, png_of(path_figure(way)), summary, frame=frame))
     if as_json:
@@ -204,7 +209,7 @@ def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
             raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
 
 
-def _hands(
+def _actuators(
     grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
 ) -> tuple[tuple[Pusher, ...], Grip | None]:
     """Without a word a push at the tip; with a grip only the pushes that are named."""

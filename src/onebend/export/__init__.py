@@ -1,1 +1,1 @@
-"""The learned beam for other software: simulators, robots' descriptions, tables, and a function without us."""
+"""The learned beam for other software: simulators, robot descriptions, tables, and a stand-alone function."""

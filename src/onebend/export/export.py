@@ -12,6 +12,7 @@ import pyarrow.parquet as parquet
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.blas import one_blas_thread
 from onebend.errors import ExportError
 from onebend.export.chain import chain_of
 from onebend.export.function import function
@@ -27,7 +28,7 @@ Kind = Literal["mujoco", "pyelastica", "urdf", "sdf", "numpy", "parquet", "pytho
 
 @dataclass(frozen=True)
 class ExportKind:
-    """What a kind of file is, in words for people."""
+    """One kind of export, described for people."""
 
     suffix: str
     says: str
@@ -51,6 +52,7 @@ def suffix_of(kind: Kind) -> str:
     return KINDS[kind].suffix
 
 
+@one_blas_thread
 def export(
     beam: Beam,
     kind: Kind,

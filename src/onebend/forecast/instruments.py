@@ -24,12 +24,12 @@ from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD
 
 FUNCTIONS = FitSettings.functions  # of log k
 MOST_FRAMES = 200  # of a push that prediction and fit use
-_CUTOFF = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
-_WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
+_CUTOFF_CYCLES = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
+_LEAST_WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
 # Share of the sensor's reversal error that acts as one constant error over the push. The error is drawn anew as the
 # load begins and as it reverses; the difference between both halves shows, as one force gives one shape.
-_LOAD = 0.75
-_CLOCK, _MISFIT = 0.28, 0.03  # of the push's time; of the peak
+_REVERSAL_SHARE = 0.75
+_CLOCK_SHARE, _RELATION_MISFIT = 0.28, 0.03  # of the push's time; of the peak
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def instruments(setup: Setup) -> RehearsalInstruments:
         place_sd=0.0,  # what a push is off by stands in `PushUncertainty`
         direction_sd=0.0,
     )
-    return RehearsalInstruments(bench, PushUncertainty(load=_LOAD * setup.sensor.reversal))
+    return RehearsalInstruments(bench, PushUncertainty(load=_REVERSAL_SHARE * setup.sensor.reversal))
 
 
 def clamp_sd(setup: Setup, own: float) -> float:
@@ -104,9 +104,9 @@ def clamp_sd(setup: Setup, own: float) -> float:
 def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
     """A sensor's errors behind the low-pass filter."""
     seconds = _seconds(push)
-    cutoff = _CUTOFF / seconds
+    cutoff = _CUTOFF_CYCLES / seconds
     white = sensor.white_sd * np.sqrt(min(2.0 * cutoff / sensor.rate, 1.0))
-    walk = np.hypot(sensor.drift, _WALK * push.peak)
+    walk = np.hypot(sensor.drift, _LEAST_WALK * push.peak)
     coloured, tau = sensor.coloured_sd, sensor.coloured_time
     if coloured == 0.0:  # a process of next to no size
         coloured, tau = 1e-4 * push.peak, 0.3
@@ -123,7 +123,7 @@ def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
 def clock_sd(sensor: ForceSensor, push: PushProfile) -> float:
     """s, sd of the clock offset that the clock search would give, as the fit takes it."""
     error = float(np.sqrt(2.0 * sensor.reversal**2 + sensor.drift**2 * _seconds(push) + sensor.coloured_sd**2))
-    return _CLOCK * 0.5 * _seconds(push) * float(np.hypot(error / push.peak, _MISFIT))
+    return _CLOCK_SHARE * 0.5 * _seconds(push) * float(np.hypot(error / push.peak, _RELATION_MISFIT))
 
 
 def _seconds(push: PushProfile) -> float:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from onebend.beam.profiles.uncertain import IDENTIFIED_SD
+from onebend.beam.profiles.uncertain import IDENTIFIED_SD, half_width
 from onebend.blas import one_blas_thread
 from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
@@ -35,9 +35,8 @@ from onebend.records import Array, BoolArray
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
-_TWO_SIDED = 2.0 * 1.959964
-_EXACT = 1e-3  # share of its sd that is left of a nuisance that is known
-_TINY = 1e-9  # sd of what is known
+_KNOWN_SHARE = 1e-3  # share of its sd that is left of a nuisance that is known
+_LEAST_SD = 1e-9  # sd of what is known
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
@@ -103,7 +102,7 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
 
 def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
     """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
-    bench, push, e = used.bench, used.push, _EXACT
+    bench, push, e = used.bench, used.push, _KNOWN_SHARE
     force = bench.force
     steady = replace(force.times(e), frame=force.frame)
     out = {
@@ -150,7 +149,7 @@ def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple
     """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
     bench, own = used.bench, used.push
     chosen = np.arange(len(bench.tags), dtype=np.int64)
-    sd = np.maximum([own.place, own.direction, own.load, own.load], _TINY)
+    sd = np.maximum([own.place, own.direction, own.load, own.load], _LEAST_SD)
     first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
     last = np.arange(first, first + len(sd))
     order = np.concatenate([np.setdiff1d(np.arange(size), last), last])
@@ -205,7 +204,7 @@ def _sd_along(covariance: Array) -> Array:
 
 def quality_of(sd: Array, own_sd: Array) -> Quality:
     """Figures of a band of log k whose sd (101,) is `own_sd` without the gain; as `plan` reads them."""
-    width, known = _TWO_SIDED * sd, own_sd < IDENTIFIED_SD
+    width, known = 2.0 * half_width(sd), own_sd < IDENTIFIED_SD
     worst = int(np.argmax(width))
     to = 0.0 if not known[0] else 1.0 if np.all(known) else float(PLACES[max(int(np.argmin(known)) - 1, 0)])
     share = float(np.mean(known))

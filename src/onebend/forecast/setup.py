@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.design_file import find_design
 from onebend.lab.film_request import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, check_name, push_of
@@ -132,6 +133,7 @@ def known_beam(name_or_path: str) -> KnownBeam:
     return KnownBeam(design.name, design.beam())
 
 
+@one_blas_thread
 def setup_of(
     known: KnownBeam,
     requests: Sequence[FilmRequest],

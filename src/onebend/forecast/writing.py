@@ -12,8 +12,7 @@ from onebend.forecast.figure import rehearsal_figure
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Rehearsal
 from onebend.learning.design.proposals import PLACES
 from onebend.report.figures.style import png_of
-from onebend.results.folder import files_in
-from onebend.results.summary import write_summary
+from onebend.results.folder import files_in, write_summary
 from onebend.results.tables import write_csv
 
 REHEARSE_FORMAT = "onebend-rehearse-1"

@@ -9,6 +9,7 @@ from math import inf
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import RecordingError
 from onebend.lab.virtual import VirtualBench, VirtualRecording
 from onebend.recording.beam_frame import to_beam_frame
@@ -18,6 +19,7 @@ from onebend.records import Array, BoolArray, CleanForce, ClockOffset, Observati
 MARGIN = 0.1  # s, kept away from contact when a rest is read
 
 
+@one_blas_thread
 def observe_from_truth(
     virtual: VirtualRecording,
     *,

@@ -18,6 +18,7 @@ from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import tangent
 from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design
 from onebend.records import Array
@@ -83,6 +84,7 @@ class Expected:
         }
 
 
+@one_blas_thread
 def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
     """What to expect of a design on the bench.
 

@@ -1,4 +1,4 @@
-"""A beam that also stretches: what the inextensible model does not know, by another way than the statics' own.
+"""A beam that also stretches, which the inextensible model cannot represent; solved independently of `beam.statics`.
 
 With an axial strain `e = F . u / (E A)` the position is `r' = L (1 + e) u` and the moment's balance
 `M' = -L (1 + e) (cos alpha F_y - sin alpha F_x)`, `alpha' = q0 + M / k` from clamp to force, M = 0 there (Reissner's
@@ -17,8 +17,8 @@ from onebend.errors import MechanicsError
 from onebend.records import Array
 
 STEPS = 200
-MOST = 30  # Newton steps
-FARTHEST = 10.0  # of the largest moment: what is left at the force may not grow beyond
+MOST_ITERATIONS = 30  # Newton steps
+LARGEST_RESIDUAL = 10.0  # of the largest moment: what is left at the force may not grow beyond
 
 
 def stretched(
@@ -34,12 +34,12 @@ def stretched(
     moment = tip[:, 0] * force[:, 1] - tip[:, 1] * force[:, 0]
     scale = max(float(np.max(np.abs(moment))), 1e-12)
     text = f"no shape of the beam with an axial stiffness of {axial_stiffness:g} N was found. Give a larger one"
-    for _ in range(MOST):
+    for _ in range(MOST_ITERATIONS):
         residual = shoot(beam, force, at_s, edges, axial_stiffness, moment)[-1][:, 3]
         worst = float(np.max(np.abs(residual)))
         if worst < 1e-11 * scale:
             break
-        if not worst < FARTHEST * scale:
+        if not worst < LARGEST_RESIDUAL * scale:
             raise MechanicsError(text)
         h = 1e-5 * scale
         more = shoot(beam, force, at_s, edges, axial_stiffness, moment + h)[-1][:, 3]

@@ -47,7 +47,7 @@ SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls
 
 @dataclass(frozen=True)
 class FilmRequest:
-    """What is asked of a film; NaN: as the named push has it."""
+    """A film as requested; NaN: the value of the named push or camera."""
 
     push: PushName = "slow"
     at_s: float = nan

@@ -11,6 +11,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile, Steps, Table
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.problem import Resolution
+from onebend.blas import one_blas_thread
 from onebend.records import Array
 
 Kind = Literal["smooth", "stepped", "joint"]
@@ -51,6 +52,7 @@ def smooth_log(s: Array, rng: np.random.Generator) -> Array:
     return np.asarray(log_k - log_k.mean())
 
 
+@one_blas_thread
 def force_that_bends(beam: Beam, bend: float, direction: float, at_s: float = 1.0) -> float:
     """N: the force at angle `direction` [rad] that turns the place where it acts by `bend` [rad].
 

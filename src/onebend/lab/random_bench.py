@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Table
+from onebend.blas import one_blas_thread
 from onebend.lab.film_request import SENSORS, SensorName
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.filming.scene import Backdrop, Scene
@@ -27,7 +28,7 @@ SLENDERNESS = 11.0  # lengths over mean widths
 
 @dataclass(frozen=True)
 class BenchRanges:
-    """What may be drawn."""
+    """The ranges to draw from."""
 
     kinds: tuple[Kind, ...] = ("smooth", "smooth", "smooth", "stepped", "joint")
     sensors: tuple[SensorName, ...] = get_args(SensorName)
@@ -38,10 +39,12 @@ class BenchRanges:
     calibrated: float = 0.7  # share of films
 
 
+@one_blas_thread
 def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), *, name: str = "drawn") -> Filming:
-    """A slow push of an unknown beam. Tolerances that are told are those that were drawn from.
+    """A slow push of an unknown beam. The declared tolerances are those that errors were drawn from.
 
-    The force's gain is told with its sd, as the maker of a sensor would. The same state of `rng` gives the same bench.
+    The force's gain is declared with its sd, as the maker of a sensor would. The same state of `rng` gives the same
+    bench.
     """
     beam, width = random_beam(rng, chance)
     sensor, called, gain_sd = random_sensor(rng, chance.sensors[int(rng.integers(len(chance.sensors)))])

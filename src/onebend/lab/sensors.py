@@ -1,4 +1,4 @@
-"""Force sensors as they are: what a log shows of a force that is known."""
+"""Force sensors with their errors: the log that a known force gives."""
 
 from __future__ import annotations
 

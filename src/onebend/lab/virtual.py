@@ -1,7 +1,7 @@
 """Virtual recordings: a known beam pushed, filmed and logged, with every error known.
 
-What is made is what tag detection and a log file would give (`Markers`, `ForceLog` and the entries of recording.toml);
-everything after that is the real way from a recording to observations.
+This makes what tag detection and a log file would give (`Markers`, `ForceLog` and the entries of recording.toml); all
+steps after that are those of a real recording.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.extensible import stretched
 from onebend.lab.pushes import PushProfile
@@ -44,7 +45,7 @@ class VirtualTag:
 
 @dataclass(frozen=True)
 class VirtualClock:
-    """`log time = film time + offset`, and what the user wrote down of it."""
+    """`log time = film time + offset`, and the offset that the user wrote down."""
 
     offset: float = 250.0  # s
     declared: float = 250.0  # s
@@ -53,7 +54,7 @@ class VirtualClock:
 
 @dataclass(frozen=True)
 class DeclaredValues:
-    """What recording.toml says where that is not the truth; NaN: the truth."""
+    """Values written in recording.toml where they differ from the truth; NaN: the truth is written."""
 
     length: float = nan  # m
     push_s: float = nan
@@ -67,7 +68,7 @@ class DeclaredValues:
 
 @dataclass(frozen=True)
 class VirtualBench:
-    """One recording to be made: the beam, the push, the tags, the instruments, and what is said of them."""
+    """One recording to be made: beam, push, tags, instruments, and what recording.toml declares of them."""
 
     beam: Beam
     push: PushProfile
@@ -94,6 +95,7 @@ class VirtualRecording:
     pose: Array  # (T, m, 3) m, m, rad: the true tags in the clamp's frame
 
 
+@one_blas_thread
 def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other.
 
@@ -123,6 +125,7 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose)
 
 
+@one_blas_thread
 def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = ObserveSettings()) -> Observations:
     """The real way from markers and log to observations: clocks, contact, zero, filter, frame.
 
@@ -133,7 +136,7 @@ def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = Obser
 
 
 def tag_poses(bench: VirtualBench, force: Array) -> Array:
-    """(T, m, 3) the tags in the clamp's frame under forces (T, 2). A tag rides on the beam where it really sits."""
+    """(T, m, 3) the tags in the clamp's frame under forces (T, 2). Each tag moves with the beam at its real place."""
     beam, at_s = bench.beam, bench.push.at_s
     s = np.clip(tag_places(bench), 0.0, 1.0)
     solved = equilibrium(beam, push(force, at_s), resolution=RESOLUTION)

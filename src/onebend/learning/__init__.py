@@ -1,1 +1,74 @@
 """k(s) from observations, and how good it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from onebend.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from onebend.learning.criticism.alternatives import Suspect as Suspect
+    from onebend.learning.criticism.criticism import Criticism as Criticism
+    from onebend.learning.criticism.criticism import Finding as Finding
+    from onebend.learning.criticism.score_tests import Score as Score
+    from onebend.learning.inference.fit_problem import FitProblem as FitProblem
+    from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
+    from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
+    from onebend.learning.inference.misfit import Miss as Miss
+    from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
+    from onebend.learning.inference.optimizer import Optimum as Optimum
+    from onebend.learning.live.key_frame_posterior import LiveHyperparameters as LiveHyperparameters
+    from onebend.learning.live.online_learner import Update as Update
+    from onebend.learning.live.session import SmootherSettings as SmootherSettings
+    from onebend.learning.live.settings import OnlineSettings as OnlineSettings
+    from onebend.learning.model.fit_data import FitData as FitData
+    from onebend.learning.model.force_error import Filtered as Filtered
+    from onebend.learning.model.force_error import ForceError as ForceError
+    from onebend.learning.model.forward import Prediction as Prediction
+    from onebend.learning.model.forward import Slopes as Slopes
+    from onebend.learning.model.held_ends import HeldEnds as HeldEnds
+    from onebend.learning.model.mass import LearnedMass as LearnedMass
+    from onebend.learning.model.own_weight import OwnWeight as OwnWeight
+    from onebend.learning.model.parameters import Block as Block
+    from onebend.learning.model.parameters import Layout as Layout
+    from onebend.learning.model.parameters import Priors as Priors
+    from onebend.learning.model.rest import AtRest as AtRest
+    from onebend.learning.model.spline import Spline as Spline
+    from onebend.learning.posterior import FitSettings as FitSettings
+    from onebend.learning.posterior import Nuisance as Nuisance
+    from onebend.learning.start import start_of as start_of
+    from onebend.learning.start import with_mass as with_mass
+    from onebend.learning.swing.damping import Damping as Damping
+    from onebend.learning.swing.damping import DampingSettings as DampingSettings
+    from onebend.learning.swing.damping import SwingFit as SwingFit
+    from onebend.learning.swing.free_swing import FilmPart as FilmPart
+    from onebend.learning.swing.free_swing import Swing as Swing
+else:
+    __getattr__, __dir__, __all__ = lazy_names(
+        __name__,
+        {
+            "onebend.learning.criticism.alternatives": "Suspect",
+            "onebend.learning.criticism.criticism": "Criticism Finding",
+            "onebend.learning.criticism.score_tests": "Score",
+            "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
+            "onebend.learning.inference.misfit": "Miss",
+            "onebend.learning.inference.optimizer": "OptimizerSettings Optimum",
+            "onebend.learning.live.key_frame_posterior": "LiveHyperparameters",
+            "onebend.learning.live.online_learner": "Update",
+            "onebend.learning.live.session": "SmootherSettings",
+            "onebend.learning.live.settings": "OnlineSettings",
+            "onebend.learning.model.fit_data": "FitData",
+            "onebend.learning.model.force_error": "Filtered ForceError",
+            "onebend.learning.model.forward": "Prediction Slopes",
+            "onebend.learning.model.held_ends": "HeldEnds",
+            "onebend.learning.model.mass": "LearnedMass",
+            "onebend.learning.model.own_weight": "OwnWeight",
+            "onebend.learning.model.parameters": "Block Layout Priors",
+            "onebend.learning.model.rest": "AtRest",
+            "onebend.learning.model.spline": "Spline",
+            "onebend.learning.posterior": "FitSettings Nuisance",
+            "onebend.learning.start": "start_of with_mass",
+            "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",
+            "onebend.learning.swing.free_swing": "FilmPart Swing",
+        },
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.outcome import Comparison, Explained
@@ -14,6 +15,7 @@ from onebend.records import Array
 PLACES = np.linspace(0.0, 1.0, 121)  # of the centre line
 
 
+@one_blas_thread
 def explained(posterior: Posterior) -> tuple[Explained, ...]:
     """Every recording of a fit, in the frames that it used."""
     parts = zip(posterior.recordings, posterior.slow, fitted_rms(posterior), strict=True)

@@ -39,6 +39,7 @@ from onebend.learning.model.frames import check_same_beam, chosen_frames
 from onebend.learning.model.mass import LearnedMass
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations
 
@@ -182,13 +183,15 @@ def stiffness_of(layout: Layout, optimum: Optimum, gain_sd: float) -> UncertainS
 @one_blas_thread
 def fit(
     recordings: Sequence[Observations],
-    start: Profile | float,
+    start: Profile | float | None = None,
     *,
     settings: FitSettings = FitSettings(),
     gain_sd: float = 0.0,
     progress: Progress = Silent(),
 ) -> Posterior:
-    """Maximum a posteriori over one or several recordings of the same beam, from a stiffness to begin with.
+    """Maximum a posteriori over one or several recordings of the same beam.
+
+    It begins at the stiffness `start` [N m]; None: at that of the uniform beam that is nearest to the tags.
 
     Raises:
         LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found, or
@@ -196,7 +199,8 @@ def fit(
     """
     check_same_beam(recordings)
     try:
-        return _fit(recordings, start, settings, gain_sd, progress)
+        begin = start_of(recordings, None) if start is None else start
+        return _fit(recordings, begin, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
         names = ", ".join(one.source.name for one in recordings)
         raise LearningError(

@@ -8,6 +8,7 @@ import numpy as np
 
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.blas import one_blas_thread
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.force_error import ForceError, force_error, ramp
@@ -22,6 +23,7 @@ _LONGER, _LEAST_DOUBT = 1.5, 0.1  # a filter makes memories alike: how much, by 
 _FAST = 0.2  # of the force error that lasts: what it is off by in every frame anew
 
 
+@one_blas_thread
 def replay(
     observations: Observations,
     start: Profile | float | UncertainStiffness,

@@ -31,16 +31,16 @@ def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
     poses = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)[still]
     m = len(markers.tag_id)
     turns: BoolArray = np.asarray(np.isfinite(markers.angle).any(axis=0))  # a marker of a tracker may have no angle
-    seen = np.isfinite(markers.xy[still]).all(axis=-1) & (np.isfinite(markers.angle[still]) | ~turns)
+    measured = np.isfinite(markers.xy[still]).all(axis=-1) & (np.isfinite(markers.angle[still]) | ~turns)
     mean = np.full((m, 3), np.nan)
     covariance = np.full((m, 3, 3), np.nan)
     for i in range(m):
         parts = slice(0, 3 if turns[i] else 2)
-        tag_poses = poses[seen[:, i], i, parts]
+        tag_poses = poses[measured[:, i], i, parts]
         if not len(tag_poses):
             continue
         mean[i, parts] = np.median(tag_poses, axis=0)
-        covariance[i] = markers.covariance[still][seen[:, i], i].mean(axis=0) / len(tag_poses)
+        covariance[i] = markers.covariance[still][measured[:, i], i].mean(axis=0) / len(tag_poses)
         if len(tag_poses) >= 3 * BLOCKS:
             blocks = np.stack([np.median(part, axis=0) for part in np.array_split(tag_poses, BLOCKS)])
             covariance[i][parts, parts] += np.diag(blocks.var(axis=0, ddof=1) / BLOCKS)

@@ -65,6 +65,7 @@ class Detect(Protocol):
     ) -> Detections: ...
 
 
+@one_blas_thread
 def observe(
     recording: Recording | Path | str,
     *,

@@ -57,15 +57,15 @@ def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress 
     for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
         picture = read_photo(rec, name)
         block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
-        found = np.isfinite(block.corners[0]).all(axis=(1, 2))
+        is_found = np.isfinite(block.corners[0]).all(axis=(1, 2))
         if block.doubles:
             raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
-        if not found[:base].any():
+        if not is_found[:base].any():
             raise ObservationError(
                 f"{name}: no base tag (id {', '.join(map(str, ids[:base]))}) is found in it. Check [tags] in "
                 "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide."
             )
-        hidden = [str(tag) for tag, shown in zip(ids[base:], found[base:].tolist(), strict=True) if not shown]
+        hidden = [str(tag) for tag, shown in zip(ids[base:], is_found[base:].tolist(), strict=True) if not shown]
         remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []
         corners.append(block.corners[0])
         sizes.append(picture.shape)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from onebend.records import Array, BoolArray, IntArray
 
@@ -121,6 +120,8 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
     dt = step(time)
     if cutoff >= 0.45 / dt:
         return filtered
+    from scipy.signal import butter, sosfiltfilt  # here: it takes a third of a second to load
+
     sos = butter(FILTER_ORDER, 2 * cutoff * dt, output="sos")
     farthest = max(longest_gap, SEPARATE / cutoff)
     for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > farthest)):

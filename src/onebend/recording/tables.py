@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
@@ -115,6 +113,9 @@ def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
 
 
 def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
+    import pyarrow as pa  # here: most tables are CSV, and Arrow takes a tenth of a second to load
+    import pyarrow.parquet as pq
+
     try:
         table = pq.read_table(path)
     except (pa.ArrowException, OSError) as wrong:

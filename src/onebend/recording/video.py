@@ -49,10 +49,10 @@ def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
         for index, (time, message) in enumerate(bag_frames(video)):
             yield FilmFrame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
         return
-    given = None if video.frame_times == "container" else read_times(video.frame_times)
+    times = None if video.frame_times == "container" else read_times(video.frame_times)
     index, first, last = -1, 0.0, -math.inf
     for index, frame in enumerate(decoded(video.file)):
-        if given is None:
+        if times is None:
             if frame.time is None:
                 raise RecordingError(
                     f"{video.file}: frame {index} has no time. Put it into an MP4 or MKV container, or name a CSV "
@@ -60,11 +60,11 @@ def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
                 )
             first = frame.time if index == 0 else first
             time = float(frame.time) - first
-        elif index < len(given):
-            time = float(given[index] - given[0])
+        elif index < len(times):
+            time = float(times[index] - times[0])
         else:
             raise RecordingError(
-                f"{video.frame_times}: {len(given)} times, but the video has more frames. Give one row for each frame."
+                f"{video.frame_times}: {len(times)} times, but the video has more frames. Give one row for each frame."
             )
         if not time > last:
             raise RecordingError(
@@ -72,9 +72,9 @@ def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
             )
         last = time
         yield FilmFrame(index, time, luma_of(frame))
-    if given is not None and index + 1 < len(given):
+    if times is not None and index + 1 < len(times):
         raise RecordingError(
-            f"{video.frame_times}: {len(given)} times for {index + 1} frames. Give one row for each frame."
+            f"{video.frame_times}: {len(times)} times for {index + 1} frames. Give one row for each frame."
         )
 
 

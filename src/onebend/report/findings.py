@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.posterior import Posterior
 from onebend.records import Array, Observations, Remark
+
+if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to load
+    from onebend.learning.posterior import Posterior
 
 
 class Findings(Protocol):

@@ -12,8 +12,7 @@ import numpy as np
 from onebend.lab.designs import Design
 from onebend.lab.fabrication.mould import Mould, PrintedPart
 from onebend.lab.fabrication.solids import write_mesh
-from onebend.results.folder import SUMMARY, files_in
-from onebend.results.summary import write_summary
+from onebend.results.folder import SUMMARY, files_in, write_summary
 from onebend.results.tables import PLACES, csv_rows
 
 DESIGN_FORMAT = "onebend-design-1"

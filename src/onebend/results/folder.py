@@ -9,11 +9,13 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from onebend.errors import ResultsError
+from onebend.strict_json import to_json
 
 SUMMARY = "summary.json"
 COMPLETE = "results"  # in the workplace: new results, all written, not yet in place
@@ -175,3 +177,8 @@ def _replace_files(fresh: Path, place: OutputFolder) -> None:
         (fresh / name).replace(out / name)
     for name in old - set(new):
         (out / name).unlink(missing_ok=True)
+
+
+def write_summary(path: Path, summary: Mapping[str, Any], files: Sequence[str]) -> None:
+    """Write `summary` with the list of all files of the results; it must be the last file written."""
+    path.write_text(to_json({**summary, "files": sorted({*files, path.name})}) + "\n", encoding="utf-8")

@@ -11,10 +11,9 @@ from onebend.learning.outcome import Comparison
 from onebend.records import Observations
 from onebend.report.findings import Findings
 from onebend.report.page.page import page
-from onebend.results.folder import files_in
+from onebend.results.folder import files_in, write_summary
 from onebend.results.model import FILE_NAME, origin_of, save_model
 from onebend.results.observations_file import save_observations
-from onebend.results.summary import write_summary
 from onebend.results.tables import (
     write_markers,
     write_nuisances,

@@ -10,8 +10,7 @@ from typing import Any
 from onebend.control.loop.controller import Controller
 from onebend.control.loop.margins import Margins
 from onebend.control.loop.robustness import SETTLED, LoopTrial
-from onebend.results.folder import files_in
-from onebend.results.summary import write_summary
+from onebend.results.folder import files_in, write_summary
 from onebend.results.tables import write_csv
 
 LOOP_FORMAT = "onebend-loop-1"

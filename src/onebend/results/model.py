@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.learning.design.instruments import Instruments
-from onebend.learning.model.frames import marker_rms
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.posterior import Posterior
-from onebend.learning.swing.damping import Damping
+
+if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to load
+    from onebend.learning.design.instruments import Instruments
+    from onebend.learning.posterior import Posterior
+    from onebend.learning.swing.damping import Damping
 
 FORMAT = "onebend-model"
 VERSION = 3
@@ -54,6 +55,8 @@ class StoredModel:
 
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
     """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
+    from onebend.learning.model.frames import marker_rms  # here, and below: who reads a model loads no fit
+
     pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in trainings])
     rms = marker_rms(np.concatenate([comparison.measured - comparison.predicted for comparison in trainings]))
     if posterior is not None:
@@ -202,6 +205,8 @@ def _origin(file: Path, data: Any) -> Origin | None:
 def _bench(file: Path, data: Any) -> Instruments | None:
     if data is None:
         return None
+    from onebend.learning.design.instruments import Instruments
+
     try:
         return Instruments.from_dict(data)
     except LearningError as error:
@@ -211,6 +216,8 @@ def _bench(file: Path, data: Any) -> Instruments | None:
 def _damping(file: Path, data: Any) -> Damping | None:
     if data is None:
         return None
+    from onebend.learning.swing.damping import Damping
+
     try:
         return Damping.from_dict(data)
     except LearningError as error:

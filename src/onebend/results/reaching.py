@@ -10,8 +10,7 @@ import numpy as np
 
 from onebend.control.reach.reach import Reach
 from onebend.control.reach.uncertainty import SURE, PredictedError
-from onebend.results.folder import files_in
-from onebend.results.summary import write_summary
+from onebend.results.folder import files_in, write_summary
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"

@@ -12,8 +12,7 @@ from onebend.control.path.follow import FollowedPath
 from onebend.control.path.path_spread import PathSpread
 from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
 from onebend.control.shape.shape import ShapeResult
-from onebend.results.folder import files_in
-from onebend.results.summary import write_summary
+from onebend.results.folder import files_in, write_summary
 from onebend.results.tables import write_csv
 
 SHAPE_FORMAT = "onebend-shape-1"

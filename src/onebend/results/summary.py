@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.results.model import StoredModel
-from onebend.strict_json import to_json
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -103,11 +101,6 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def write_summary(path: Path, summary: Mapping[str, Any], files: Sequence[str]) -> None:
-    """Write `summary` with the list of all files of the results; it must be the last file written."""
-    path.write_text(to_json({**summary, "files": sorted({*files, path.name})}) + "\n", encoding="utf-8")
-
-
 def _fit(posterior: Posterior) -> dict[str, Any]:
     """The marker-space fit: nuisances, what trades off, scales, why it stopped."""
     optimum, uncertain = posterior.optimum, posterior.stiffness
@@ -119,7 +112,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "nuisances": [asdict(nuisance) for nuisance in posterior.nuisances()],
         "tradeoffs": [asdict(pair) for pair in tradeoffs(posterior)],
         "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
-        "scales": asdict(optimum.hyperparameters),
+        "hyperparameters": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
         "criticism": posterior.criticism.as_dict(),
         "log_evidence": optimum.log_evidence,

@@ -8,14 +8,16 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.posterior import Nuisance
+
+if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to load
+    from onebend.learning.posterior import Nuisance
 
 PLACES = 201  # rows of stiffness.csv: s = 0, 0.005, ..., 1
 

@@ -47,20 +47,20 @@ def summary(outcome: StudyOutcome) -> Figure:
     """The error at the tip in every validation: printed, the paper's method, the fit, the true beam."""
     figure, axes = blank(3.5, 1, len(outcome.beams), sharey=True)
     kinds = (("printed in the paper", FAINT), ("paper's method", ORANGE), ("onebend's fit", BLUE))
-    for axes_, beam in zip(axes, outcome.beams, strict=True):
+    for panel, beam in zip(axes, outcome.beams, strict=True):
         for x, film in enumerate(beam.films[1:]):
             printed = printed_m3(beam.name, film.strategy.name)
             values = (printed, None if film.paper is None else film.paper.rms[-1], film.fit.rms[-1])
             for i, (value, (_, tint)) in enumerate(zip(values, kinds, strict=True)):
                 if value is not None:
-                    axes_.bar(x + 0.27 * (i - 1), MM * value, width=0.25, color=tint)
-            axes_.plot([x - 0.4, x + 0.4], [MM * film.true.rms[-1]] * 2, color=INK, linewidth=1.4)
+                    panel.bar(x + 0.27 * (i - 1), MM * value, width=0.25, color=tint)
+            panel.plot([x - 0.4, x + 0.4], [MM * film.true.rms[-1]] * 2, color=INK, linewidth=1.4)
         if printed_m3(beam.name, "fast") is None:
-            axes_.annotate("no printed figures\nat hand", (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=8,
+            panel.annotate("no printed figures\nat hand", (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=8,
                         color=MUTED)  # fmt: skip
-        axes_.set_xticks(range(len(beam.films) - 1), [film.strategy.name for film in beam.films[1:]])
-        axes_.set_title(f"{beam.name} beam")
-        axes_.grid(visible=False, axis="x")
+        panel.set_xticks(range(len(beam.films) - 1), [film.strategy.name for film in beam.films[1:]])
+        panel.set_title(f"{beam.name} beam")
+        panel.grid(visible=False, axis="x")
     axes[0].set_ylabel("RMS error at the tip [mm]")
     for name, tint in kinds:
         axes[0].bar([0.0], [0.0], color=tint, label=name)
@@ -73,15 +73,15 @@ def summary(outcome: StudyOutcome) -> Figure:
 def designs(outcome: StudyOutcome) -> Figure:
     """Fig. 3: the three beams, to scale."""
     figure, axes = blank(3.6, len(outcome.beams), 1, sharex=True)
-    for axes_, beam in zip(axes, outcome.beams, strict=True):
+    for panel, beam in zip(axes, outcome.beams, strict=True):
         half = 0.5 * MM * np.asarray(beam.design.width(S))
-        axes_.fill_between(MM * beam.design.length * S, -half, half, color=BLUE, alpha=0.25, linewidth=0)
-        axes_.plot(MM * beam.design.length * S, half, color=BLUE)
-        axes_.plot(MM * beam.design.length * S, -half, color=BLUE)
-        axes_.axvspan(-6.0, 0.0, color=MUTED, alpha=0.5, linewidth=0)
+        panel.fill_between(MM * beam.design.length * S, -half, half, color=BLUE, alpha=0.25, linewidth=0)
+        panel.plot(MM * beam.design.length * S, half, color=BLUE)
+        panel.plot(MM * beam.design.length * S, -half, color=BLUE)
+        panel.axvspan(-6.0, 0.0, color=MUTED, alpha=0.5, linewidth=0)
         for i, s in enumerate(beam.films[0].observations.marker_s):
-            axes_.plot(MM * beam.design.length * s, 0.0, shape(i), color=colour(i), markersize=5)
-        axes_.set(aspect="equal", ylim=(-12, 12), ylabel="[mm]", title=f"{beam.name} width")
+            panel.plot(MM * beam.design.length * s, 0.0, shape(i), color=colour(i), markersize=5)
+        panel.set(aspect="equal", ylim=(-12, 12), ylabel="[mm]", title=f"{beam.name} width")
     axes[-1].set_xlabel("along the beam, from the clamp [mm]")
     return figure
 
@@ -93,12 +93,12 @@ def frames(outcome: StudyOutcome) -> Figure:
     pairs = [
         (beam, film) for beam in outcome.beams for name in SHOWN for film in beam.films if film.strategy.name == name
     ]
-    for axes_, (one, film) in zip(axes, pairs, strict=True):
-        axes_.set_axis_off()
+    for panel, (one, film) in zip(axes, pairs, strict=True):
+        panel.set_axis_off()
         t = largest_push(film.fit)
         file = outcome.work / RECORDINGS / film.observations.source.name / "video.mp4"
-        axes_.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
-        axes_.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
+        panel.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
+        panel.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
     return figure
 
 
@@ -120,9 +120,9 @@ def training(outcome: StudyOutcome) -> Figure:
         below.set_xlabel("time in contact [s]")
     axes[0].set_ylabel("logged force [N]")
     axes[len(outcome.beams)].set_ylabel("markers' y [mm]")
-    for axes_ in (axes[0], axes[len(outcome.beams)]):
-        axes_.margins(y=0.25)
-        axes_.legend(loc="upper center", fontsize=8, ncols=3, columnspacing=1.0, handlelength=1.2)
+    for panel in (axes[0], axes[len(outcome.beams)]):
+        panel.margins(y=0.25)
+        panel.legend(loc="upper center", fontsize=8, ncols=3, columnspacing=1.0, handlelength=1.2)
     return figure
 
 
@@ -130,14 +130,14 @@ def training(outcome: StudyOutcome) -> Figure:
 def stiffness(outcome: StudyOutcome) -> Figure:
     """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
     figure, axes = blank(3.9, 1, len(outcome.beams))
-    for axes_, beam in zip(axes, outcome.beams, strict=True):
+    for panel, beam in zip(axes, outcome.beams, strict=True):
         band, true = beam.learned.uncertain.band(S), np.asarray(beam.true.stiffness(S))
-        axes_.fill_between(S, band.low, band.high, color=BLUE, alpha=0.2, linewidth=0, label="its 95 % band")
-        axes_.plot(S, band.k, color=BLUE, label="onebend's fit")
+        panel.fill_between(S, band.low, band.high, color=BLUE, alpha=0.2, linewidth=0, label="its 95 % band")
+        panel.plot(S, band.k, color=BLUE, label="onebend's fit")
         if beam.learned.paper is not None:
-            axes_.plot(S, beam.learned.paper.stiffness(S), color=ORANGE, linestyle="--", label="paper's method")
-        axes_.plot(S, true, color=INK, linewidth=1.3, label="true")
-        axes_.set(ylim=(0.0, 1.6 * float(true.max())), xlabel="s", title=f"{beam.name} beam")
+            panel.plot(S, beam.learned.paper.stiffness(S), color=ORANGE, linestyle="--", label="paper's method")
+        panel.plot(S, true, color=INK, linewidth=1.3, label="true")
+        panel.set(ylim=(0.0, 1.6 * float(true.max())), xlabel="s", title=f"{beam.name} beam")
     axes[0].set_ylabel("k(s) [N m], on the scale of the log")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
@@ -155,27 +155,27 @@ def ranked(outcome: StudyOutcome) -> tuple[tuple[str, BeamOutcome, ValidatedFilm
 def three_validations(outcome: StudyOutcome) -> Figure:
     """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
     figure, axes = blank(3.5, 1, 3, sharex=True, sharey=True)
-    for axes_, (word, one, film) in zip(axes, ranked(outcome), strict=True):
+    for panel, (word, one, film) in zip(axes, ranked(outcome), strict=True):
         t = largest_push(film.fit)
-        _shape(axes_, one, film, t)
+        _shape(panel, one, film, t)
         title = f"{word}: {one.name}, {film.strategy.name}\n{MM * film.fit.rms[-1]:.1f} mm at M3"
-        axes_.set(aspect="equal", xlabel="x [mm]", title=title)
+        panel.set(aspect="equal", xlabel="x [mm]", title=title)
     axes[0].set_ylabel("y [mm]")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
 
 
-def _shape(axes_: Axes, one: BeamOutcome, film: ValidatedFilm, t: int) -> None:
+def _shape(panel: Axes, one: BeamOutcome, film: ValidatedFilm, t: int) -> None:
     pairs = ((one.learned.fit, BLUE, "-", "onebend's fit"), (one.learned.paper, ORANGE, "--", "paper's method"))
     for beam, tint, line, name in pairs:
         drawn = None if beam is None else centreline(beam, film.fit, film.observations, t)
         if drawn is not None:
-            axes_.plot(*(MM * drawn.T), color=tint, linestyle=line, label=name)
+            panel.plot(*(MM * drawn.T), color=tint, linestyle=line, label=name)
     for m in range(len(film.fit.tag_id)):
-        axes_.plot(*(MM * film.fit.measured[t, m]), shape(m), color=colour(m), markersize=7, markerfacecolor="none",
+        panel.plot(*(MM * film.fit.measured[t, m]), shape(m), color=colour(m), markersize=7, markerfacecolor="none",
                 markeredgewidth=1.8, label=f"M{m + 1} measured", zorder=5)  # fmt: skip
-    axes_.plot(0.0, 0.0, "s", color=INK, markersize=5)
+    panel.plot(0.0, 0.0, "s", color=INK, markersize=5)
 
 
 @styled
@@ -183,10 +183,10 @@ def manipulations(outcome: StudyOutcome) -> Figure:
     """Fig. 8: two tasks a beam, on the way to the goal, and where the same force puts the true beam."""
     shown = [(beam, done) for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     figure, axes = blank(2.6 * len(outcome.beams), len(outcome.beams), 2)
-    for axes_, (one, done) in zip(axes, shown, strict=True):
-        draw_reach(axes_, done.found, None)
-        axes_.plot(*(MM * done.landed), "+", color=GREEN, markersize=11, markeredgewidth=2, zorder=9, label="true beam")
-        axes_.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
+    for panel, (one, done) in zip(axes, shown, strict=True):
+        draw_reach(panel, done.found, None)
+        panel.plot(*(MM * done.landed), "+", color=GREEN, markersize=11, markeredgewidth=2, zorder=9, label="true beam")
+        panel.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure

@@ -16,7 +16,7 @@ from onebend.errors import LearningError, ResultsError
 from onebend.learning.design.instruments import instruments_of
 from onebend.learning.model.rest import at_rest
 from onebend.learning.outcome import Trial
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings, choose, table
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
@@ -87,7 +87,7 @@ def by_paper(observations: Observations) -> tuple[tuple[Trial, ...], int | None,
 def by_fit(observations: Observations) -> Posterior:
     """What `onebend learn` does: the regression with the tags' angles, and the fit from there."""
     try:
-        start = learn(observations)
+        start = regress(observations)
     except LearningError:
         start = None
     return fit([observations], start_of([observations], start), gain_sd=observations.stated.gain_sd)

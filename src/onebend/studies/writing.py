@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from onebend.results.folder import files_in
-from onebend.results.summary import write_summary
+from onebend.results.folder import files_in, write_summary
 from onebend.studies.films import OBSERVED, RECORDINGS
 from onebend.studies.outcome import StudyOutcome
 from onebend.studies.page import page

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from onebend.recording.calibration.intrinsics import NAMES, Calibration
-from onebend.terminal.tables import remarks_list
+from onebend.terminal.parts import remarks_list
 
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.report.wording import significant
-from onebend.terminal.tables import remarks_list
+from onebend.terminal.parts import remarks_list
 
 
 def damping_words(damping: Damping) -> str:

@@ -1,15 +1,18 @@
-"""What several screens share: a list of facts, a force in words, and where the files are."""
+"""What several screens share: a list of facts, what looked odd, a force in words, and where the files are."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
-from onebend.records import Array
+from onebend.records import Array, Remark
 from onebend.report.wording import significant
 
 NO_BAND = "not known: the model has no band on k(s)"
@@ -31,3 +34,17 @@ def say_written(console: Console, output: Path | None, files: str) -> None:
     """Which `files` are in the folder `output` now; nothing where none were written."""
     if output is not None:
         console.print(f"\nWrote {output}: {files}", highlight=False, markup=False)
+
+
+def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
+    """What looked odd: warnings in colour, notes in grey."""
+    if not remarks:
+        return Text("Nothing looked odd.", "dim")
+    table = Table(box=None, show_header=False, pad_edge=False, title="What looked odd", title_justify="left")
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for whose, remark in remarks:
+        warning = remark.level == "warning"
+        table.add_row("[yellow]![/]" if warning else "[dim]·[/]", escape(f"{whose}: {remark.text}"),
+                      style="" if warning else "dim")  # fmt: skip
+    return table

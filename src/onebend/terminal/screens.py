@@ -9,7 +9,6 @@ import numpy as np
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.panel import Panel
-from rich.table import Table
 from rich.text import Text
 
 from onebend.learning.outcome import Comparison
@@ -18,17 +17,16 @@ from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
-from onebend.report.overview import Overview
 from onebend.report.page.cards import band_card, stiffness_range
 from onebend.report.wording import millimetres, significant, worst_marker
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words
+from onebend.terminal.parts import remarks_list
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
     comparison_table,
     estimate_table,
     nuisance_table,
-    remarks_list,
     selection_table,
     stages_table,
 )
@@ -112,18 +110,6 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
     )
     if out is not None:
         say_path(console, "\ntables and figures", out)
-
-
-def show_overview(console: Console, overview: Overview) -> None:
-    """What `onebend check` understood."""
-    table = Table(title=overview.name, title_justify="left", box=None, show_header=False)
-    table.add_column(no_wrap=True, style="dim")
-    table.add_column(overflow="fold")
-    for what, understood in overview.rows:
-        table.add_row(what, escape(understood))
-    console.print(table)
-    console.print()
-    console.print(remarks_list([(overview.name, remark) for remark in overview.remarks]))
 
 
 def show_model(console: Console, stored: StoredModel) -> None:

@@ -17,7 +17,7 @@ from onebend.terminal.parts import NO_BAND, facts_table, force_words, say_writte
 
 
 def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
-    """The hands, how close the shape is, how far from buckling, how sure."""
+    """The actuators' loads, the residual, the distance from buckling, the uncertainty."""
     table = facts_table()
     for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
         table.add_row(f"force at s = {pusher.at_s:.3g}", force_words(force))

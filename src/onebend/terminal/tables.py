@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance
-from onebend.records import Remark
 from onebend.report.confidence import nuisance_rows
 from onebend.report.wording import bic_words, millimetres, percent, significant, stage_rows
 
@@ -80,20 +77,6 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
     for row in nuisance_rows(nuisances):
         style = "yellow" if row.moved > 2.0 else ""
         table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
-    return table
-
-
-def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
-    """What looked odd: warnings in colour, notes in grey."""
-    if not remarks:
-        return Text("Nothing looked odd.", "dim")
-    table = Table(box=None, show_header=False, pad_edge=False, title="What looked odd", title_justify="left")
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for whose, remark in remarks:
-        warning = remark.level == "warning"
-        table.add_row("[yellow]![/]" if warning else "[dim]·[/]", escape(f"{whose}: {remark.text}"),
-                      style="" if warning else "dim")  # fmt: skip
     return table
 
 

@@ -164,7 +164,7 @@ def test_a_drawn_curve_finds_its_own_places() -> None:
 
 def test_what_cannot_be_asked() -> None:
     goal = points(1.0, [0.1, 0.05])
-    with pytest.raises(ControlError, match="no hand"):
+    with pytest.raises(ControlError, match="no actuator"):
         shape(SOFT, goal)
     with pytest.raises(ControlError, match="s in"):
         points(1.5, [0.1, 0.0])

@@ -24,7 +24,7 @@ from onebend.lab.filming.viewpoint import Camera
 from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualTag
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.folder import read_recording
 from onebend.recording.force.force_log import read_force_log
@@ -185,7 +185,7 @@ def test_what_is_learned_from_a_film_is_the_truth(tmp_path: Path) -> None:
     slow = replace(PUSH, before=1.5, rise=4.0, hold=0.5, fall=3.0, after=1.2)
     bench = replace(BENCH, push=slow, sensor=replace(BENCH.sensor, white_sd=0.01, bias=(0.2, -0.1)))
     out = film(replace(FILMING, bench=bench, camera=Camera(960, 540, 900.0)), tmp_path / "film", seed=5)
-    found = learn_recording(out)
+    found = learn(out)
     assert found.posterior is not None
     s = np.linspace(0.05, 0.9, 35)
     band, truth = found.posterior.band(s), np.asarray(bench.beam.stiffness(s))

@@ -23,7 +23,7 @@ from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.learning.start import start_of, with_mass
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 from onebend.results.observations_file import load_observations, save_observations
@@ -126,7 +126,7 @@ def test_without_weight_only_ratios_of_k_are_known(tmp_path: Path) -> None:
     one = hold(ROD, ENDS)
     np.testing.assert_allclose(ten.q, one.solved.q, atol=1e-8)
     folder = held_folder(tmp_path / "rod", held_points(ROD, Loads(), 5e-5), beam="", gravity="")
-    run = learn_recording(folder, fitting=FEW)
+    run = learn(folder, fitting=FEW)
     assert run.posterior is not None
     assert not run.posterior.band(np.linspace(0.0, 1.0, 21)).identified.any()
     said = [r for r in run.remarks if "the size of k(s) is not identifiable" in r.text]
@@ -144,7 +144,7 @@ def test_k_stated_as_one_number_is_one(tmp_path: Path) -> None:
     wire = replace(HEAVY, stiffness=Uniform(0.2))
     even = 'mass_kg = 1.2\nmass_along = "even"\nstiffness_along = "even"\n'
     folder = held_folder(tmp_path / "wire", held_points(wire, weight(G * DOWN), 2e-4), beam=even)
-    run = learn_recording(folder, fitting=FEW)
+    run = learn(folder, fitting=FEW)
     assert run.posterior is not None
     band = run.posterior.band(np.linspace(0.0, 1.0, 11))
     assert np.ptp(np.log(band.k)) < 0.01

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Steps, Uniform
+from onebend.beam.profiles.stiffness import Profile, Steps, Table, Uniform
 from onebend.errors import LearningError
 from onebend.learning.model.frames import usable_frames
-from onebend.learning.paper.learn import learn
+from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings, information_criterion, pairs
 from onebend.learning.validation import validate
+from onebend.records import MassLine
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated
 
@@ -59,12 +60,12 @@ def test_pairs_are_those_of_equation_20() -> None:
 )
 def test_impossible_wishes_are_refused(settings: RegressionSettings, words: str) -> None:
     with pytest.raises(LearningError, match=words):
-        learn(observed(SOFT, forces()), settings)
+        regress(observed(SOFT, forces()), settings)
 
 
 @pytest.fixture(scope="module")
 def learned_soft():  # type: ignore[no-untyped-def]
-    return learn(observed(SOFT, forces(), noise=(2e-5, 1e-3), seed=1))
+    return regress(observed(SOFT, forces(), noise=(2e-5, 1e-3), seed=1))
 
 
 def test_stiffness_comes_back_from_noisy_markers(learned_soft) -> None:  # type: ignore[no-untyped-def]
@@ -100,33 +101,33 @@ def test_mounting_errors_seen_at_rest_are_taken_off() -> None:
         rest_angle=made.rest_angle + turn,
     )
     np.testing.assert_allclose(validate(SOFT, mounted).rms, 0.0, atol=1e-6)
-    found = learn(mounted, RegressionSettings(n=6, m=3, width=0.5)).beam.stiffness(S)
+    found = regress(mounted, RegressionSettings(n=6, m=3, width=0.5)).beam.stiffness(S)
     np.testing.assert_allclose(found, SOFT.stiffness(S), rtol=0.02)
 
 
 def test_natural_curvature_is_found_at_rest() -> None:
     curved = Beam(0.15, SOFT.stiffness, rest_curvature=Uniform(0.3))
     made = with_stated(observed(curved, forces()), rest="unknown")
-    result = learn(made, RegressionSettings(n=6, m=3, width=0.5))
+    result = regress(made, RegressionSettings(n=6, m=3, width=0.5))
     np.testing.assert_allclose(result.beam.rest_curvature(S), 0.3, atol=0.05)
     np.testing.assert_allclose(result.beam.stiffness(S), curved.stiffness(S), rtol=0.05)
 
 
 def test_too_few_frames_say_how_many_are_needed() -> None:
     with pytest.raises(LearningError, match=r"4 loaded frames, but up to 16 parameters"):
-        learn(observed(SOFT, forces(4)))
+        regress(observed(SOFT, forces(4)))
 
 
 def test_force_of_the_opposite_sign_finds_no_beam() -> None:
     made = observed(SOFT, forces())
     with pytest.raises(LearningError, match="force's sign"):
-        learn(replace(made, force=-made.force), RegressionSettings(most_n=4))
+        regress(replace(made, force=-made.force), RegressionSettings(most_n=4))
 
 
 def test_trial_with_negative_stiffness_is_reported_not_simulated() -> None:
     """A deep step seen through few wide Gaussians: some trials go below zero and say so."""
     stepped = Beam(0.15, Steps((0.0, 0.4, 1.0), (0.03, 0.012)))
-    result = learn(observed(stepped, forces(), noise=(2e-5, 2e-3)), RegressionSettings(method="paper"))
+    result = regress(observed(stepped, forces(), noise=(2e-5, 2e-3)), RegressionSettings(method="paper"))
     out = [t for t in result.trials if t.why_out]
     assert out
     assert all(np.isinf(t.bic) for t in out)
@@ -146,15 +147,21 @@ def test_weight_without_mass_is_refused() -> None:
         validate(SOFT, made)
 
 
-def test_weight_alone_teaches_the_stiffness() -> None:
-    """A base that is turned under gravity, no force at all: the weight is the load."""
-    heavy = Beam(0.15, SOFT.stiffness, mass_per_length=Uniform(0.1 / 0.15))
+@pytest.mark.parametrize("uneven", [False, True])
+def test_weight_alone_teaches_the_stiffness(uneven: bool) -> None:
+    """A base that is turned under gravity, no force at all: the weight is the load, an uneven one where it is."""
+    line = MassLine(S, (0.5 + S) * 0.1 / 0.15) if uneven else None
+    mass: Profile = Uniform(0.1 / 0.15) if line is None else Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
+    heavy = Beam(0.15, SOFT.stiffness, mass_per_length=mass)
     turns = np.linspace(-np.pi, np.pi, 60)
     gravity = 9.81 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     shape = heavy.equilibrium(np.zeros((60, 2)), gravity=gravity)
     made = observed(SOFT, np.zeros((60, 2)), xy=shape.xy(MARKERS), angle=shape.angle(MARKERS))
     hanging = with_stated(
-        replace(made, gravity=gravity, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool)), mass=0.1
+        replace(made, gravity=gravity, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool)),
+        mass=0.1,
+        mass_line=line,
     )
-    found = learn(hanging, RegressionSettings(n=6, m=3, width=0.5)).beam
+    found = regress(hanging, RegressionSettings(n=6, m=3, width=0.5)).beam
+    np.testing.assert_allclose(found.mass_per_length(S), mass(S))
     np.testing.assert_allclose(found.stiffness(S), SOFT.stiffness(S), rtol=0.02)

@@ -23,7 +23,7 @@ from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of, with_mass
-from onebend.pipeline import learn_recording
+from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 from onebend.results.observations_file import load_observations, save_observations
@@ -178,7 +178,7 @@ def test_a_profile_of_the_mass_is_used(tmp_path: Path) -> None:
 def test_poses_come_through_the_pipeline_and_back_from_disk(tmp_path: Path) -> None:
     loads = TIP_LOADS.replace("weight_N\n", "weight_N,moment_N_m\n") + "0,0.5,,0.001\n"
     folder = pose_folder(tmp_path / "rod", loads=loads, shown=noisy(hanging(), 5e-4), beam="mass_kg = 0.03\n")
-    run = learn_recording(folder, fitting=FEW, validate_on=[])
+    run = learn(folder, fitting=FEW, validate_on=[])
     assert run.learned is None
     assert run.posterior is not None
     assert run.trainings[0].rms.max() < 0.005
@@ -194,7 +194,7 @@ def test_poses_come_through_the_pipeline_and_back_from_disk(tmp_path: Path) -> N
 
 def test_the_example_is_learned() -> None:
     """It was made with k = 0.5 and 0.35 N m there, read to half a millimetre, the clamp 0.4 deg off."""
-    run = learn_recording(Path(__file__).parents[3] / "examples" / "hung-weights", fitting=FEW)
+    run = learn(Path(__file__).parents[3] / "examples" / "hung-weights", fitting=FEW)
     assert run.posterior is not None
     band = run.posterior.band(np.array([0.35, 0.6]))
     assert np.all((band.low < [0.5, 0.35]) & (band.high > [0.5, 0.35]))

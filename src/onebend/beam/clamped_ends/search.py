@@ -23,6 +23,7 @@ from onebend.beam.statics.equilibrium import Equilibrium, potential
 from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.sensitivity import clamp_wrench
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
@@ -54,6 +55,7 @@ class ClampedEquilibrium:
         return np.asarray(clamp_wrench(self.solved) - np.stack([fx, fy, x * fy - y * fx + moment], axis=-1))
 
 
+@one_blas_thread
 def hold(
     beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution | None = None
 ) -> ClampedEquilibrium:
@@ -77,6 +79,7 @@ def hold(
     return _under_wrench(held)
 
 
+@one_blas_thread
 def hold_along(
     beam: Rod, path: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution = Resolution(order=16, widest=0.25)
 ) -> ClampedEquilibrium:

@@ -13,12 +13,18 @@ from scipy.interpolate import BSpline
 from scipy.special import ndtri
 
 from onebend.beam.profiles.stiffness import LogSpline
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray
 
 SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # of the bands that `UncertainStiffness.shape` holds
 SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
 IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
+
+
+def half_width(sd: Array | float, level: float = 0.95) -> Array:
+    """Half the width of the band between the quantiles of a normal of this sd that leave out `1 - level`."""
+    return np.asarray(ndtri(0.5 + 0.5 * level) * sd)
 
 
 @dataclass(frozen=True)
@@ -71,11 +77,16 @@ class UncertainStiffness:
         basis = self.basis(s)
         return basis @ self.mean, np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance, basis))
 
+    @one_blas_thread
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
         mean, sd = self.log_at(s)
-        wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(self._widening(s, level) * sd, self.gain_sd)
+        wide = self.half_width(s, level)
         return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
+
+    def half_width(self, s: Array, level: float = 0.95) -> Array:
+        """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
+        return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
 
     def _widening(self, s: Array, level: float) -> Array | float:
         """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""

@@ -21,6 +21,7 @@ from onebend.beam.statics.newton import correct, solve_batch
 from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.snap_through import Side, let_fall
+from onebend.blas import one_blas_thread
 from onebend.records import Array, IntArray
 
 
@@ -64,6 +65,7 @@ class _State:
         self.iterations = 0
 
 
+@one_blas_thread
 def equilibrium(
     beam: Rod,
     loads: Loads,

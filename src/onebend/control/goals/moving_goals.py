@@ -19,7 +19,7 @@ Between = Literal["smooth", "monotone", "linear"]
 
 @dataclass(frozen=True)
 class Goals:
-    """Targets at N places that take other values at each of K times.
+    """Targets at N places whose values change over K times.
 
     `between`: "smooth" is a cubic spline (velocity and acceleration without jumps, the path may swing a little beyond
     its goals); "monotone" does not swing beyond (acceleration jumps at the goals); "linear" goes straight from goal to

@@ -1,4 +1,4 @@
-"""What a shape is wanted to be: points, angles or a whole curve, each with a weight."""
+"""Targets of a shape: points, angles or a whole curve, each with a weight."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
-BEYOND = 2.0  # of the length, from the clamp: nobody wants a beam there
+BEYOND = 2.0  # times the length, from the clamp: a target there must be a mistake
 METRES = "Positions are in metres: is this in millimetres?"
 
 
@@ -127,7 +127,7 @@ def _spread(weight: ArrayLike, count: int) -> Array:
 
 @dataclass(frozen=True)
 class TargetResiduals:
-    """How far T shapes are from their targets, and how that goes with the curvature at the nodes. Lengths over L."""
+    """Weighted residuals of T shapes against their targets, and derivatives by the curvature at the nodes; over L."""
 
     value: Array  # (T, R) weighted
     jacobian: Array  # (T, R, Q) derivative of `value`
@@ -140,14 +140,14 @@ class TargetResiduals:
 
 
 def target_residuals(solved: Equilibrium, targets: Targets, arm: float) -> TargetResiduals:
-    """Weighted distances of one shape from its targets; `arm` [m] makes lengths of angles."""
+    """Weighted residuals of one shape; `arm` [m] turns angle errors into lengths."""
     return target_residuals_along(solved, targets, targets.xy[None], targets.angle[None], arm)
 
 
 def target_residuals_along(
     solved: Equilibrium, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> TargetResiduals:
-    """The same of T shapes, wanted at xy (T, N, 2) and angle (T, N); places and weights are those of `targets`."""
+    """The same for T shapes with targets xy (T, N, 2) and angle (T, N); places and weights are those of `targets`."""
     problem, length = solved.problem, float(solved.problem.length)
     to, alpha = problem.grid.integral_to(targets.s), solved.alpha
     cos, sin = np.cos(alpha), np.sin(alpha)

@@ -1,9 +1,9 @@
-"""The closed loop: a learned beam's force for a goal, corrected by what the camera sees.
+"""The closed loop: the model's force for a goal, corrected by what the camera sees.
 
-The model gives a path of forces from where the beam stands to the goal's force (feedforward), and the path of positions
-that belongs to it (the reference). Every frame, the position seen is compared with the reference of the moment when the
-frame was exposed; the error, filtered, passes the inverse compliance of the model at that working point and is added up
-(integral action in the task space). Where k(s) is wrong, the sum grows to just the force that was missing.
+The model gives forces that lead from the beam's present state to the goal (feedforward), and the positions that belong
+to them (the reference). In every frame the measured position is compared with the reference at the time of exposure.
+The error is filtered, multiplied by the inverse compliance of the model at that working point, and integrated
+(integral action in task space). Where k(s) is wrong, the integral converges to the force that was missing.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
+from onebend.blas import one_blas_thread
 from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
 from onebend.control.loop.tuning import RequiredMargins, tuned
@@ -27,23 +28,24 @@ from onebend.control.reach.reach import ReachSettings, reach
 from onebend.errors import ControlError
 from onebend.records import Array
 
-_PLACES = 33  # of the reference path
-_NEAR = 1e-4  # share of the length by which the path's end may miss the goal
-_COARSE = Resolution(8)  # of the shape behind the map from error to force, which need not be exact
-_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)  # of the model's compliance
-_TRUST = 0.02  # of the length: how far off the reference a beam may stand before a factor e in k is the likelier reason
+_REFERENCE_PLACES = 33  # of the reference path
+_GOAL_TOLERANCE = 1e-4  # share of the length by which the path's end may miss the goal
+_COARSE_RESOLUTION = Resolution(8)  # of the shape behind the map from error to force, which need not be exact
+_COMPLIANCE_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)  # of the model's compliance
+# Share of the length: an error of the position this large is as likely as a factor e in k.
+_POSITION_TRUST = 0.02
 
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What is known of the loop, and what is wanted of it."""
+    """What is known about the loop, and the margins it must have."""
 
     timing: Timing = field(default_factory=Timing)  # as known or guessed
     longest_delay: float = 0.1  # s: the margins are kept up to here
     damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest that keep the margins
-    weak: float = 0.01  # a direction that yields less than this share of what the softest does is corrected slowly
+    weak: float = 0.01  # a direction whose compliance is below this share of the largest is corrected slowly
     most_force: float = inf  # N, the robot's bound on the force's size
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
@@ -92,7 +94,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """All that a controller remembers. Start with `Controller.begin`."""
+    """The state of a controller. `Controller.begin` makes the first."""
 
     began: float  # s
     correction: Array  # (2,) N: the integral
@@ -102,7 +104,7 @@ class ControllerState:
 
 @dataclass(frozen=True)
 class Controller:
-    """A loop for one goal. Nothing in it changes; what it remembers is its `ControllerState`."""
+    """A controller for one goal. It is constant; what changes is its `ControllerState`."""
 
     beam: Beam
     goal: Array  # (2,) m
@@ -115,10 +117,12 @@ class Controller:
     gains: Gains
     settings: ControllerSettings
 
+    @one_blas_thread
     def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
         """The state in which the way to the goal starts at `time` s."""
         return ControllerState(time, np.asarray(correction, dtype=float), np.zeros((2, 2)), time)
 
+    @one_blas_thread
     def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
         """The force (2,) N to apply from `time` s on, and the state after it.
 
@@ -135,12 +139,13 @@ class Controller:
                 wished = self._wished(state, time)
         return state, wished
 
+    @one_blas_thread
     def margins(self) -> Margins:
         """How far the loop at the goal is from ringing, k(s) being the model's."""
         return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
 
     def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
-        """After one frame. A gap counts as one frame, so that what was not seen is not corrected for."""
+        """The state after one frame. A gap counts as one frame: time without a measurement adds no correction."""
         since = time - state.began
         passed = min(time - state.frame_at, 1.0 / self.settings.timing.fps)
         if not passed > 0.0:
@@ -159,22 +164,22 @@ class Controller:
     def inverse_at(self, force: Array, since: float) -> Array:
         """(2, 2) N/m: the map from position error to force where the beam stands under `force` at `since` s.
 
-        Of all beams whose k(s) is the model's times 1/c, the one is taken that stands nearest to the reference under
-        this force: under c times the force the model has its shape, and c times the model's compliance is its own.
-        Where the model has no stable shape, the map is that of the goal.
+        Among the beams with k(s) of the model times 1/c, the one nearest to the reference under this force is taken.
+        Its shape is that of the model under c times the force, its compliance c times the model's there. Where the
+        model has no stable shape, the map at the goal is used.
         """
         point = np.array([self.point_s])
         x, y = self.gravity.tolist()
-        under = prepared(self.beam, self.push_s, self.point_s, (x, y), _COARSE).loaded(np.append(force, 0.0))
-        solved = follow(under.take(np.zeros(len(_SCALES), dtype=int)).loaded(_SCALES))
+        under = prepared(self.beam, self.push_s, self.point_s, (x, y), _COARSE_RESOLUTION).loaded(np.append(force, 0.0))
+        solved = follow(under.take(np.zeros(len(_COMPLIANCE_SCALES), dtype=int)).loaded(_COMPLIANCE_SCALES))
         off = solved.xy(point)[:, 0] - self.reference.position(since)
-        cost = np.sum(off**2, axis=1) + (_TRUST * self.beam.length * np.log(_SCALES)) ** 2
+        cost = np.sum(off**2, axis=1) + (_POSITION_TRUST * self.beam.length * np.log(_COMPLIANCE_SCALES)) ** 2
         cost[~(solved.converged & solved.stable)] = inf
         best = int(np.argmin(cost))
         if not isfinite(cost[best]):
             return self.inverse
         compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(point)[best, 0]
-        return damped_inverse(_SCALES[best] * compliance, self.settings.weak)
+        return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
         return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
@@ -189,6 +194,7 @@ def bounded(force: Array, most: float) -> Array:
     return force if size <= most else np.asarray(force * (most / size))
 
 
+@one_blas_thread
 def controller(
     beam: Beam,
     goal: ArrayLike,
@@ -205,17 +211,17 @@ def controller(
     if not result.converged:
         raise ControlError(result.reason)
     ends = result.force
-    forces = begins + np.linspace(0.0, 1.0, _PLACES)[:, None] * (ends - begins)
+    forces = begins + np.linspace(0.0, 1.0, _REFERENCE_PLACES)[:, None] * (ends - begins)
     solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
     xy = solved.xy(np.array([point_s]))[:, 0]
-    if not np.all(solved.converged & solved.stable) or np.linalg.norm(xy[-1] - wanted) > _NEAR * beam.length:
+    if not np.all(solved.converged & solved.stable) or np.linalg.norm(xy[-1] - wanted) > _GOAL_TOLERANCE * beam.length:
         raise ControlError(
             f"the force cannot go straight from {np.round(begins, 4)} N to the goal's {np.round(ends, 4)} N: the beam "
             "would snap through on the way. Give goals between"
         )
     compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(np.array([point_s]))[-1, 0]
     inverse = damped_inverse(compliance, settings.weak)
-    places = (_PLACES // 2, _PLACES - 1)
+    places = (_REFERENCE_PLACES // 2, _REFERENCE_PLACES - 1)
     plants = [
         plant_at(beam, forces[i], push_s=push_s, point_s=point_s, damping_ratio=settings.damping_ratio, gravity=gravity)
         for i in places
@@ -231,7 +237,7 @@ def controller(
 
 
 def damped_inverse(compliance: Array, weak: float) -> Array:
-    """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`. A direction that hardly yields is corrected slowly, not wildly."""
+    """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`. A direction with little compliance is corrected slowly."""
     least = weak * np.linalg.norm(compliance, 2)
     return np.asarray(compliance.T @ np.linalg.inv(compliance @ compliance.T + least**2 * np.eye(2)))
 

@@ -1,4 +1,4 @@
-"""How far the sampled loop is from ringing: gain, phase, delay, and how wrong k may be.
+"""Stability margins of the sampled loop: gain, phase, delay, and the error of k that it tolerates.
 
 Every frame at `t_k = k / fps` the controller takes what the camera saw `delay` earlier, filters the error and adds it
 to the integral, and the force is held to the next frame:
@@ -25,8 +25,8 @@ from onebend.records import Array
 ComplexArray = NDArray[np.complex128]
 
 _FREQUENCIES = 600
-_STEP = 1.04  # of a scan for the onset of instability
-_MOST = 200  # steps of it
+_SCAN_RATIO = 1.04  # of a scan for the onset of instability
+_MOST_SCAN_STEPS = 200  # steps of it
 
 
 @dataclass(frozen=True)
@@ -129,25 +129,25 @@ def margins(loop: SampledLoop) -> Margins:
         return replace(loop, plant=loop.plant.stiffer(1.0 / factor))
 
     def later(extra: float) -> SampledLoop:
-        return replace(loop, timing=replace(loop.timing, delay=loop.timing.delay + extra - _SHORT))
+        return replace(loop, timing=replace(loop.timing, delay=loop.timing.delay + extra - _SHORTEST_DELAY))
 
     return Margins(
         gain=onset(lambda g: replace(loop, gains=replace(loop.gains, rate=g * loop.gains.rate))),
         phase=phase_margin(loop),
-        delay=onset(later, first=_SHORT) - _SHORT,
+        delay=onset(later, first=_SHORTEST_DELAY) - _SHORTEST_DELAY,
         softest=1.0 / onset(stiffer),
         radius=radius,
     )
 
 
-_SHORT = 0.01  # s: delays are scanned from here in equal ratios
+_SHORTEST_DELAY = 0.01  # s: delays are scanned from here in equal ratios
 
 
 def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
     """The smallest number above `first` at which the loop `of` it is unstable; to 1e-4 of it."""
     low = first
-    for _ in range(_MOST):
-        high = low * _STEP
+    for _ in range(_MOST_SCAN_STEPS):
+        high = low * _SCAN_RATIO
         if of(high).radius >= 1.0:
             while high - low > 1e-4 * low:
                 middle = 0.5 * (low + high)

@@ -23,7 +23,7 @@ from onebend.errors import MechanicsError
 from onebend.records import Array
 
 MODES = 6
-_QUICK = 1e-4  # s, the shortest lag of an actuator: far below a frame, and still well-conditioned
+_SHORTEST_LAG = 1e-4  # s, the shortest lag of an actuator: far below a frame, and still well-conditioned
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class StateSpace:
 
 def behind_actuator(plant: Plant, lag: float) -> StateSpace:
     """The plant driven by an actuator of first order with time constant `lag` s."""
-    m, slow = len(plant.omega), max(lag, _QUICK)
+    m, slow = len(plant.omega), max(lag, _SHORTEST_LAG)
     a = np.zeros((2 * m + 2, 2 * m + 2))
     a[:m, m : 2 * m] = np.eye(m)
     a[m : 2 * m, :m] = -np.diag(plant.omega**2)

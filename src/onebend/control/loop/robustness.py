@@ -1,4 +1,4 @@
-"""What to expect of a closed loop: it is rehearsed on beams softer and stiffer than the model."""
+"""Robustness of a closed loop: it is simulated on beams softer and stiffer than the model."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Uniform
 from onebend.beam.statics.problem import has_mass
+from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller
 from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.errors import ControlError, MechanicsError
@@ -17,7 +18,7 @@ _LEAST_MASS = 0.01  # kg/m of a beam whose mass is not known: it then swings, qu
 
 @dataclass(frozen=True)
 class LoopTrial:
-    """One rehearsal. `run` is None where the beam snapped away under the loop."""
+    """One simulated loop. `run` is None where the beam snapped away."""
 
     factor: float  # of the model's k(s), everywhere alike
     run: LoopSimulation | None
@@ -32,6 +33,7 @@ class LoopTrial:
         return float("inf") if self.run is None else self.run.settled(within)
 
 
+@one_blas_thread
 def simulate_range(
     control: Controller, *, k_error: float = 0.3, eye: LoopCamera = LoopCamera(), duration: float = 8.0, seed: int = 0
 ) -> tuple[LoopTrial, ...]:
@@ -45,7 +47,7 @@ def simulate_range(
     if not 0.0 <= k_error < 1.0:
         raise ControlError(f"the error of k is a share from 0 to below 1, got {k_error}")
     if not duration >= 2.0:
-        raise ControlError(f"a rehearsal takes two seconds at least, got {duration} s")
+        raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
     beam = _swinging(control.beam)
     factors = (1.0, 1.0 - k_error, 1.0 + k_error) if k_error else (1.0,)
     return tuple(LoopTrial(factor, _run(control, beam, factor, eye, duration, seed)) for factor in factors)

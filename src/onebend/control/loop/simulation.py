@@ -1,4 +1,4 @@
-"""A rehearsal of the closed loop: a beam that is not the model, in full motion (7), under an actuator and a camera."""
+"""Simulation of the closed loop: a beam that is not the model, in full motion (7), with an actuator and a camera."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from onebend.beam.motion.integration import MotionState
 from onebend.beam.motion.stepping import Stepper
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Scaled
+from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller
 from onebend.records import Array
 
@@ -46,7 +47,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class TrueSystem:
-    """The beam that is really there, and what is done to it."""
+    """The simulated real beam, its camera and its actuator."""
 
     beam: Beam
     damping_ratio: float = 0.05  # of the slowest vibration about rest
@@ -60,7 +61,7 @@ class TrueSystem:
 
 @dataclass(frozen=True)
 class LoopSimulation:
-    """What happened: T times."""
+    """A simulated run at T times."""
 
     goal: Array  # (2,) m
     time: Array  # (T,) s
@@ -78,14 +79,15 @@ class LoopSimulation:
         return float(np.max(self.error[self.time > self.time[-1] - last]))
 
     def settled(self, within: float) -> float:
-        """s: time after which the point stays `within` m of the goal; infinite where it does not, or not for the last
-        second, as what only passes through the goal in the end."""
+        """s: time from which the point stays `within` m of the goal. Infinite where it does not do so for at least
+        the last second."""
         if self.steady() > within:
             return np.inf
         outside = np.flatnonzero(self.error > within)
         return float(self.time[outside[-1] + 1]) if outside.size else 0.0
 
 
+@one_blas_thread
 def simulate_loop(
     control: Controller, truth: TrueSystem, duration: float, *, seed: int = 0, tick: float = TICK
 ) -> LoopSimulation:

@@ -1,4 +1,4 @@
-"""The fastest integral that keeps its margins for the model's k(s), and for k(s) softer and stiffer by a share."""
+"""The fastest integral gain that keeps the margins for the model's k(s), and for k(s) softer and stiffer."""
 
 from __future__ import annotations
 

@@ -20,15 +20,15 @@ from onebend.control.shape.actuators import Actuators, actions
 from onebend.control.shape.newton_step import control_coupling
 from onebend.records import Array, BoolArray
 
-_SETTLED = 1e-10  # rad, of the last step
-_MOST = 6  # Newton iterations
-_NEAR = 0.05  # rad, from the shape to start from
-_CHUNK = 128  # frames solved together: what stays in the cache
+_LAST_STEP = 1e-10  # rad, of the last step
+_MOST_ITERATIONS = 6  # Newton iterations
+_LARGEST_TURN = 0.05  # rad, from the shape to start from
+_BATCH = 128  # frames solved together: what stays in the cache
 
 
 @dataclass(frozen=True)
 class PathSamples:
-    """T equilibria under the same hands, and their multipliers."""
+    """T equilibria under the same actuators, and their multipliers."""
 
     q: Array  # (T, Q) rad
     u: Array  # (T, m) N, N m
@@ -48,8 +48,8 @@ def settle(
     """
     out = PathSamples(near.q.copy(), near.u.copy(), near.multipliers.copy())
     converged = np.zeros(len(near.q), dtype=bool)
-    for i in range(0, len(converged), _CHUNK):
-        part = slice(i, i + _CHUNK)
+    for i in range(0, len(converged), _BATCH):
+        part = slice(i, i + _BATCH)
         here, ok = _settle(actuators, near.take(part), targets, xy[part], angle[part], arm)
         out.q[part], out.u[part], out.multipliers[part], converged[part] = here.q, here.u, here.multipliers, ok
     return out, converged
@@ -60,14 +60,14 @@ def _settle(
 ) -> tuple[PathSamples, BoolArray]:
     q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
     settled, b = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes
-    for _ in range(_MOST):
+    for _ in range(_MOST_ITERATIONS):
         todo = np.flatnonzero(~settled)
         if todo.size == 0:
             break
         dq, du, new = _step(actuators, PathSamples(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
         q[todo], u[todo], prices[todo] = q[todo] + dq, u[todo] + du, new
-        settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _SETTLED
-    settled &= np.max(np.abs((q - near.q) @ b.T), axis=1) < _NEAR
+        settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _LAST_STEP
+    settled &= np.max(np.abs((q - near.q) @ b.T), axis=1) < _LARGEST_TURN
     settled[settled] &= stable(actuators, q[settled], u[settled])
     return PathSamples(q, u, prices), settled
 

@@ -16,8 +16,8 @@ from onebend.control.shape.shape import ShapeSettings, shape
 from onebend.errors import ControlError
 from onebend.records import Array
 
-_KNOT = 0.02  # of L: the way of a target from knot to knot
-_FEWEST = 12  # knots
+_KNOT_SPACING = 0.02  # of L: the way of a target from knot to knot
+_FEWEST_KNOTS = 12  # knots
 
 
 def knots_of(goals: Goals, length: float) -> Array:
@@ -29,7 +29,7 @@ def knots_of(goals: Goals, length: float) -> Array:
     done = np.append(0.0, np.cumsum(np.maximum(way, turn)))
     # Where the goals rest there is no way to go: a little of plain time keeps knots there as well.
     done = done / max(done[-1], 1e-12) + 0.25 * (time - time[0]) / (time[-1] - time[0])
-    count = max(_FEWEST, int(np.ceil(np.sum(np.maximum(way, turn)) / _KNOT)) + 1)
+    count = max(_FEWEST_KNOTS, int(np.ceil(np.sum(np.maximum(way, turn)) / _KNOT_SPACING)) + 1)
     return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
 
 

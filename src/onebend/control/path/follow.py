@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from onebend.beam.clamped_ends.end_pose import end_pose
 from onebend.beam.statics.problem import Rod
+from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.goals.targets import check_metres, target_residuals, target_residuals_along
 from onebend.control.path.batch_newton import PathSamples, settle
@@ -27,10 +28,10 @@ from onebend.control.shape.shape import ShapeSettings
 from onebend.errors import ControlError
 from onebend.records import Array, IntArray
 
-_RESOLVED = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
-_FINEST = 1.0 / 16.0  # widest panel
-_ROUNDS = 8  # of stretching
-_FINER = 4  # moments a sample, at which rates are looked at
+_LARGEST_TAIL = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
+_FINEST_PANEL = 1.0 / 16.0  # widest panel
+_MOST_STRETCHES = 8  # of stretching
+_MOMENTS_PER_SAMPLE = 4  # moments a sample, at which rates are looked at
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class PathSettings:
 
 @dataclass(frozen=True)
 class FollowedPath:
-    """T samples of what the hands do, and how close the beam comes to its goals."""
+    """T samples of the controls, and how close the beam comes to its goals."""
 
     time: Array  # (T,) s, from 0 on, evenly spaced
     goal_time: Array  # (T,) s, the time of the goals that each sample serves; other than `time` where stretched
@@ -83,6 +84,7 @@ class FollowedPath:
         return self.actuators.solved(self.q, self.u).xy(np.atleast_1d(np.asarray(s, dtype=float)))
 
 
+@one_blas_thread
 def follow_goals(
     beam: Rod,
     goals: Goals,
@@ -92,13 +94,13 @@ def follow_goals(
     gravity: ArrayLike | None = None,
     settings: PathSettings = PathSettings(),
 ) -> FollowedPath:
-    """What the hands have to do for the beam to follow the goals, as closely as it can at every moment.
+    """The controls with which the beam follows the goals as closely as it can at every moment.
 
-    The first sample serves the first goal: how the hands come there is not part of the path.
+    The first sample serves the first goal: how the beam comes there is not part of the path.
 
     Raises:
-        ControlError: goals that leave a freedom of the hands open, no stable way from one goal to the next, or a limit
-            on a rate that is broken where `too_fast` is "refuse"; each says at what time.
+        ControlError: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or a
+            broken limit on a rate where `too_fast` is "refuse"; each says at what time.
         MechanicsError: k(s) not positive.
     """
     if not settings.rate > 0.0:
@@ -113,7 +115,7 @@ def follow_goals(
         tail = max(
             float(knot_result.state.solved.problem.grid.legendre_tail(knot_result.state.q)) for knot_result in results
         )
-        if tail < _RESOLVED or resolution.widest <= _FINEST:
+        if tail < _LARGEST_TAIL or resolution.widest <= _FINEST_PANEL:
             break
         resolution = resolution.finer()
     return _sampled(results, goals, knots, arm, settings)
@@ -127,7 +129,7 @@ def _sampled(
     duration = goals.time[-1] - goals.time[0]
     goal_time = goals.time[0] + np.minimum(_even(duration, settings.rate), duration)
     frames = _corrected(actuators, _split(near(goal_time), actuators), results, goals, knots, goal_time, arm, settings)
-    for trial in range(_ROUNDS):
+    for trial in range(_MOST_STRETCHES):
         time = np.arange(len(goal_time)) / settings.rate
         moving = _moving(actuators, frames, settings.limits)
         if not moving.names or np.max(moving.excess(time)) <= 1.0 + 1e-9:
@@ -169,7 +171,7 @@ def _slower(
     if everywhere:
         fine, law = goal_time[inside], time[inside] * float(np.max(moving.excess(time))) * 1.001
     else:
-        fine = np.linspace(goal_time[0], goal_time[-1], _FINER * len(goal_time))
+        fine = np.linspace(goal_time[0], goal_time[-1], _MOMENTS_PER_SAMPLE * len(goal_time))
         law = np.interp(fine, goal_time[inside], time[inside])
         law = stretched(_moving(actuators, _split(near(fine), actuators), settings.limits), law)
     return np.interp(_even(law[-1], settings.rate), law, fine), near

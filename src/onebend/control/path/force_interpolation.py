@@ -1,7 +1,7 @@
-"""Goals of one point that a single force leads, with a way between them that the force can go.
+"""Goals of one point under a single force, joined by a path on which the force exists everywhere.
 
-One force holds a point only in a thin region (what is stable under it): the straight way from one goal in it to the
-next may leave it. So the force goes evenly from goal to goal instead, and the point goes where it then is.
+One force can hold a point only within a thin region, where the beam is stable; a straight path from goal to goal may
+leave it. So the force is interpolated from goal to goal, and the point follows.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from onebend.beam.model import Beam
+from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.reach.reach import reach
 from onebend.control.reach.settings import ReachSettings
 from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
 
-_FINER = 24  # goals from goal to goal
-_SAME = 1e-5  # of L
+_GOALS_PER_STEP = 24  # goals from goal to goal
+_SAME_PLACE = 1e-5  # of L
 
 
+@one_blas_thread
 def by_force(
     beam: Beam,
     goals: Goals,
@@ -42,7 +44,9 @@ def by_force(
     settings = ReachSettings(max_force=max_force, gravity=gravity)
     forces = np.array([_force(beam, goals, k, push_s, point_s, settings) for k in range(len(goals.time))])
     time = np.unique(
-        np.concatenate([np.linspace(*ends, _FINER + 1) for ends in zip(goals.time, goals.time[1:], strict=False)])
+        np.concatenate(
+            [np.linspace(*ends, _GOALS_PER_STEP + 1) for ends in zip(goals.time, goals.time[1:], strict=False)]
+        )
     )
     try:
         forces = PchipInterpolator(goals.time, forces)(time)
@@ -51,7 +55,7 @@ def by_force(
         raise ControlError(f"on the way from goal to goal {error}") from error
     xy = shape.xy(np.array([point_s]))
     met = np.linalg.norm(xy[np.searchsorted(time, goals.time), 0] - goals.xy[:, 0], axis=1)
-    if np.max(met) > _SAME * beam.length:
+    if np.max(met) > _SAME_PLACE * beam.length:
         at = goals.time[int(np.argmax(met))]
         raise ControlError(f"the goal at {at:.4g} s lies on another branch of shapes: the beam would jump on its way")
     return replace(goals, time=time, xy=xy, angle=np.full((len(time), 1), np.nan))

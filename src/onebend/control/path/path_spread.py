@@ -1,4 +1,4 @@
-"""What a band on k(s) makes of a path: first order, at moments along it, the hands doing as they were told."""
+"""The spread of a path that follows from the band on k(s), to first order; the actuators do as commanded."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.blas import one_blas_thread
 from onebend.control.path.follow import FollowedPath
 from onebend.control.shape.actuators import BeamState
 from onebend.control.shape.spread import spread
@@ -23,6 +24,7 @@ class PathSpread:
     rms: Array  # (M,) m: of the targets' places, root of the mean square over them
 
 
+@one_blas_thread
 def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
     """The spread of a path at up to `moments` of its samples, evenly spaced, the first and the last among them."""
     chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))

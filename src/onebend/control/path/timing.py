@@ -1,4 +1,4 @@
-"""How fast a path may be gone: limits on the rates of forces and of the gripper, and the time they ask for."""
+"""Limits on the rates of forces and of the gripper, and the time that a path needs to keep them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter1d
 from onebend.errors import ControlError
 from onebend.records import Array
 
-_AIR = 1.002  # a little slower than the limit asks, so that sampling anew does not break it again
+_SLACK = 1.002  # a little slower than the limit asks, so that sampling anew does not break it again
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class RateLimits:
 
 @dataclass(frozen=True)
 class LimitedQuantities:
-    """What moves along a path: quantities at T moments, each with its limit."""
+    """Quantities at T moments of a path, each with the limit on its rate."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -63,6 +63,6 @@ def stretched(moving: LimitedQuantities, time: Array, smooth: int = 5) -> Array:
     The largest excess over `smooth` neighbours counts, so that finer moments in between keep the limits as well.
     """
     excess = np.max(moving.excess(time), axis=1)
-    slower = np.where(excess > 1.0, _AIR * excess, 1.0)
+    slower = np.where(excess > 1.0, _SLACK * excess, 1.0)
     slower = maximum_filter1d(slower, smooth, mode="nearest")
     return np.append(time[0], time[0] + np.cumsum(np.diff(time) * slower))

@@ -1,8 +1,8 @@
 """A path as files that robots take: CSV, ROS 2 messages as YAML, and a ROS 2 bag.
 
-Forces and wrenches are what the hand puts ON the beam, in the beam's frame, at the place where it acts (a moment is
-about that place). Poses are those of the beam's end s = 1: x along its tangent, z out of the plane. Times count from
-the start of the path.
+Forces and wrenches are those that the actuator applies TO the beam, in the beam's frame, at the place where it acts (a
+moment is about that place). Poses are those of the beam's end s = 1: x along its tangent, z out of the plane. Times
+count from the start of the path.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ BAG_VERSION: Final = 9
 
 @dataclass(frozen=True)
 class WrenchTrack:
-    """What one hand puts on the beam, in time."""
+    """The load of one actuator on the beam, in time."""
 
     topic: str
     force: Array  # (T, 2) N
@@ -39,7 +39,7 @@ class WrenchTrack:
 
 
 def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
-    """Of every hand: pushes in turn, then the gripper."""
+    """Of every actuator: pushers in turn, then the gripper."""
     zero = np.zeros(len(path.time))
     out = [WrenchTrack(f"/onebend/push_{i + 1}/wrench", path.forces[:, i], zero) for i in range(path.forces.shape[1])]
     if path.wrench is not None:

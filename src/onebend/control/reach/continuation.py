@@ -1,4 +1,4 @@
-"""Equilibria one after another: while a load grows in proportion, or while a goal moves."""
+"""Numerical continuation of equilibria: as a load grows in proportion, or as a goal moves."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach.newton import TOLERANCE, solve_goal
 from onebend.records import Array
 
-_STRIDE, _TRUST, _SURPRISE, _LEAST = 0.7, 0.25, 0.5, 1e-3  # as `continuation.Search`
-_LEAD, _SHORTEST_LEAD = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
-_SHORTEST = 1e-6  # share of the load: a shorter step has met the end of the branch
-_SAME = 1e-6  # rad: shapes nearer than this are one
+_LARGEST_STEP_TURN, _TRUST, _TRUST_GROWTH, _LEAST_TRUST = 0.7, 0.25, 0.5, 1e-3  # as `continuation.Search`
+_GOAL_TRUST, _SHORTEST_GOAL_STEP = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
+_SHORTEST_LOAD_STEP = 1e-6  # share of the load: a shorter step has met the end of the branch
+_SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def trace(
     *,
     start: LoadedState | None = None,
     widest: float = 1.0,
-    shortest: float = _SHORTEST,
+    shortest: float = _SHORTEST_LOAD_STEP,
 ) -> EquilibriumPath:
     """Shapes while the load grows from that of `start` (default: rest) straight to `load` (3,), stable all the way.
 
@@ -53,13 +53,13 @@ def trace(
         if info != 0:
             return EquilibriumPath(tuple(states), tuple(shares), False)
         turn = float(np.max(np.abs(pushed.b @ slope)))
-        step = min(step, 1.0 - share, widest, _STRIDE / max(turn, 1e-300))
+        step = min(step, 1.0 - share, widest, _LARGEST_STEP_TURN / max(turn, 1e-300))
         corrected = None
         while corrected is None:
             if step < shortest:
                 return EquilibriumPath(tuple(states), tuple(shares), False)
             now = 1.0 if share + step > 1.0 - 1e-12 else share + step
-            trust = min(_TRUST, _LEAST + _SURPRISE * step * turn)
+            trust = min(_TRUST, _LEAST_TRUST + _TRUST_GROWTH * step * turn)
             corrected = _correct(pushed, q + step * slope, begin + now * way, trust)
             step = step * (2.0 if corrected is not None else 0.25)
         q, tangent, cos, sin = corrected
@@ -77,9 +77,9 @@ def lead(pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) ->
     """
     begin = pushed.pose(start.q)[: len(goal)]
     states, shares, step = [start], [0.0], 1.0
-    while shares[-1] < 1.0 and step > _SHORTEST_LEAD:
+    while shares[-1] < 1.0 and step > _SHORTEST_GOAL_STEP:
         now = min(1.0, shares[-1] + step)
-        result = solve_goal(pushed, states[-1], begin + now * (goal - begin), loads, most=8, trust=_LEAD)
+        result = solve_goal(pushed, states[-1], begin + now * (goal - begin), loads, most=8, trust=_GOAL_TRUST)
         if result.converged and pushed.stable(result.state):
             states.append(result.state)
             shares.append(now)
@@ -108,11 +108,11 @@ def _correct(pushed: PushedBeam, q: Array, load: Array, trust: float) -> tuple[A
 
 
 def densified(pushed: PushedBeam, states: tuple[LoadedState, ...], steps: int) -> tuple[LoadedState, ...]:
-    """A way of equilibria with at least `steps` steps: more of them between those that are known, where loads allow."""
+    """The same path with at least `steps` steps: intermediate equilibria are added where the loads allow."""
     between = -(-steps // max(len(states) - 1, 1))
     out = [states[0]]
     for begin, end in pairwise(states):
         finer = trace(pushed, end.load, start=begin, widest=1.0 / between)
-        same = finer.arrived and float(np.max(np.abs(pushed.b @ (finer.states[-1].q - end.q)))) < _SAME
+        same = finer.arrived and float(np.max(np.abs(pushed.b @ (finer.states[-1].q - end.q)))) < _SAME_SHAPE
         out += [*(finer.states[1:-1] if same else ()), end]
     return tuple(out)

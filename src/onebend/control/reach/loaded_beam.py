@@ -1,4 +1,4 @@
-"""A beam with one loaded place and one point looked at: balance, tangent and places as arrays for Newton's method.
+"""A beam loaded at one place, and one point of it: balance, tangent and positions as arrays for Newton's method.
 
 The balance is that of `beam/statics/equilibrium.py`, for one frame and without its batch. Beyond the load a beam
 without weight keeps its rest curvature: those nodes are no unknowns.
@@ -23,14 +23,14 @@ from onebend.records import Array
 
 @dataclass(frozen=True)
 class LoadedState:
-    """A shape and the load it is meant for; an equilibrium only where a solver says so."""
+    """A shape and a load; an equilibrium only if a solver found it."""
 
     q: Array  # (n,) rad, curvature at the loaded nodes
     load: Array  # (3,) N, N, N m at the push
 
 
 class PushedBeam:
-    """A beam with one loaded place and one point looked at; the arrays of Newton's method on them."""
+    """A beam loaded at one place, and one point of it, with the arrays for Newton's method."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class PushedBeam:
         return np.asarray(hanging.q[0])
 
     def loaded(self, load: Array) -> Problem:
-        """What the beam's own statics solves under the load (3,)."""
+        """The problem of `beam.statics` under the load (3,)."""
         beyond = np.asarray(self.problem.grid.nodes < self.push_s, dtype=float)
         force = self.problem.dead_force + beyond[None, :, None] * load[:2]
         return replace(self.problem, dead_force=force, moment=load[2] * beyond[None])
@@ -148,7 +148,7 @@ class PushedBeam:
         return np.array([x, y]) if size == 2 else np.array([x, y, self._turn(q)])
 
     def point_motion(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
-        """(2 or 3, P): how the point moves with turns (Q, P) of the nodes by curvatures (n, P)."""
+        """(2 or 3, P): the point's motion when curvatures (n, P) turn the nodes by (Q, P)."""
         rows = np.empty((2, len(cos)))
         np.multiply(self._minus_row, sin, out=rows[0])
         np.multiply(self.row, cos, out=rows[1])
@@ -192,5 +192,5 @@ class PushedBeam:
 def prepared(
     beam: Beam, push_s: float, point_s: float, gravity: tuple[float, float], resolution: Resolution
 ) -> PushedBeam:
-    """The same `PushedBeam` for the same question: its arrays are made once, some milliseconds."""
+    """A cached `PushedBeam`: its arrays take some milliseconds to make."""
     return PushedBeam(beam, push_s, point_s, gravity=gravity, resolution=resolution)

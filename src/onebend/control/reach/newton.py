@@ -21,14 +21,15 @@ from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.records import Array
 
 TOLERANCE = 3e-7  # rad, of the last update: convergence is quadratic, the error its square
-_LEFT, _SMALL = 1e-8, 1e-2  # rad that may be left, and of the last update where that is foretold
-_MINUS = np.array([-1.0])
-_CAP = 0.7  # rad, the largest turn of a step
+_REMAINING = 1e-8  # rad, of the error that may remain
+_FINAL_UPDATE = 1e-2  # rad: the remaining error is predicted from last updates up to this one
+_MINUS_ONE = np.array([-1.0])
+_LARGEST_TURN = 0.7  # rad, the largest turn of a step
 
 
 @dataclass(frozen=True, slots=True)
 class NewtonResult:
-    """Where Newton's method ended, and what it knew before its last step."""
+    """Where Newton's method ended, with the derivatives before its last step."""
 
     state: LoadedState
     iterations: int
@@ -43,9 +44,9 @@ def solve_goal(
 ) -> NewtonResult:
     """Newton from `start` to the goal (2,) or (3,) with the first 2 or all 3 `loads`.
 
-    It converges where it does without turning the beam by more than `trust` rad: updates u and v, one after the
-    other, leave `v (v / u)^2`. With more loads than the goal has numbers, the smallest (in units of `pushed.scale`) is
-    found.
+    It stops unconverged where the beam turns by more than `trust` rad. After successive updates u and v the remaining
+    error is `v (v / u)^2`. With more loads than the goal has numbers, the smallest load (in units of
+    `PushedBeam.scale`) is found.
     """
     q, load, size = start.q, start.load.copy(), len(goal)
     alpha = pushed.angles(q)
@@ -57,20 +58,21 @@ def solve_goal(
         moved = pushed.point_motion(cos, sin, turned, solved, size)  # (m, 1 + P): J X, J Y
         away = goal - pushed.place(cos, sin, q, size)
         change = _change(moved[:, 1:], away + moved[:, 0], load, pushed.scale)
-        by = np.concatenate([_MINUS, change])
+        by = np.concatenate([_MINUS_ONE, change])
         turn = turned @ by
         largest = max(float(turn.max()), -float(turn.min()))
         if not math.isfinite(largest):
             return NewtonResult(LoadedState(q, load), iteration, False)
-        if largest > _CAP:
-            by, turn, change = by * (_CAP / largest), turn * (_CAP / largest), change * (_CAP / largest)
+        if largest > _LARGEST_TURN:
+            shorter = _LARGEST_TURN / largest
+            by, turn, change = by * shorter, turn * shorter, change * shorter
         q, alpha = q + solved @ by, alpha + turn
         load[:loads] += change
         if trust < math.inf and not float(np.abs(alpha - begin).max()) < trust:
             return NewtonResult(LoadedState(q, load), iteration, False)
-        if largest < TOLERANCE or (iteration > 1 and largest**3 < _LEFT * before**2 and largest < _SMALL):
+        if largest < TOLERANCE or (iteration > 1 and largest**3 < _REMAINING * before**2 and largest < _FINAL_UPDATE):
             return NewtonResult(LoadedState(q, load), iteration, True, positive, solved[:, 1:], moved[:, 1:])
-        before = min(largest, _CAP)
+        before = min(largest, _LARGEST_TURN)
     return NewtonResult(LoadedState(q, load), most, False)
 
 

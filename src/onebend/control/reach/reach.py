@@ -1,9 +1,9 @@
-"""The force that puts a point of a beam on a goal: (23)-(25), exactly or by the paper's own iteration.
+"""The force that brings a point of a beam to a goal: (23)-(25), exactly or by the paper's own iteration.
 
 `method="newton"`: Newton's method on shape and force together (`newton.py`) from a start near the goal
-(`starts.py`). What it finds counts only if it is stable and if the beam comes there from rest: while the force
-grows in proportion, or else while the goal is led there from a sampled equilibrium (`search.py`).
-`method="paper"`: Algorithm 1 to the letter (`paper_iteration.py`), its force put on the exact beam.
+(`starts.py`). A solution counts only if it is stable and connected to rest by stable equilibria: as the force
+grows in proportion, or else as the goal moves there from a sampled equilibrium (`search.py`).
+`method="paper"`: Algorithm 1 exactly as printed (`paper_iteration.py`); its force is then applied to the exact beam.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import BEYOND, METRES
 from onebend.control.reach.continuation import EquilibriumPath, densified, trace
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
@@ -75,12 +76,14 @@ class Reach:
         return float(self.states[-1].load[2])
 
     @cached_property
+    @one_blas_thread
     def solved(self) -> Equilibrium:
         """The last shape, solved again under its load by the beam's own statics."""
         last = self.states[-1]
         return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
 
     @cached_property
+    @one_blas_thread
     def way(self) -> tuple[LoadedState, ...]:
         """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
         return densified(self.pushed, self.states, self.settings.steps)
@@ -117,6 +120,7 @@ class Reach:
         return replace(self.solved, q=q).xy(s)
 
 
+@one_blas_thread
 def reach(
     beam: Beam,
     goal: ArrayLike,
@@ -167,7 +171,7 @@ def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
 
 
 def _too_far(pushed: PushedBeam, goal: Array) -> str:
-    """Why no shape whatever brings the point to the goal; empty where that is not so plain."""
+    """Why no shape at all can bring the point to the goal: it is too far away. Else empty."""
     arm, away = float(pushed.problem.length) * pushed.point_s, float(np.hypot(*goal[:2]))
     if away >= arm:
         text = f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
@@ -187,7 +191,7 @@ def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: 
 
 
 def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: NearestPoint) -> str:
-    """One sentence on what stands in the way, one on what can be had instead."""
+    """One sentence on why the goal is not reached, one on the nearest alternative."""
     if not known:
         way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
         most = "" if settings.max_force is None else f" of up to {settings.max_force:.3g} N"
@@ -204,7 +208,7 @@ def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, n
 
 
 def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint) -> str:
-    """What can be had: the nearest point, which a force alone reaches, whatever the angle asked for."""
+    """The nearest point that a force alone reaches, whatever angle was asked for."""
     at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
     needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
     if settings.moment:
@@ -221,7 +225,7 @@ def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint)
 def _result(
     candidate: ReachCandidate, goal: Array, settings: ReachSettings, why: str, nearest: NearestPoint | None = None
 ) -> Reach:
-    """The record; `why` not, or empty."""
+    """The result; `why`: the reason if the goal is not reached, else empty."""
     pushed, last = candidate.pushed, candidate.states[-1]
     reached = pushed.pose(last.q)
     allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance

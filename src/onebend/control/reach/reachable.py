@@ -1,4 +1,4 @@
-"""What a point of a beam can reach under a force at one place: its places under all forces up to a bound.
+"""The reachable set of a point of a beam: its positions under all forces at one place, up to a bound.
 
 Forces are sampled by direction and size; each shape is the equilibrium on the branch that grows from rest while the
 force grows in proportion, and counts only where it is stable. The nearest point to a goal is then found exactly, from
@@ -17,16 +17,17 @@ from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import numbers
 from onebend.control.reach.continuation import trace
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 
-_STARTS = 4  # samples from which the nearest point is sought
-_MOST = 60  # steps of the search
-_STILL = 1e-9  # of L: a step that brings the point no nearer than this ends the search
-_LEAST_SHARE, _SHORTEST = 1e-4, 1e-3  # of a step of the search, and of those by which the shape follows it
+_START_SAMPLES = 4  # samples from which the nearest point is sought
+_MOST_STEPS = 60  # steps of the search
+_LEAST_PROGRESS = 1e-9  # of L: a step that brings the point no nearer than this ends the search
+_SHORTEST_STEP, _SHORTEST_FOLLOW = 1e-4, 1e-3  # of a step of the search, and of those by which the shape follows it
 
 
 @dataclass(frozen=True)
@@ -60,16 +61,17 @@ class ReachableSet:
         """(D, R) whether the force holds the point anywhere."""
         return np.isfinite(self.points[..., 0])
 
+    @one_blas_thread
     def nearest(self, goal: ArrayLike) -> NearestPoint:
         """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
 
-        Within the bound on the force it is exact; where stability or the bound on curvature ends, a nearer one may
-        exist.
+        It is exact within the bound on the force; where stability or the bound on curvature is the limit, a nearer
+        point may exist.
         """
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
             raise ControlError(f"a goal has two finite coordinates [m], got {numbers(wanted)}")
-        trails = [trace(self.pushed, sample.load) for sample in self.samples_near(wanted, _STARTS)]
+        trails = [trace(self.pushed, sample.load) for sample in self.samples_near(wanted, _START_SAMPLES)]
         ways = [(self.pushed.start,), *(trail.states for trail in trails if trail.arrived)]
         return min((self._refine(way, wanted) for way in ways), key=lambda point: point.distance)
 
@@ -85,18 +87,18 @@ class ReachableSet:
         pushed, length, state = self.pushed, float(self.pushed.problem.length), way[-1]
         point = pushed.pose(state.q)[:2]
         along = self._only_direction()
-        for _ in range(_MOST):
+        for _ in range(_MOST_STEPS):
             away, share, better = float(np.linalg.norm(goal - point)), 1.0, False
             s = pushed.response(state)[:2, :2] @ along
-            if away < _STILL * length or not np.all(np.isfinite(s)):
+            if away < _LEAST_PROGRESS * length or not np.all(np.isfinite(s)):
                 break
             now = along.T @ state.load[:2]
             aim = _best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
-            while share > _LEAST_SHARE and not better:
+            while share > _SHORTEST_STEP and not better:
                 load = np.append(along @ (now + share * (aim - now)), 0.0)
-                trail = trace(pushed, load, start=state, shortest=_SHORTEST)
+                trail = trace(pushed, load, start=state, shortest=_SHORTEST_FOLLOW)
                 there = float(np.linalg.norm(goal - pushed.pose(trail.states[-1].q)[:2]))
-                better = trail.arrived and self._allowed(trail.states[-1]) and there < away - _STILL * length
+                better = trail.arrived and self._allowed(trail.states[-1]) and there < away - _LEAST_PROGRESS * length
                 share *= 0.5
             if not better:
                 break
@@ -114,6 +116,7 @@ class ReachableSet:
         return self.max_curvature is None or self.pushed.bend(state.q) <= self.max_curvature
 
 
+@one_blas_thread
 def reachable(
     beam: Beam,
     *,

@@ -1,4 +1,4 @@
-"""Ways to an equilibrium with the point on its goal, the quickest first; each is one that the beam takes from rest."""
+"""The search for an equilibrium with the point on its goal, connected to rest; the quickest attempts come first."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from onebend.control.reach.settings import ReachSettings, broken_bound
 from onebend.control.reach.starts import StartTable, starts_of
 from onebend.records import Array
 
-_CANDIDATES = 8  # starts that are tried
-_SAMPLES = 5  # sampled equilibria that the goal is led from
-_SAME = 1e-6  # rad: shapes nearer than this are one
-_UNBOUNDED = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
-_FINER = 3  # halvings of the panels that are tried
+_MOST_STARTS = 8  # starts that are tried
+_MOST_SAMPLES = 5  # sampled equilibria that the goal is led from
+_SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
+_FORCE_WITHOUT_BOUND = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
+_MOST_REFINEMENTS = 3  # halvings of the panels that are tried
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -
     """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
     iterations, before = 0, list[LoadedState]()
     for first in (True, False):
-        for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _CANDIDATES)[1:]:
+        for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _MOST_STARTS)[1:]:
             result = solve_goal(pushed, begin, goal, loads)
             iterations += result.iterations
             if not (result.converged and pushed.stable(result.state)):
@@ -72,17 +72,17 @@ def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
 
 
 def _same(pushed: PushedBeam, first: LoadedState, other: LoadedState) -> bool:
-    return float(np.max(np.abs(pushed.b @ (first.q - other.q)))) < _SAME
+    return float(np.max(np.abs(pushed.b @ (first.q - other.q)))) < _SAME_SHAPE
 
 
 @lru_cache(maxsize=8)
 def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
-    """What can be reached at all within the settings, sampled coarsely."""
+    """The reachable set within the settings, sampled coarsely."""
     return reachable(
         pushed.beam,
         push_s=pushed.push_s,
         point_s=pushed.point_s,
-        max_force=settings.max_force or float(_UNBOUNDED * pushed.force_scale),
+        max_force=settings.max_force or float(_FORCE_WITHOUT_BOUND * pushed.force_scale),
         max_curvature=settings.max_curvature,
         direction=settings.direction,
         directions=36,
@@ -104,7 +104,7 @@ def _tries(
         trail = from_rest(pushed, state)
         if trail is not None:
             yield ReachCandidate(pushed, trail.states, count)
-    for near in samples().samples_near(goal[:2], _SAMPLES):
+    for near in samples().samples_near(goal[:2], _MOST_SAMPLES):
         yield from _led(pushed, trace(pushed, near.load), goal, settings.loads)
 
 
@@ -129,7 +129,7 @@ def _onto(pushed: PushedBeam, finer: PushedBeam) -> Array:
 def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) -> ReachCandidate:
     """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance."""
     pushed, resolution = candidate.pushed, Resolution()
-    for _ in range(_FINER):
+    for _ in range(_MOST_REFINEMENTS):
         resolution = resolution.finer()
         finer = prepared(pushed.beam, pushed.push_s, pushed.point_s, settings.gravity, resolution)
         rows = _onto(pushed, finer)

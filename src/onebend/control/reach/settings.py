@@ -1,4 +1,4 @@
-"""What may be asked of a force, and whether it keeps within it."""
+"""Settings and bounds of a reach, and checks against them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ReachSettings:
     moment: bool = False  # whether the gripper gives a moment too
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
     tolerance: float = 1e-6  # m: a point this near to its goal is there
-    steps: int = 20  # of the path of forces; fewer only where loads alone do not lead from one shape to the next
+    steps: int = 20  # of the path of forces; fewer only where a growing load does not connect the shapes
     paper: PaperSettings = field(default_factory=PaperSettings)
 
     def __post_init__(self) -> None:
@@ -62,7 +62,7 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
 
 
 def broken_bound(pushed: PushedBeam, state: LoadedState, settings: ReachSettings) -> str:
-    """What the state has too much of; empty where it is within all bounds."""
+    """The bound that the state breaks, in words; empty where it breaks none."""
     size = math.hypot(state.load[0], state.load[1])
     if settings.max_force is not None and size > settings.max_force * (1.0 + 1e-9):
         return f"it needs {size:.3g} N, and {settings.max_force:.3g} N are allowed"

@@ -1,4 +1,4 @@
-"""Where Newton's method on shape and load begins: shapes bent by simple moments, one of which is near the goal.
+"""Starts of Newton's method on shape and load: shapes bent by simple moments, one of which is near the goal.
 
 A push at s_a bends the beam by a moment that falls to nothing at s_a. Two such moments, a straight line and one that
 changes sign, make a family of shapes; the point's places in them are a table that is made once for a beam. Its entry
@@ -17,8 +17,8 @@ from onebend.records import Array
 
 _TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
 _CURLS = np.array([-1.6, -1.1, -0.7, -0.4, -0.2, 0.0, 0.2, 0.4, 0.7, 1.1, 1.6])  # rad, by the second
-_BENT, _CURLED = 0.03, 0.3  # of L: the distance that a radian of each weighs
-_APART = 0.5  # rad: starts that differ by less are one
+_TURN_WEIGHT, _CURL_WEIGHT = 0.03, 0.3  # of L: the distance that a radian of each weighs
+_SAME_START = 0.5  # rad: starts that differ by less are one
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class StartTable:
         """Up to `count` starts for a goal (2,), the best first."""
         length = float(self.pushed.problem.length)
         away = np.sum((self.places - goal) ** 2, axis=1) / length**2
-        score = away + self.amounts**2 @ np.array([_BENT**2, _CURLED**2])
+        score = away + self.amounts**2 @ np.array([_TURN_WEIGHT**2, _CURL_WEIGHT**2])
         if count == 1:
             return [self._state(int(np.argmin(score)))]
         chosen: list[int] = []
         for i in np.argsort(score):
-            if all(np.max(np.abs(self.amounts[i] - self.amounts[j])) > _APART for j in chosen):
+            if all(np.max(np.abs(self.amounts[i] - self.amounts[j])) > _SAME_START for j in chosen):
                 chosen.append(int(i))
             if len(chosen) == count:
                 break

@@ -1,4 +1,4 @@
-"""One goal after another, for control loops: the force for each found from the one before."""
+"""One goal after another, for control loops: each force is found from the one before."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import Resolution
+from onebend.blas import one_blas_thread
 from onebend.control.reach.continuation import lead
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach.newton import NewtonResult, solve_goal
@@ -20,7 +21,7 @@ from onebend.control.reach.starts import starts_of
 from onebend.errors import ControlError
 from onebend.records import Array
 
-_TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
+_LARGEST_TURN = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +35,13 @@ class HoldingLoad:
 
 
 class WarmReach:
-    """A beam whose point is led from goal to goal by the load at one place; it remembers where it stands.
+    """A beam whose point moves from goal to goal under the load at one place; it remembers its state.
 
-    It stays on the branch of stable equilibria on which it stands; a goal to which that does not lead is searched for
-    from rest, which a real beam may not follow without a jump (`route` says so). Not for two threads at once.
+    It stays on its branch of stable equilibria. A goal that is not on it is searched for from rest; a real beam may
+    reach that state only by a jump (`HoldingLoad.route` is then "rest"). Not for two threads at once.
     """
 
+    @one_blas_thread
     def __init__(
         self,
         beam: Beam,
@@ -78,6 +80,7 @@ class WarmReach:
         """Back to rest."""
         self._state = self._last = None
 
+    @one_blas_thread
     def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 
@@ -87,7 +90,7 @@ class WarmReach:
         wanted = checked_goal(goal, self._settings)
         if self._state is not None:
             result = solve_goal(
-                self._pushed, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_TRUST
+                self._pushed, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_LARGEST_TURN
             )
             if result.converged and result.positive:
                 return self._take(result.state, "warm", result.iterations, result)
@@ -117,7 +120,7 @@ class WarmReach:
             return state
         change = np.linalg.solve(last.compliance, goal - self._pushed.pose(state.q)[: len(goal)])
         curve = last.curvature_per_load @ change
-        if not np.max(np.abs(self._pushed.b @ curve)) < 0.5 * _TRUST:
+        if not np.max(np.abs(self._pushed.b @ curve)) < 0.5 * _LARGEST_TURN:
             return state
         load = state.load.copy()
         load[: len(change)] += change

@@ -1,4 +1,4 @@
-"""How far a reached point may be off, from the band on k(s), through the exact equilibrium."""
+"""The error of a reached point that follows from the band on k(s), through the exact equilibrium."""
 
 from __future__ import annotations
 
@@ -6,18 +6,23 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import refine
 from onebend.beam.statics.problem import make_problems
 from onebend.beam.statics.sensitivity import of_stiffness, respond
+from onebend.blas import one_blas_thread
 from onebend.control.reach.reach import Reach
 from onebend.errors import ControlError
 from onebend.records import Array
 
 SURE = 0.95  # probability of the ellipse that is shown and written
+
+
+def _squared_radius(level: float) -> float:
+    """Squared Mahalanobis distance within which a plane normal variable lies with probability `level`."""
+    return -2.0 * math.log1p(-level)
 
 
 @dataclass(frozen=True)
@@ -42,12 +47,12 @@ class PredictedError:
     point: Array  # (2,) m, under the most probable k(s)
     mean: Array  # (2,) m: bending is not linear in log k, so it lies a little beside
     covariance: Array  # (2, 2) m^2
-    lost: float  # share of the beams within the band that do not stand in a shape near by: they would snap away
+    lost: float  # share of the drawn beams that have no stable shape nearby: they would snap away
 
     def ellipse(self, level: float = SURE) -> ErrorEllipse:
         """The ellipse around `mean` that holds the real point with probability `level`."""
         values, vectors = np.linalg.eigh(self.covariance)
-        size = np.sqrt(np.maximum(values[::-1], 0.0) * chi2.ppf(level, 2))
+        size = np.sqrt(np.maximum(values[::-1], 0.0) * _squared_radius(level))
         return ErrorEllipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
 
     def distance(self, xy: Array) -> Array:
@@ -57,9 +62,10 @@ class PredictedError:
 
     def holds(self, xy: Array, level: float = SURE) -> bool:
         """Whether a place lies in the ellipse of `level`."""
-        return bool(self.distance(xy) <= chi2.ppf(level, 2))
+        return bool(self.distance(xy) <= _squared_radius(level))
 
 
+@one_blas_thread
 def predicted_error(
     beam: Beam,
     uncertain: UncertainStiffness,
@@ -69,7 +75,7 @@ def predicted_error(
     draws: int = 400,
     seed: int = 0,
 ) -> PredictedError:
-    """How sure the place of the point is under the load that was found.
+    """The uncertainty of the point's position under the load that was found.
 
     Args:
         beam: the beam that was led to the goal.

@@ -1,14 +1,14 @@
-"""Hands on a beam, and the equilibria they can hold it in: a smooth surface with as many dimensions as controls.
+"""Actuators on a beam, and the equilibria they can hold: a smooth surface with as many dimensions as controls.
 
-A hand pushes at a place, with a dead force of two components; or it grips the end s = 1 and has its pose in hand: what
-it puts on the beam there is a wrench of three. In both cases equilibrium is
+A pusher applies a dead force with two components at one place. A grip holds the end s = 1 at a pose; its load is a
+wrench with three components. In both cases equilibrium is
 
     g(q, u) = g0(q) - A(q)^T u = 0,
 
-u the forces and the wrench, A the derivative of where they act. With forces alone the surface (q, u) is a graph over
-u as long as the beam is stable. A gripped beam stands where a beam under the same dead wrench would long have buckled:
-its surface is a graph over neither wrench nor pose everywhere (at rest a straight beam yields to no axial pull), so
-steps are taken in the surface's own tangent plane, and brought back to it at right angles.
+u: forces and wrench; A: derivative of the places where they act. With forces alone, the surface (q, u) is a graph over
+u as long as the beam is stable. A gripped beam can be stable where a beam under the same dead wrench has buckled. Its
+surface is not everywhere a graph over wrench or pose (a straight beam at rest does not yield to an axial pull). So
+steps are taken in the surface's tangent plane and then corrected at right angles to it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem,
 from onebend.errors import ControlError
 from onebend.records import Array
 
-_SETTLED = 1e-11  # rad, of a correction's last update
-_MOST = 12  # Newton iterations of a correction
-_RANK = 1e-9  # share of the largest singular value below which one is nothing
+_LAST_UPDATE = 1e-11  # rad, of a correction's last update
+_MOST_ITERATIONS = 12  # Newton iterations of a correction
+_RANK_TOLERANCE = 1e-9  # share of the largest singular value below which one is nothing
 
 
 @dataclass(frozen=True)
 class Pusher:
-    """A hand that pushes at `at_s` with a force no larger than `max_force` [N]."""
+    """An actuator that pushes at `at_s` with a force no larger than `max_force` [N]."""
 
     at_s: float = 1.0
     max_force: float = np.inf
@@ -48,7 +48,7 @@ class Pusher:
 
 @dataclass(frozen=True)
 class Grip:
-    """A hand that holds the end s = 1 at a position and an angle; what it can put there may be bounded."""
+    """An actuator that holds the end s = 1 at a position and an angle; its force and moment may be bounded."""
 
     max_force: float = np.inf  # N
     max_moment: float = np.inf  # N m
@@ -69,7 +69,7 @@ class LoadBound:
 
 @dataclass(frozen=True)
 class Actuators:
-    """All hands on one beam: the controls u are the pushes' forces in turn, then the grip's force and moment."""
+    """All actuators on one beam. Controls u: the pushers' forces in turn, then the grip's force and moment."""
 
     problem: Problem  # one frame, under the weight alone; an edge at every push
     pushes: tuple[Pusher, ...]
@@ -126,7 +126,7 @@ class Actuators:
 
 @dataclass(frozen=True)
 class BeamState:
-    """One equilibrium under hands."""
+    """One equilibrium of the beam under its actuators."""
 
     actuators: Actuators
     q: Array  # (Q,)
@@ -134,7 +134,7 @@ class BeamState:
 
     @cached_property
     def solved(self) -> Equilibrium:
-        """As the mechanics has it, the controls as dead loads; stability is `margin`'s matter."""
+        """The equilibrium with the controls as dead loads. For stability see `margin`."""
         return self.actuators.solved(self.q[None], self.u[None])
 
     @cached_property
@@ -175,7 +175,7 @@ class BeamState:
         matrix = self.tangent
         if self.actuators.grip is not None:
             _, sizes, rows = np.linalg.svd(self.actions[-3:])  # of a straight beam, nothing moves the end along it
-            free = rows[int(np.sum(sizes > _RANK * sizes[0])) :]
+            free = rows[int(np.sum(sizes > _RANK_TOLERANCE * sizes[0])) :]
             matrix = free @ matrix @ free.T
         return float(np.linalg.eigvalsh(matrix)[0])
 
@@ -201,14 +201,14 @@ def actions(actuators: Actuators, solved: Equilibrium) -> Array:
 def resting_state(
     beam: Rod, pushes: tuple[Pusher, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
 ) -> BeamState:
-    """The beam under its weight, hands on it but idle.
+    """The beam under its weight, with actuators that do nothing.
 
     Raises:
-        ControlError: no hand at all, or a beam that buckles under its own weight.
+        ControlError: no actuator, or a beam that buckles under its own weight.
         MechanicsError: the beam has a thickness: stretch and shear are not known here.
     """
     if not pushes and grip is None:
-        raise ControlError("no hand on the beam: give a push or a grip")
+        raise ControlError("no actuator on the beam: give a push or a grip")
     loads = sum((push((0.0, 0.0), pusher.at_s) for pusher in pushes), Loads())
     if gravity is not None:
         loads = loads + weight(gravity)
@@ -221,7 +221,7 @@ def resting_state(
 
 
 def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
-    """The equilibrium a step z (m,) along the tangent plane away; None if it was not found within `trust` rad of there.
+    """The equilibrium after a step z (m,) in the tangent plane; None if none was found within `trust` rad.
 
     With forces alone the controls are the step's end, exactly; with a grip the way back is square to the plane.
     """
@@ -234,7 +234,7 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
         sides[:, count:] = np.eye(actuators.count)
     else:
         sides[:, :count], sides[:, count:] = (dq / (root * state.unbend[:, None])).T, (du / unit[:, None]).T
-    for _ in range(_MOST):
+    for _ in range(_MOST_ITERATIONS):
         here = BeamState(actuators, q, u)
         out, matrix = balance(here.solved.problem, q[None])
         scale = here.unbend
@@ -248,7 +248,7 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
         q, u = q + change, u + unit * step[count:]
         if not np.max(np.abs(problem.to_nodes @ (q - begin))) < trust:
             return None
-        if np.max(np.abs(problem.to_nodes @ change)) < _SETTLED:
+        if np.max(np.abs(problem.to_nodes @ change)) < _LAST_UPDATE:
             return BeamState(actuators, q, u)
     return None
 

@@ -1,4 +1,4 @@
-"""One step of the search: Newton's on the surface of equilibria, within the bounds on forces."""
+"""One Newton step on the surface of equilibria, within the bounds on forces."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from onebend.control.goals.targets import TargetResiduals
 from onebend.control.shape.actuators import Actuators, BeamState, LoadBound
 from onebend.records import Array
 
-_DUAL = 60  # iterations for the multipliers
-_WITHIN = 1e-12  # share of a bound to which it is kept
-_FLATTEST = 1e-11  # share of the largest curvature of the cost below which it counts as flat
+_MOST_DUAL_ITERATIONS = 60  # iterations for the multipliers
+_BOUND_TOLERANCE = 1e-12  # share of a bound to which it is kept
+_FLAT_CURVATURE = 1e-11  # share of the largest curvature of the cost below which it counts as flat
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def control_coupling(actuators: Actuators, alpha: Array, turned: Array) -> Array
 def convex(hessian: Array, damping: float) -> Array:
     """The Hessian with its negative curvatures turned positive, and `damping` added: steps lead away from saddles."""
     values, vectors = np.linalg.eigh(hessian)
-    size = np.maximum(np.abs(values), _FLATTEST * np.max(np.abs(values)) + 1e-300) + damping
+    size = np.maximum(np.abs(values), _FLAT_CURVATURE * np.max(np.abs(values)) + 1e-300) + damping
     return np.asarray((vectors * size) @ vectors.T)
 
 
@@ -77,7 +77,7 @@ def bounded_step(
     """
     prices = np.zeros(len(bounds))
     parts = [(u[bound.columns], du[bound.columns], bound.most) for bound in bounds]
-    for _ in range(_DUAL):
+    for _ in range(_MOST_DUAL_ITERATIONS):
         h, g = hessian.copy(), slope.copy()
         for value, (at, along, _) in zip(prices, parts, strict=True):
             h += value * along.T @ along
@@ -87,7 +87,7 @@ def bounded_step(
         sizes = np.maximum([float(np.linalg.norm(y)) for y in ends], 1e-300)
         room = np.array([bound.most for bound in bounds]) / sizes - 1.0
         binding = (room < 0.0) | (prices > 0.0)
-        if np.all(np.abs(room[binding]) < _WITHIN):
+        if np.all(np.abs(room[binding]) < _BOUND_TOLERANCE):
             break
         pulls_back = np.array([along.T @ y for y, (_, along, _) in zip(ends, parts, strict=True)])[binding]
         steep = ((1.0 + room) / sizes**2)[binding]
@@ -101,7 +101,9 @@ def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
     """The share of a step that stays within all bounds to rounding, where the multipliers did not settle."""
     share = 1.0
     for _ in range(60):
-        if all(np.linalg.norm(at + share * along @ z) <= (1.0 + 2.0 * _WITHIN) * most for at, along, most in parts):
+        if all(
+            np.linalg.norm(at + share * along @ z) <= (1.0 + 2.0 * _BOUND_TOLERANCE) * most for at, along, most in parts
+        ):
             break
         share *= 0.9
     return share

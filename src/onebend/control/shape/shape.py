@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Resolution, Rod
+from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import Targets, check_metres, target_residuals
 from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state, state_on_grid
 from onebend.control.shape.descent import DescentResult, DescentSettings, descend
@@ -18,16 +19,16 @@ from onebend.control.shape.newton_step import model_of
 from onebend.control.shape.spread import ShapeSpread, spread
 from onebend.records import Array
 
-_FINEST = 1.0 / 16.0  # widest panel at the end of refinement
-_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
-_TIGHT = 1e-6  # share of a bound within which it is active
-_OPEN = 1e-9  # share of the largest curvature of the cost below which a freedom is open
-_LIKE_AT_REST = 1.5  # size of the further starts' controls, in units of mean k over L
+_FINEST_PANEL = 1.0 / 16.0  # widest panel at the end of refinement
+_TARGETS_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
+_ACTIVE_BOUND = 1e-6  # share of a bound within which it is active
+_FLAT_CURVATURE = 1e-9  # share of the largest curvature of the cost below which a freedom is open
+_RANDOM_LOAD_SIZE = 1.5  # size of the further starts' controls, in units of mean k over L
 
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """How a shape is sought."""
+    """Settings of the search for a shape."""
 
     arm: float | None = None  # m: an error of one radian counts as one of so many metres; None: the beam's length
     starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
@@ -40,7 +41,7 @@ class ShapeSettings:
 
 @dataclass(frozen=True)
 class ShapeResult:
-    """A shape as close to the targets as was found, and what holds the beam in it."""
+    """The closest shape that was found, and the loads that hold it."""
 
     targets: Targets
     state: BeamState
@@ -88,6 +89,7 @@ class ShapeResult:
         return np.asarray(self.state.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
 
+@one_blas_thread
 def shape(
     beam: Rod,
     targets: Targets,
@@ -99,7 +101,7 @@ def shape(
     start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
 ) -> ShapeResult:
-    """The stable shape under these hands that is closest to the targets, weighted least squares.
+    """The stable shape under these actuators that is closest to the targets, weighted least squares.
 
     The search visits stable equilibria only. It starts from rest, or from `start` (`ShapeResult.state` of an earlier
     shape under the same actuators); where it does not meet the targets it starts again from other bent shapes, and the
@@ -108,13 +110,13 @@ def shape(
     Args:
         beam: length, stiffness, rest curvature, clamp's angle, mass.
         targets: what is wanted, see `targets`.
-        pushes: hands that push at a place each.
-        grip: a hand that holds the end.
+        pushes: actuators that push at one place each.
+        grip: an actuator that holds the end.
         gravity: (2,) m/s^2 in the beam's frame.
         uncertain: k(s) with its band, for the errors to expect.
 
     Raises:
-        ControlError: no hand, bad targets, or a beam that buckles under its own weight.
+        ControlError: no actuator, bad targets, or a beam that buckles under its own weight.
         MechanicsError: k(s) not positive.
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
@@ -123,7 +125,7 @@ def shape(
     begin = resting if start is None else start
     result = descend(begin, targets, arm, settings.descent)
     tried = 1
-    enough = _MET**2 * float(np.sum(targets.weight))
+    enough = _TARGETS_MET**2 * float(np.sum(targets.weight))
     for other in _bent(resting, settings) if start is None else ():
         if result.converged and result.cost < enough:
             break
@@ -137,7 +139,7 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
     """Stable shapes under controls drawn at random, within the bounds."""
     actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
     for _ in range(settings.starts):
-        u = _LIKE_AT_REST * actuators.scale * rng.standard_normal(actuators.count)
+        u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)
         for bound in actuators.bounds:
             u[bound.columns] *= min(1.0, 0.9 * bound.most / float(np.linalg.norm(u[bound.columns])))
         solved = follow(actuators.loaded(u[None]))
@@ -149,9 +151,9 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
 def _resolved(
     result: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
 ) -> DescentResult:
-    """The same on a grid that carries the curvature, as far as `_FINEST` goes."""
+    """The same on a grid that carries the curvature, as far as `_FINEST_PANEL` goes."""
     resolution = settings.resolution
-    while not result.state.solved.resolved[0] and resolution.widest > _FINEST:
+    while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
         resolution = resolution.finer()
         start = state_on_grid(result.state, beam, gravity, resolution)
         if start is None:
@@ -174,9 +176,9 @@ def _result(
     limits = tuple(
         bound.name
         for bound, price in zip(state.actuators.bounds, result.multipliers, strict=True)
-        if price > 0.0 and np.linalg.norm(state.u[bound.columns]) > (1.0 - _TIGHT) * bound.most
+        if price > 0.0 and np.linalg.norm(state.u[bound.columns]) > (1.0 - _ACTIVE_BOUND) * bound.most
     )
-    open_freedoms = int(np.sum(values < _OPEN * np.max(values))) if not limits else 0
+    open_freedoms = int(np.sum(values < _FLAT_CURVATURE * np.max(values))) if not limits else 0
     return ShapeResult(
         targets=targets,
         state=state,
@@ -195,7 +197,7 @@ def _result(
 def _warnings(result: DescentResult, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
     out, margin, count = [], result.state.margin, result.state.actuators.count
     if result.near_buckling:
-        out.append("nearer to the targets the beam loses its stability; this is as close as it stands")
+        out.append("nearer to the targets the beam loses its stability; this is as close as it gets")
     elif not result.converged:
         out.append("the search ended before its optimum; what was found is stable, but may not be the closest")
     if margin < settings.warn_margin:

@@ -1,4 +1,4 @@
-"""What a band on k(s) makes of a shape that hands hold: first order, the hands doing as they were told."""
+"""The spread of a shape that follows from the band on k(s), to first order; the actuators do as commanded."""
 
 from __future__ import annotations
 

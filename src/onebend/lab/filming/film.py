@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import RecordingError
 from onebend.lab.filming.film_setup import DOWN, Filming, check, frame_times, motive_of
 from onebend.lab.filming.force_log_file import in_log_axes, write_log
@@ -36,6 +37,7 @@ INCH = 0.0254  # m
 SHARPEST = 0.8  # half widths a radius
 
 
+@one_blas_thread
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
     """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
 

@@ -44,7 +44,7 @@ class Filming:
 
 
 def check(filming: Filming, folder: Path) -> None:
-    """What no part can say alone."""
+    """Checks that need several parts of the setup."""
     bench = filming.bench
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RecordingError(f"{folder} is not an empty folder. Name another one.")

@@ -24,7 +24,7 @@ CLAMP = (0.046, 0.05)  # m, length and width
 
 @dataclass(frozen=True)
 class MovingScene:
-    """All that does not change about what moves."""
+    """The moving things of a scene: their shapes and colours, which do not change."""
 
     scene: Scene
     push: PushProfile

@@ -1,4 +1,4 @@
-"""Frames of the scene: what moves is drawn over the table for moments of the exposure, and their mean is seen."""
+"""Frames of the scene: moving things are drawn at several moments of the exposure, and the frame is their mean."""
 
 from __future__ import annotations
 

@@ -16,10 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi_squared
-from scipy.stats import f as f_distribution
 
 from onebend.learning.criticism.alternatives import Alternative, Suspect
 from onebend.learning.inference.fit_problem import FitProblem, prior
@@ -107,7 +106,7 @@ def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, 
     judged = values > _LEAST_REMOVED
     freed = vectors[:, judged] @ ((vectors[:, judged].T @ (x / before)) / values[judged])  # in prior sds
     gain, count = float(freed @ (x / before)), int(np.sum(judged))
-    log10_p = float(chi_squared.logsf(gain, count)) / np.log(10.0) if count else 0.0
+    log10_p = float(_distributions().chi2.logsf(gain, count)) / np.log(10.0) if count else 0.0
     shift = fit.covariance[: fit.problem.layout.spline.count, index] @ (freed / before)
     size = float(np.linalg.norm(x)) if unit == "m" else 0.0
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
@@ -170,7 +169,7 @@ def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
     b = inverse @ every.score[part]
     chi2 = float(every.score[part] @ b)
     step = -fit.covariance @ (every.mixed[part].T @ b)
-    log10_p = float(chi_squared.logsf(chi2, count)) / np.log(10.0)
+    log10_p = float(_distributions().chi2.logsf(chi2, count)) / np.log(10.0)
     recordings = zip(every.d, fit.rows, fit.known, strict=True)
     changes = [d[..., part] @ b + r.slopes.times(step[k]) for d, r, k in recordings]
     ratio = 1.0
@@ -178,7 +177,7 @@ def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
         ratio, numbers = _noise_left(fit, changes)
         chi2 *= ratio
         freedom = max(numbers - len(b), 5.0)
-        log10_p = float(f_distribution.logsf(chi2 / count, count, freedom)) / np.log(10.0)
+        log10_p = float(_distributions().f.logsf(chi2 / count, count, freedom)) / np.log(10.0)
     moved = max(_moved(f, r, c) for f, r, c in zip(fit.problem.recordings, fit.rows, changes, strict=True))
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return Score(suspect, b, sd, chi2, log10_p, moved, step[:p], max(ratio, 1.0))
@@ -210,3 +209,10 @@ def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
     away = np.linalg.solve(safe, (change / weight).reshape(*measured.shape, 1))[..., :2, 0]
     squares, known = np.sum(np.where(measured[..., :2], away, 0.0) ** 2, axis=-1), np.any(measured, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))
+
+
+def _distributions() -> Any:
+    """`scipy.stats`. It takes half a second to load, and commands that only read a fit's results do not need it."""
+    from scipy import stats
+
+    return stats

@@ -22,6 +22,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.sensitivity import of_mass
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
@@ -140,6 +141,7 @@ def joint_information(seen: TagDerivatives, bench: Instruments, candidate: Plann
     return eliminate(information, len(own_sd), 1.0 / own_sd**2)
 
 
+@one_blas_thread
 def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array:
     """(p, p) Fisher information of one push on the coefficients of log k, every nuisance marginalised.
 
@@ -158,6 +160,7 @@ def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array
     return _of_coefficients(solved, beam, bench, candidate, on_nodes)
 
 
+@one_blas_thread
 def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) -> tuple[Array, Array]:
     """Places s (Q,) along the beam and the Fisher information (Q,) about log k there, per unit of s squared.
 

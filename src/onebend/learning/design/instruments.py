@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.inference.fit_problem import Hyperparameters
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import expected_noise, filtered
 from onebend.learning.model.frames import typical
 from onebend.learning.model.parameters import Layout
-from onebend.learning.posterior import Posterior
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+
+if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
+    from onebend.learning.posterior import Posterior
 
 SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
 
@@ -125,6 +128,7 @@ class Instruments:
         return bench
 
 
+@one_blas_thread
 def instruments_of(posterior: Posterior) -> Instruments:
     """The bench on which the recordings of a fit were made; what differs between them by its median.
 

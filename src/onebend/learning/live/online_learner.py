@@ -18,6 +18,7 @@ from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
@@ -47,6 +48,7 @@ class Update:
 class OnlineLearner:
     """Learns k(s) of one beam frame by frame. Not thread-safe."""
 
+    @one_blas_thread
     def __init__(
         self,
         length: float,
@@ -89,6 +91,7 @@ class OnlineLearner:
         self._last: tuple[float, Array] | None = None
         self._frames = 0
 
+    @one_blas_thread
     def update(
         self,
         time: float,
@@ -139,6 +142,7 @@ class OnlineLearner:
         self._frames += 1
         return Update(*gated, solved=True, doubts=self._doubts + state.last_doubts)
 
+    @one_blas_thread
     def settle(self, rounds: int = 10) -> None:
         """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
         self._state.settle(rounds)
@@ -149,11 +153,13 @@ class OnlineLearner:
         return self._frames
 
     @property
+    @one_blas_thread
     def hyperparameters(self) -> LiveHyperparameters:
         """Sizes of the tags' noise and of the force error, as they are now."""
         return self._state.hyperparameters
 
     @property
+    @one_blas_thread
     def parameters(self) -> tuple[Array, Array]:
         """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
         self._state.catch_up()
@@ -161,6 +167,7 @@ class OnlineLearner:
         return mean, covariance
 
     @property
+    @one_blas_thread
     def stiffness(self) -> UncertainStiffness:
         """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
         self._state.catch_up()
@@ -179,12 +186,14 @@ class OnlineLearner:
         return self._doubts + self._state.doubts
 
     @property
+    @one_blas_thread
     def force_error(self) -> Array:
         """(2,) N: the log's error at the last frame, as far as it is known."""
         self._state.catch_up()
         e = self._state.solution.e
         return e[-1].copy() if len(e) else np.zeros(2)
 
+    @one_blas_thread
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's, before and after the frames so far."""
         mean, covariance = self.parameters
@@ -197,6 +206,7 @@ class OnlineLearner:
         return out
 
     @property
+    @one_blas_thread
     def beam(self) -> Beam:
         """The beam as it is now."""
         self._state.catch_up()

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.beam.clamped_ends.end_pose import end_pose, with_end_wrench
 from onebend.beam.clamped_ends.near_shape import hold_near
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Problem, Resolution
@@ -178,7 +178,7 @@ def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
     rows = stiffness.basis(s)
     rows = rows[[0, 2]] - rows[1]
     sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
-    ratio, wide = np.exp(rows @ stiffness.mean), np.exp(1.96 * sd)
+    ratio, wide = np.exp(rows @ stiffness.mean), np.exp(half_width(sd))
     said = ", ".join(
         f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
         for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)

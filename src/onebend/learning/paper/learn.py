@@ -13,7 +13,7 @@ from onebend.records import Observations, Remark
 
 
 @one_blas_thread
-def learn(
+def regress(
     observations: Observations, settings: RegressionSettings = RegressionSettings(), *, progress: Progress = Silent()
 ) -> Learned:
     """The stiffness distribution of the observed beam.

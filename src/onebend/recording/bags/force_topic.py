@@ -106,7 +106,7 @@ def frame_remarks(entry: ForceEntry, field: str, named: list[str]) -> tuple[Rema
     """Which axes the force was taken along, and a warning where they turn with the tool."""
     frame = f"the frame {named[0]}" if named else "a frame that the bag does not name"
     across = " and ".join(entry.axes)
-    found = [
+    remarks = [
         Remark(
             "note",
             f"The force is along {across} of {frame}; rotation_deg = {np.rad2deg(entry.rotation):.4g} says how they "
@@ -115,5 +115,5 @@ def frame_remarks(entry: ForceEntry, field: str, named: list[str]) -> tuple[Rema
     ]
     if field.split(".")[0].lower().startswith("k_f_ext") or (named and named[0].endswith(("_K", "_EE", "_hand"))):
         text = "These axes turn with the tool: the force is right only if the tool kept its direction."
-        found.append(Remark("warning", text))
-    return tuple(found)
+        remarks.append(Remark("warning", text))
+    return tuple(remarks)

@@ -182,10 +182,10 @@ def topic_of(bag: Bag, name: str, where: str) -> Topic:
     Raises:
         RecordingError: no such topic, or no message of it; those there are listed.
     """
-    found = bag.topics.get(name) or bag.topics.get(f"/{name}")
-    if found is not None and found.count:
-        return found
-    if found is not None:
+    topic = bag.topics.get(name) or bag.topics.get(f"/{name}")
+    if topic is not None and topic.count:
+        return topic
+    if topic is not None:
         raise RecordingError(f"{where}: {bag.path} holds no message of {name}. It holds {listed(bag)}.")
     similar = difflib.get_close_matches(name, bag.topics, n=1)
     hint = f" Did you mean {similar[0]}?" if similar else ""
@@ -222,8 +222,8 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
                     for _, received, data in reader.messages(wanted):
                         yield received, data
         except Exception as wrong:  # the readers' own, the unpackers', or what senseless numbers lead to
-            found = scan_bag(bag.path, files_of(bag.path))
-            raise damaged(found, found.fault or str(wrong).rstrip(".")) from None
+            damaged_bag = scan_bag(bag.path, files_of(bag.path))
+            raise damaged(damaged_bag, damaged_bag.fault or str(wrong).rstrip(".")) from None
 
 
 def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterator[tuple[int, Any]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.blas import one_blas_thread
 from onebend.errors import RecordingError
 from onebend.progress import Progress, Silent
 from onebend.recording.calibration.boards import Board, BoardFilm, BoardView, find_boards, opencv
@@ -79,6 +80,7 @@ class Calibration:
         return "\n".join(lines) + "\n"
 
 
+@one_blas_thread
 def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progress = Silent()) -> Calibration:
     """Pinhole and lens (OpenCV's k1 k2 p1 p2, and k3 where the views need it) from a film of a board.
 
@@ -212,28 +214,32 @@ def _spread_of_groups(
 
 
 def _remarks(fitted: Calibration) -> tuple[Remark, ...]:
-    out = []
+    warnings = []
     if len(fitted.frames) < _ENOUGH:
-        out.append(f"Only {len(fitted.frames)} different sharp views: film the board longer, and hold it still often.")
+        warnings.append(
+            f"Only {len(fitted.frames)} different sharp views: film the board longer, and hold it still often."
+        )
     if fitted.coverage < _COVERED:
-        out.append(
+        warnings.append(
             f"The board was seen in {100 * fitted.coverage:.0f} % of the picture: the lens is not known elsewhere. "
             "Show it in the corners too."
         )
     if fitted.turned < _TURNED:
-        out.append(
+        warnings.append(
             f"All views are alike: the board's directions differ by {np.rad2deg(fitted.turned):.0f} degrees at most: "
             "focal length and distance are hardly distinguishable. Tilt it by 30 degrees or more, each way."
         )
     focal = float(np.max(fitted.sd[:2] / fitted.values[:2]))
     if not focal < _FOCAL_SD:
-        out.append(f"The focal length is known to {100 * focal:.2g} % only (one sd): film more tilts and distances.")
+        warnings.append(
+            f"The focal length is known to {100 * focal:.2g} % only (one sd): film more tilts and distances."
+        )
     if fitted.error > _MISFIT:
-        out.append(
+        warnings.append(
             f"The corners are {fitted.error:.2g} px from the model: is the board flat and stiff, the focus fixed, and "
             "--board right?"
         )
-    remarks = [Remark("warning", text) for text in out]
+    remarks = [Remark("warning", text) for text in warnings]
     if fitted.left_out:
         remarks.append(Remark("note", f"{fitted.left_out} views fitted far worse than the others and were left out."))
     return tuple(remarks)

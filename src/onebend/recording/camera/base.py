@@ -61,17 +61,17 @@ def behind(pose: Poses, along: float) -> Poses:
     return Poses(pose.xy - along * np.stack([cos, sin], axis=-1), pose.angle, covariance)
 
 
-def aligned(other: Poses, first: Poses) -> Poses:
-    """`other` moved by the constant pose that, in the frames that show both, brings it onto `first`."""
-    difference = relative_to(other, first)
+def aligned(poses: Poses, first: Poses) -> Poses:
+    """`poses` moved by the constant pose that, in the frames that show both, brings it onto `first`."""
+    difference = relative_to(poses, first)
     both = np.isfinite(difference.angle[:, 0])
     if not both.any():
-        return other  # never seen together: its stated place is used
+        return poses  # never seen together: its stated place is used
     x, y = np.median(difference.xy[both, 0], axis=0)
     turn = float(np.median(difference.angle[both, 0]))
-    cos, sin = np.cos(other.angle), np.sin(other.angle)
-    moved = other.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-    return Poses(moved, other.angle + turn, other.covariance)
+    cos, sin = np.cos(poses.angle), np.sin(poses.angle)
+    moved = poses.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    return Poses(moved, poses.angle + turn, poses.covariance)
 
 
 def average(poses: Sequence[Poses]) -> Poses:

@@ -126,11 +126,11 @@ def covariance(noise: ForceNoise, time: Array, spread: Array, jumps: Array) -> A
     n = len(time)
     walked = np.cumsum(jumps)
     per_axis = noise.covariance(time) + np.minimum(walked[:, None], walked)
-    out = np.zeros((n, 2, n, 2))
-    out[:, 0, :, 0] = out[:, 1, :, 1] = per_axis
+    blocks = np.zeros((n, 2, n, 2))
+    blocks[:, 0, :, 0] = blocks[:, 1, :, 1] = per_axis
     index = np.arange(n)
-    out[index, :, index, :] += spread
-    return np.asarray(out.reshape(2 * n, 2 * n))
+    blocks[index, :, index, :] += spread
+    return np.asarray(blocks.reshape(2 * n, 2 * n))
 
 
 def film_misfit(model: ForceLogModel, film: MomentsAtRows, z: Array) -> tuple[float, Array, Array]:

@@ -168,7 +168,7 @@ def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> 
 
 def log_posterior(shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior) -> Array:
     """Log posterior at `offsets` up to a constant, summed over the likely `errors` of the log."""
-    out = np.full(len(offsets), -np.inf)
+    log_density = np.full(len(offsets), -np.inf)
     for error in errors:
         misfit_at = quadratic_film_misfit(shared.model, shared.film, error.z)
         for i, offset in enumerate(offsets):
@@ -176,5 +176,5 @@ def log_posterior(shared: CommonRows, offsets: Array, errors: Sequence[LogError]
             spread = shared.model.force_on_beam(moments, error.z)[1]
             root = np.linalg.cholesky(covariance(error.noise, shared.time, spread, error.jumps))
             value, _ = laplace_evidence(shared.model, moments, misfit_at, shared.force, np.asarray(root), error.z, FAST)
-            out[i] = np.logaddexp(out[i], value + error.log_prior)
-    return np.asarray(out + prior(offsets))
+            log_density[i] = np.logaddexp(log_density[i], value + error.log_prior)
+    return np.asarray(log_density + prior(offsets))

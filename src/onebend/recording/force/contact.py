@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from onebend.recording.signals import MAD_TO_SD, bridged, outliers, runs
 from onebend.records import Array, BoolArray, ForceLog, Markers, Remark
@@ -96,7 +96,7 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
     quick = floor + np.maximum(np.median(bends, axis=0) * MAD_TO_SD, early)
     smooth = uniform_filter1d(filled, settings.window, axis=0, mode="nearest")
     first_frames = min(count, settings.first)
-    threshold = 2.0 * float(np.sqrt(chi2.isf(settings.chance, filled.shape[1]) / settings.window))
+    threshold = 2.0 * float(np.sqrt(chdtri(filled.shape[1], settings.chance) / settings.window))
     distance = np.zeros(count)
     for _ in range(3):
         rest = filled[:first_frames]

@@ -79,10 +79,10 @@ def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
     """How far points (T, m, 3) move out of the plane: their own steady distance from it (a marker's height) is taken
     off."""
     distance = plane.away(points)
-    seen = np.isfinite(distance).any(axis=0)
-    distance = distance[:, seen] - np.nanmedian(distance[:, seen], axis=0)
+    measured = np.isfinite(distance).any(axis=0)
+    distance = distance[:, measured] - np.nanmedian(distance[:, measured], axis=0)
     rms, largest = float(np.sqrt(np.nanmean(distance**2))), float(np.nanmax(np.abs(distance)))
-    flat = plane.lay(points)[:, seen]
+    flat = plane.lay(points)[:, measured]
     extent = float(np.nanmax(np.linalg.norm(flat - np.nanmean(flat, axis=(0, 1)), axis=-1)))
     text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * largest:.2g} mm at most"
     if largest > MUCH * extent:

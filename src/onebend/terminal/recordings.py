@@ -1,4 +1,4 @@
-"""The screen for a robot's log."""
+"""What `onebend check` and `onebend topics` say."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.recording.bags.topics import BagContents, TopicRow
+from onebend.report.overview import Overview
 from onebend.report.wording import significant
+from onebend.terminal.parts import remarks_list
 
 
 def show_bag(console: Console, bag: BagContents) -> None:
@@ -47,3 +49,15 @@ def cells(row: TopicRow, first: float) -> tuple[str, ...]:
     rate = "" if math.isnan(row.rate) else significant(row.rate)
     span = (f"{row.start - first:.3f}", f"{row.end - first:.3f}")
     return escape(row.topic), escape(kind), f"{row.count}", f"{row.gaps or ''}", rate, *span
+
+
+def show_overview(console: Console, overview: Overview) -> None:
+    """What `onebend check` understood."""
+    table = Table(title=overview.name, title_justify="left", box=None, show_header=False)
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column(overflow="fold")
+    for what, understood in overview.rows:
+        table.add_row(what, escape(understood))
+    console.print(table)
+    console.print()
+    console.print(remarks_list([(overview.name, remark) for remark in overview.remarks]))

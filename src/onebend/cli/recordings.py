@@ -1,4 +1,4 @@
-"""The command that looks into a robot's log."""
+"""Commands that begin a recording and look at what is there."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import typer
 from rich.console import Console
 
 from onebend.cli.common import clean_errors, print_json
-from onebend.cli.options import Json
+from onebend.cli.options import Json, Recording
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
-from onebend.terminal.bags import show_bag
+from onebend.recording.template import write_template
+from onebend.report.overview import overview
+from onebend.terminal.recordings import show_bag, show_overview
 
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
 Definitions = Annotated[
     Path | None,
@@ -27,6 +30,23 @@ TO_ADD = (
     "rotation_deg = 0.0  # the first of them against the beam, counter-clockwise as the camera sees it",
     'acts_on = "beam"  # or "robot"',
 )
+
+
+def new(folder: Folder) -> None:
+    """Write a recording.toml to fill in."""
+    with clean_errors():
+        path = write_template(folder)
+    typer.echo(f"Wrote {path}. Fill it in, put the video and the force log beside it, then: onebend check {folder}")
+
+
+def check(recording: Recording, *, as_json: Json = False) -> None:
+    """Read a recording's files without looking for tags, and say what was understood."""
+    with clean_errors():
+        found = overview(recording)
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        show_overview(Console(), found)
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:

@@ -1,0 +1,52 @@
+"""The command that shows a learned beam, and what the commands that take one share."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from onebend.beam.model import Beam
+from onebend.beam.statics.problem import has_mass
+from onebend.cli.common import clean_errors, print_json
+from onebend.cli.options import Json, Model
+from onebend.errors import ControlError
+from onebend.results.model import StoredModel, read_model
+
+HEAVY = 100.0  # m/s^2: what is more is another unit
+
+
+def show(model: Model, *, as_json: Json = False) -> None:
+    """Draw the learned k(s) in the terminal."""
+    # here: the other commands that take a model, which share what is below, do without
+    from onebend.results.summary import model_summary
+    from onebend.terminal.screens import show_model
+
+    with clean_errors():
+        stored = read_model(model)
+    if as_json:
+        print_json(model_summary(stored))
+    else:
+        show_model(Console(), stored)
+
+
+def read_trusted(model: Path) -> StoredModel:
+    """The model; a warning on standard error where its k(s) is in doubt."""
+    stored = read_model(model)
+    doubts = () if stored.uncertain is None else stored.uncertain.doubts
+    if doubts:
+        typer.echo(f"onebend: warning: k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", err=True)
+    return stored
+
+
+def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
+    """The gravity [m/s^2] that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
+    if not all(math.isfinite(one) for one in gravity):
+        raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
+    if math.hypot(*gravity) > HEAVY:
+        raise ControlError(f"gravity of {math.hypot(*gravity):g} m/s^2 is no planet's: is it in m/s^2?")
+    if any(gravity) and not has_mass(beam):
+        raise ControlError("the model has no mass, so gravity does nothing: learn with mass_kg, or leave gravity out")
+    return gravity

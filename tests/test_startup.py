@@ -1,0 +1,102 @@
+"""What is loaded when, without a clock; `python -m benchmarks.startup` measures the times."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+from inspect import getdoc, isfunction, signature
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from onebend.cli import COMMANDS, app
+from onebend.results.model import save_model
+from tests import made_up
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "train"
+HEAVY = (
+    "scipy.stats", "scipy.signal", "matplotlib", "pyarrow", "trimesh", "manifold3d", "reportlab", "jinja2",
+    "pyapriltags", "multiprocessing.pool",
+)  # fmt: skip
+
+
+def loaded(*arguments: str) -> set[str]:
+    """The modules in a fresh Python after `onebend` with these arguments; without any, after `import onebend`."""
+    call = (
+        "import sys, onebend\n"
+        "if sys.argv[1:]:\n"
+        "    from onebend.cli import app\n"
+        "    try:\n        app(standalone_mode=False)\n    except SystemExit:\n        pass\n"
+        "print('LOADED', *sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", call, *arguments], capture_output=True, text=True, check=True)
+    return set(done.stdout.rpartition("LOADED")[2].split())
+
+
+def of_onebend(modules: set[str]) -> set[str]:
+    return {name for name in modules if name.split(".")[0] == "onebend"}
+
+
+def test_import_loads_nothing() -> None:
+    modules = loaded()
+    assert of_onebend(modules) == {"onebend", "onebend.lazy"}
+    assert not modules & {"numpy", "scipy", "typer", "rich"}
+
+
+@pytest.mark.parametrize("asked", ["--version", "--help"])
+def test_version_and_help_load_no_command(asked: str) -> None:
+    modules = loaded(asked)
+    assert of_onebend(modules) == {"onebend", "onebend.lazy", "onebend.blas", "onebend.cli"}
+    assert not modules & {"numpy", "scipy", *HEAVY}
+
+
+def test_light_commands_load_no_heavy_library(tmp_path: Path) -> None:
+    model = tmp_path / "model.json"
+    fit = made_up.posterior()
+    save_model(model, fit.beam, written_by="a test", uncertain=fit.stiffness)
+    x, y = fit.beam.equilibrium((0.0, 0.05)).xy(1.0)
+    for command in (
+        ("show", str(model)),
+        ("check", str(EXAMPLE)),
+        ("reach", str(model), "--goal", str(x), str(y)),
+        ("new", str(tmp_path / "new")),
+    ):
+        assert not loaded(*command) & set(HEAVY), command
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_table_says_what_the_command_says(name: str) -> None:
+    place = COMMANDS[name]
+    command = getattr(import_module(f"onebend.cli.{place.module}"), place.function)
+    assert (getdoc(command) or "").partition("\n\n")[0].replace("\n", " ") == place.help
+
+
+def test_every_command_is_in_the_table() -> None:
+    """A public function of a command's module that takes options is a command."""
+    places = {(place.module, place.function) for place in COMMANDS.values()}
+    folder = Path(str(import_module("onebend.cli").__file__)).parent
+    for path in folder.glob("*.py"):
+        if path.stem in ("__init__", "common", "options"):
+            continue
+        assert path.stem in {module for module, _ in places}, path
+        for name, value in vars(import_module(f"onebend.cli.{path.stem}")).items():
+            if (
+                isfunction(value)
+                and value.__module__ == f"onebend.cli.{path.stem}"
+                and "as_json" in signature(value).parameters
+            ):
+                assert (path.stem, name) in places
+
+
+def test_help_lists_the_commands_in_their_order() -> None:
+    text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).stdout
+    at = [text.index(f"│ {name} ") for name in COMMANDS]
+    assert at == sorted(at)
+
+
+def test_a_misspelt_command_is_answered_with_the_nearest() -> None:
+    found = CliRunner().invoke(app, ["lern"])
+    assert found.exit_code == 2
+    assert "learn" in found.stderr
