@@ -38,8 +38,8 @@ else:
             "onebend.beam.profiles.section": "SectionProfiles",
             "onebend.beam.profiles.stiffness": "Gaussians LogSpline Powers Profile Scaled Table",
             "onebend.beam.statics.equilibrium": "Equilibrium",
-            "onebend.beam.statics.problem": "Problem Resolution Rod",
             "onebend.beam.statics.nodal_forces": "NodalForces",
             "onebend.beam.statics.perturbation": "Perturbation",
+            "onebend.beam.statics.problem": "Problem Resolution Rod",
         },
     )

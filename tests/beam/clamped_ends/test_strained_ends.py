@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.clamped_ends import near_shape, search
 from onebend.beam.clamped_ends.end_pose import end_pose, stands
 from onebend.beam.clamped_ends.near_shape import hold_near
 from onebend.beam.clamped_ends.search import hold, hold_along
@@ -124,3 +125,18 @@ def test_from_far_it_falls_to_a_shape_that_stands() -> None:
     np.testing.assert_allclose(end_pose(solved.problem, solved.q), goal, atol=1e-10)
     assert np.all(stands(problem, solved.q, wrench))
     assert places.shape == solved.xy(S).shape
+
+
+def test_what_cannot_strain_to_its_section_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the strains cannot grow to their full size on a stable branch, neither search claims an equilibrium."""
+    goal, _ = free()
+
+    def stuck(_: object, q: Array, wrench: Array, __: Array) -> tuple[Array, Array, Array]:
+        return q, wrench, np.zeros(len(q), dtype=bool)
+
+    for module in (search, near_shape):
+        monkeypatch.setattr(module, "let_strain", stuck)
+    assert not np.any(hold(THICK, goal, resolution=FINE).solved.converged)
+    problem = make_problem(THICK, push(np.zeros((2, 2))), FINE)
+    start = np.random.default_rng(3).normal(size=(2, problem.weights.shape[-1])) * 3.0
+    assert not np.any(hold_near(problem, start, goal, fall=True)[0].converged)

@@ -205,3 +205,18 @@ def test_a_fit_of_log_k_and_log_thickness() -> None:
         np.testing.assert_allclose(exact[:, :, :2, i], moved, atol=1e-6 * np.max(np.abs(moved)))
     held = of_stiffness(follow(replace(problem, section=None)), problem.k[:, None] * basis)
     assert held.compliance is None
+
+
+def test_a_parameter_that_acts_in_several_ways_is_the_sum_of_them() -> None:
+    """As log k of a beam whose mass follows k: it changes bending, strain and weight together."""
+    solved = made(np.zeros(len(SCALE)), Loads(), "thickness")
+    nodes = solved.problem.grid.nodes
+    by_k = of_stiffness(solved, gaussian_basis(nodes, CENTRES, WIDTH))
+    by_mass = of_mass(solved.problem, power_basis(nodes, 3), GRAVITY)
+    together = replace(by_k, force=by_mass.force)
+    exact = respond(solved, by_k).poses(S) + respond(solved, by_mass).poses(S)
+    np.testing.assert_allclose(respond(solved, together).poses(S), exact, atol=1e-11 * np.max(np.abs(exact)))
+    adjoint = respond(solved, together).xy(S[:1])
+    np.testing.assert_allclose(adjoint, exact[:, :1, :2], atol=1e-11 * np.max(np.abs(exact)))
+    wrench = respond(solved, by_k).clamp_wrench() + respond(solved, by_mass).clamp_wrench()
+    np.testing.assert_allclose(respond(solved, together).clamp_wrench(), wrench, atol=1e-11 * np.max(np.abs(wrench)))
