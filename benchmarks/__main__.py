@@ -1,8 +1,9 @@
 """`python -m benchmarks [NAME ...] [--write]`: run every benchmark (or those named), each in its own process.
 
 A benchmark is a module of this folder with a `main()` that prints Markdown. What it prints goes to the screen and to
-out/benchmarks/NAME.md, under the module's own first line and the command that makes it again. With --write, the tables
-that were made replace those in docs/accuracy.md; the others stay there as they are.
+out/benchmarks/NAME.md, under the module's own first line and the command that makes it again. With --write it also
+replaces docs/accuracy/NAME.md, whose part "Remarks" is kept. docs/accuracy.md, the page of headlines, is written by
+hand: look whether it still agrees.
 """
 
 from __future__ import annotations
@@ -11,24 +12,16 @@ import argparse
 import ast
 import os
 import platform
-import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
 OUT = FOLDER.parent / "out" / "benchmarks"
 BARE = ("online", "reach", "shape", "loop", "startup")  # run as a user would: onebend sees to the BLAS threads itself
-PAGE = FOLDER.parent / "docs" / "accuracy.md"
-PREFACE = """\
-# Accuracy and speed
-
-Measured by the scripts in `benchmarks/` against known truth; `make bench` makes every table again, and
-`python -m benchmarks --write` this page. The *development recordings* are twelve simulated and rendered ones with known
-truth, made by an independent simulator and not shipped; `linear_train` and the like are their names.
-"""
+PAGES = FOLDER.parent / "docs" / "accuracy"
+REMARKS = "\n## Remarks\n"
 
 
 def benchmarks() -> dict[str, str]:
@@ -51,32 +44,25 @@ def run(name: str, title: str) -> bool:
     seconds = time.monotonic() - began
     ended = "" if done.returncode == 0 else f"\n\nEnded early, with exit code {done.returncode}."
     where = f"{platform.system()}, {platform.machine()}, Python {platform.python_version()}"
-    text = f"## {title}\n\n`python -m benchmarks.{name}` ({seconds:.0f} s; {where})\n\n{done.stdout.strip()}{ended}\n"
+    head = f"# {title.rstrip('.')}\n\n`python -m benchmarks.{name}` ({seconds:.0f} s; {where})"
+    text = f"{head}\n\n{done.stdout.strip()}{ended}\n"
     print(text, flush=True)
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / f"{name}.md").write_text(text, encoding="utf-8")
     return done.returncode == 0
 
 
-def sections(text: str) -> dict[str, str]:
-    """The tables in `text` by the name of the benchmark that made them."""
-    parts = re.split(r"(?m)^(?=## )", text)[1:]
-    named = ((re.search(r"`python -m benchmarks\.(\w+)`", part), part) for part in parts)
-    return {found[1]: part.rstrip() + "\n" for found, part in named if found}
-
-
-def write_page(names: Iterable[str], known: dict[str, str]) -> None:
-    """docs/accuracy.md with the tables of `names` renewed; those of other benchmarks stay as they stand there."""
-    tables = sections(PAGE.read_text(encoding="utf-8")) if PAGE.is_file() else {}
-    tables |= {name: (OUT / f"{name}.md").read_text(encoding="utf-8") for name in names}
-    PAGE.write_text("\n".join([PREFACE, *(tables[name] for name in known if name in tables)]), encoding="utf-8")
+def write_page(page: Path, tables: str) -> None:
+    """The page of one benchmark with new tables; remarks that stand below them stay."""
+    remarks = page.read_text(encoding="utf-8").partition(REMARKS)[2] if page.is_file() else ""
+    page.write_text(tables + (REMARKS + remarks if remarks else ""), encoding="utf-8")
 
 
 def main() -> None:
     known = benchmarks()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(known)}; default: all")
-    parser.add_argument("--write", action="store_true", help="put all tables together as docs/accuracy.md")
+    parser.add_argument("--write", action="store_true", help="renew their pages in docs/accuracy")
     asked = parser.parse_args()
     unknown = [name for name in asked.names if name not in known]
     if unknown:
@@ -86,7 +72,8 @@ def main() -> None:
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
     if asked.write:
-        write_page(names, known)
+        for name in names:
+            write_page(PAGES / f"{name}.md", (OUT / f"{name}.md").read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

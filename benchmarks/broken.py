@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks.studies import KINDS, MOUNTING, S, bench_of, fit_from_nothing
 from onebend.beam.loads import push, weight
 from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.profiles.uncertain import half_width
 from onebend.beam.statics.continuation import equilibrium
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.direct_observation import observe_from_truth
@@ -168,7 +169,7 @@ def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
     """A fit against k (35,) at S, and what its criticism says."""
     band = stiffness_of(found.layout, found.optimum, found.gain_sd).band(S)  # whatever the verdict
     critic = found.criticism
-    known, sd = band.identified, np.log(band.high / band.low) / (2.0 * 1.96)
+    known, sd = band.identified, np.log(band.high / band.low) / (2.0 * half_width(1.0))
     inside = (truth > band.low) & (truth < band.high)
     z = np.log(band.k / truth) / sd
     bearing = [f.score.log10_p for f in critic.findings if f.score.suspect.name != "turn"]

@@ -17,13 +17,13 @@ import numpy as np
 from onebend.beam.loads import push
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.actions import Actions, AppliedForce
 from onebend.beam.motion.collocation import Method
 from onebend.beam.motion.dynamics import Body, body
-from onebend.beam.motion.integration import Motion, Options, simulate
+from onebend.beam.motion.integration import IntegrationSettings, Motion, simulate
 from onebend.beam.motion.vibration import settle, vibration, vibration_of
 from onebend.beam.profiles.piecewise import taper
-from onebend.beam.profiles.section import Material, Part, Rectangle, along
+from onebend.beam.profiles.section import Material, Rectangle, SectionPart, along
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.problem import Resolution
@@ -33,7 +33,7 @@ Row = tuple[str, float, str, str]  # name, value, unit, target
 
 BEAM = Beam(0.15, Uniform(0.02), mass_per_length=Uniform(0.1))  # 150 mm; fundamental 4.3 Hz
 TIP_FORCE = (0.0, 3.0 * 0.02 / 0.15)  # P L^2 / EI = 3
-PULL = Actions(forces=(Force(TIP_FORCE),))
+PULL = Actions(forces=(AppliedForce(TIP_FORCE),))
 MARKERS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 LINKS = ((20, 5e-5), (40, 2e-5), (80, 6e-6))  # links of the chain, step [s] within the stability of RK4
 PUBLISHED = {  # VirtualBow project, Hz; a bar of 1 m whose square side runs from 10 mm to the given one
@@ -54,7 +54,7 @@ def frequency_rows() -> Iterator[Row]:
     """Steel bars: Euler-Bernoulli, and what rotary inertia takes off."""
     for last, published in PUBLISHED.items():
         side = taper(0.01, last)
-        profiles = along((Part(Rectangle(side, side), Material(210e9, 7850.0)),), 1.0)
+        profiles = along((SectionPart(Rectangle(side, side), Material(210e9, 7850.0)),), 1.0)
         beam = Beam(1.0, profiles.stiffness, mass_per_length=profiles.mass_per_length)
         solved = equilibrium(beam, push((0.0, 0.0)))
         thin = vibration(beam, solved).frequency[:4]
@@ -68,7 +68,7 @@ def energy_rows(periods: int = 100) -> Iterator[Row]:
     """A release, undamped: the energy oscillates, and has no trend."""
     of = _modal(6)
     period = 1.0 / float(vibration_of(of, settle(of)).frequency[0])
-    motion = simulate(of, settle(of, PULL), periods * period, period / 200.0, options=Options(Method(4)))
+    motion = simulate(of, settle(of, PULL), periods * period, period / 200.0, settings=IntegrationSettings(Method(4)))
     energy = motion.energy / motion.energy[0] - 1.0
     trend = abs(float(np.polyfit(motion.time / period, energy, 1)[0])) * 1000.0
     name = f"energy over {periods} periods, order 8, 200 steps a period"
@@ -124,16 +124,16 @@ def _modal(n: int, order: int = 16) -> Body:
 
 
 def _release(of: Body, method: Method, steps: int, *, every: int = 1, tolerance: float = 1e-10) -> Motion:
-    options = Options(method, tolerance=tolerance, every=every)
-    return simulate(of, settle(of, PULL), 1.0, 1.0 / steps, options=options)
+    options = IntegrationSettings(method, tolerance=tolerance, every=every)
+    return simulate(of, settle(of, PULL), 1.0, 1.0 / steps, settings=options)
 
 
 def _timed(of: Body, method: Method, steps: int, tolerance: float, times: int = 7) -> Timed:
-    start, options = settle(of, PULL), Options(method, tolerance=tolerance)
+    start, options = settle(of, PULL), IntegrationSettings(method, tolerance=tolerance)
     best = np.inf
     for _ in range(times):
         begin = time.process_time()
-        motion = simulate(of, start, 1.0, 1.0 / steps, options=options)
+        motion = simulate(of, start, 1.0, 1.0 / steps, settings=options)
         best = min(best, time.process_time() - begin)
     return Timed(motion, best)
 

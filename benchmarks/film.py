@@ -26,10 +26,12 @@ import numpy as np
 from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import Truth, parser_of, read_truth
+from onebend.beam.profiles.uncertain import half_width
 from onebend.errors import OnebendError
 from onebend.lab.filming.film import film
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.random_bench import BenchRanges, random_bench
+from onebend.lab.random_effects import LABORATORY
 from onebend.learning.posterior import FitSettings, Posterior
 from onebend.pipeline import learn
 from onebend.progress import Progress, Silent
@@ -77,7 +79,7 @@ class Run:
     inside_all: float = 0.0  # share of all places, identified or not
     identified: float = 0.0  # share of the places
     error: float = 0.0  # RMS of log k over the identified places
-    width: float = 0.0  # RMS of half the 95 % band of log k there, over 1.96
+    width: float = 0.0  # RMS of half the 95 % band of log k there, over that of a normal of sd 1
     warnings: tuple[str, ...] = ()
 
 
@@ -94,9 +96,10 @@ class Keeping:
         return self.found
 
 
-def run(seed: int) -> Run:
-    """Film the bench of a seed, learn, compare."""
-    filming = random_bench(np.random.default_rng([STREAM, seed]), DRAWN, name=f"drawn-{seed}")
+def run(seed: int, effects: bool = False) -> Run:
+    """Film the bench of a seed, with the effects of real benches where asked for, learn, compare."""
+    ranges = replace(DRAWN, effects=LABORATORY) if effects else DRAWN
+    filming = random_bench(np.random.default_rng([STREAM, seed]), ranges, name=f"drawn-{seed}")
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return learned(filming, Path(place) / "film", seed)
@@ -142,7 +145,7 @@ def against(made: Run, posterior: Posterior, truth: Truth) -> Run:
     band, k = posterior.band(S), np.interp(S, truth.s, truth.k)
     held = (band.low <= k) & (k <= band.high)
     known = band.identified
-    sd = np.log(band.high / band.low) / (2.0 * 1.96)
+    sd = np.log(band.high / band.low) / (2.0 * half_width(1.0))
     some = bool(known.any())
     return replace(
         made,
@@ -154,7 +157,7 @@ def against(made: Run, posterior: Posterior, truth: Truth) -> Run:
     )
 
 
-def study(runs: int, jobs: int, kept: Path) -> list[Run]:
+def study(runs: int, jobs: int, kept: Path, effects: bool = False) -> list[Run]:
     """Runs 0 to `runs` - 1; those in the file `kept` are not made again, each new one is added to it."""
     done = {one.seed: one for one in read(kept)}
     wanted = [seed for seed in range(runs) if seed not in done]
@@ -162,7 +165,7 @@ def study(runs: int, jobs: int, kept: Path) -> list[Run]:
         kept.parent.mkdir(parents=True, exist_ok=True)
         os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes that start now
         with ProcessPoolExecutor(jobs) as pool, kept.open("a", encoding="utf-8") as file:
-            futures = {pool.submit(run, seed): seed for seed in wanted}
+            futures = {pool.submit(run, seed, effects): seed for seed in wanted}
             for future in as_completed(futures):
                 try:
                     one = future.result()
@@ -255,10 +258,12 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument("--kept", type=Path, default=KEPT / "runs.jsonl", help="file that the runs are added to")
+    parser.add_argument("--effects", action="store_true", help="draw the effects of real benches too")
+    parser.add_argument("--kept", type=Path, help=f"file that the runs are added to; default: one of {KEPT}")
     parser.add_argument("--no-twins", action="store_true", help="leave out the films of the named designs")
     asked = parser.parse_args()
-    runs = study(asked.runs, asked.jobs, asked.kept)
+    kept = asked.kept or KEPT / ("runs-effects.jsonl" if asked.effects else "runs.jsonl")
+    runs = study(asked.runs, asked.jobs, kept, asked.effects)
     print(study_table(runs))
     print(f"\nEvery run:\n\n{runs_table(runs)}")
     print(f"\nRuns to look at:\n\n{odd_runs(runs)}")

@@ -71,7 +71,7 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
         if block.start >= 0 and block.name not in ("stiffness", "force"):
             x[block.where] = block.prior_sd * rng.standard_normal(len(block.prior_sd))
     x[: spline.count] = k
-    root = np.linalg.cholesky(data.error.covariance(1.0, 1.0, 1.0, 1.0))
+    root = data.error.root(1.0, 1.0, 1.0, 1.0)
     errors = root @ rng.standard_normal((len(root), 2))
     x[layout.index["force", 0].where] = errors.ravel()
     log_error = spline_at(data, clean.time) @ errors

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_bvp
@@ -12,8 +12,9 @@ from scipy.integrate import solve_bvp
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
-from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.continuation import equilibrium, follow, refine
+from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
 from onebend.records import Array
 from tests.beam.exact import elastica_tip
@@ -119,9 +120,9 @@ def speed() -> list[Row]:
     order = next(
         n
         for n in range(4, 24)
-        if np.max(np.abs(follow(pose(BEAM, push(force), Resolution(n))).xy(TIP)[:, 0] - exact)) <= limit
+        if np.max(np.abs(follow(make_problem(BEAM, push(force), Resolution(n))).xy(TIP)[:, 0] - exact)) <= limit
     )
-    ours = best_of(lambda: follow(pose(BEAM, push(force), Resolution(order)))) / FRAMES
+    ours = best_of(lambda: follow(make_problem(BEAM, push(force), Resolution(order)))) / FRAMES
     some = range(25, FRAMES, 50)
     tolerance = next(
         t
@@ -147,7 +148,7 @@ def derivatives(force: Array) -> list[Row]:
     """Cost of 21 derivatives of three tags together, over the cost of the solve."""
     loads = push(force) + weight((0.0, -1.0))
     beam = Beam(BEAM.length, BEAM.stiffness, mass_per_length=Uniform(0.5))
-    solved = follow(pose(beam, loads, Resolution(12)))
+    solved = follow(make_problem(beam, loads, Resolution(12)))
     nodes, s = solved.problem.grid.nodes, np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
     functions = gaussian_basis(nodes, equidistant(12), 0.1)
 
@@ -161,13 +162,40 @@ def derivatives(force: Array) -> list[Row]:
         )
         return respond(solved, change).xy(s)
 
-    solve = best_of(lambda: follow(pose(beam, loads, Resolution(12))))
+    solve = best_of(lambda: follow(make_problem(beam, loads, Resolution(12))))
     return [Row("all 21 derivatives of three tags, over the cold solve", best_of(everything) / solve, "", "<= 2")]
+
+
+def stretching(force: Array) -> list[Row]:
+    """What stretch and shear cost, over the same beam without: cold, warm, and all derivatives of three tags."""
+    loads, s = push(force) + weight((0.0, -1.0)), np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
+    thin = replace(BEAM, mass_per_length=Uniform(0.5))
+    beams = (thin, replace(thin, thickness=0.08 * thin.length))
+    problems = [make_problem(beam, loads, Resolution(12)) for beam in beams]
+    solved = [follow(problem) for problem in problems]
+    functions = gaussian_basis(problems[0].grid.nodes, equidistant(12), 0.1)
+
+    def all_derivatives(one: Equilibrium) -> Array:
+        fresh = replace(one)  # nothing worked out before
+        change = of_stiffness(fresh, functions) + of_force(fresh.problem, np.array(1.0))
+        change = change + of_clamp_angle(fresh.problem)
+        return respond(fresh, change).poses(s)
+
+    work: dict[str, tuple[Callable[[], object], ...]] = {
+        "cold": tuple(lambda p=p: follow(p) for p in problems),  # type: ignore[misc]
+        "warm": tuple(lambda e=e: refine(e.problem, e.q + 0.003) for e in solved),  # type: ignore[misc]
+        "15 derivatives of three tags": tuple(lambda e=e: all_derivatives(e) for e in solved),  # type: ignore[misc]
+    }
+    out = []
+    for name, (without, with_strain) in work.items():
+        ratio = min(best_of(with_strain) / best_of(without) for _ in range(3))
+        out.append(Row(f"stretch and shear, batch of {FRAMES}, over without: {name}", ratio, "", "<= 1.5"))
+    return out
 
 
 def rows() -> list[Row]:
     """All figures."""
-    return accuracy() + speed()
+    return accuracy() + speed() + stretching(pushes(FRAMES))
 
 
 def main() -> None:

@@ -75,7 +75,7 @@ def rows(seen: Observations, learned: Beam, band: UncertainStiffness, true: Beam
 def main() -> None:
     truth = read_truth(RECORDINGS / FREE)
     true, tau = true_beam(truth), float(truth.facts["eta"])
-    frequency = float(vibration(true, equilibrium(true, push([[0.0, 0.0]])), most=1).frequency[0])
+    frequency = float(vibration(true, equilibrium(true, push([[0.0, 0.0]])), count=1).frequency[0])
     run = learn(RECORDINGS / PUSH)
     assert run.posterior is not None
     seen = observe(read_recording(RECORDINGS / FREE))

@@ -11,7 +11,7 @@ from benchmarks.studies import KINDS as BEAM_KINDS
 from benchmarks.studies import PLACEMENT, PUSHED, bench_of, fit_from_nothing
 from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.pushes import PushProfile
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
@@ -42,7 +42,7 @@ class Row:
 
 def widths(known: UncertainStiffness) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """(101,) of the band of log k."""
-    return np.asarray(2.0 * 1.959964 * known.log_at(PLACES)[1])
+    return 2.0 * half_width(known.log_at(PLACES)[1])
 
 
 def rows(recordings: Path = RECORDINGS) -> list[Row]:

@@ -18,7 +18,7 @@ from benchmarks.reach_goals import Goals, goals, places_under
 from benchmarks.truth import parser_of
 from onebend.beam.loads import push
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.control.reach.paper_iteration import paper_force
 from onebend.control.reach.reach import ReachSettings, reach
 from onebend.control.reach.tracking import WarmReach
@@ -115,7 +115,7 @@ def anywhere(beams: int, *, seed: int) -> tuple[Tally, int]:
         sizes = largest * np.sqrt(rng.uniform(size=1000))
         turns = rng.uniform(-np.pi, np.pi, 1000)
         some = sizes[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-        solved = follow(pose(one.beam, push(some, one.push_s), Resolution(12)))
+        solved = follow(make_problem(one.beam, push(some, one.push_s), Resolution(12)))
         near = np.linalg.norm(solved.xy(np.array([one.point_s]))[:, 0] - goal, axis=1) < 1e-3 * one.beam.length
         missed += bool(np.any(near & solved.converged & solved.stable))
     return tally, missed

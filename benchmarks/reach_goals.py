@@ -11,7 +11,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline, Powers, Profile, Uniform
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.records import Array, BoolArray
 
 RESOLUTION = Resolution(16)
@@ -66,7 +66,7 @@ def _reached(beam: Beam, push_s: float, point_s: float, count: int, rng: np.rand
     turn, size = rng.uniform(-np.pi, np.pi, 4 * count), rng.uniform(0.0, 1.0, 4 * count) ** 2
     largest = LARGEST * float(np.mean(beam.stiffness(np.linspace(0.0, 1.0, 51)))) / (beam.length * push_s**2)
     force = largest * size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    solved = follow(pose(beam, push(force, push_s), RESOLUTION))
+    solved = follow(make_problem(beam, push(force, push_s), RESOLUTION))
     bent = np.max(np.abs(solved.alpha - solved.problem.to_nodes @ solved.problem.q0), axis=1)
     tip = np.abs(solved.angle(np.ones(1))[:, 0] - float(np.sum(solved.problem.weights * solved.problem.q0)))
     good = np.flatnonzero(solved.converged & solved.stable & (bent > LEAST) & (tip < TIP))[:count]
@@ -80,5 +80,5 @@ def places_under(
 
     By load continuation alone: it knows nothing of how the forces were found.
     """
-    solved = follow(pose(beam, push(force, push_s), resolution))
+    solved = follow(make_problem(beam, push(force, push_s), resolution))
     return solved.xy(np.array([point_s]))[:, 0], solved.converged & solved.stable

@@ -15,7 +15,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose_many
+from onebend.beam.statics.problem import Resolution, make_problems
 from onebend.control.reach.reach import Reach, reach
 from onebend.control.reach.uncertainty import PredictedError, predicted_error
 from onebend.lab.random_beams import force_that_bends
@@ -145,7 +145,7 @@ def drawn_inside(one: Outcome, known: Known, count: int, *, seed: int) -> int:
     profiles = known.stiffness.draw(count, seed=seed)
     beams = [replace(known.beam, stiffness=profile) for profile in profiles]
     loads = push(np.tile(one.found.force, (count, 1)), one.task.push_s)
-    solved = follow(pose_many(beams, loads, Resolution(16, 0.5)))
+    solved = follow(make_problems(beams, loads, Resolution(16, 0.5)))
     place = solved.xy(np.array([one.task.point_s]))[:, 0]
     return int(np.sum([one.error.holds(xy, LEVEL) for xy in place]))
 

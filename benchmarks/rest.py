@@ -17,7 +17,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.records import Array
 
 Row = tuple[str, float, str, str]
@@ -33,7 +33,7 @@ def ours() -> tuple[float, float]:
     best = np.inf
     for _ in range(5):
         begin = time.process_time()
-        solved = follow(pose(BEAM, push(forces), Resolution(6)))
+        solved = follow(make_problem(BEAM, push(forces), Resolution(6)))
         best = min(best, (time.process_time() - begin) / FRAMES)
     return best, float(np.linalg.norm(solved.xy(np.array([1.0]))[-1, 0] - exact))
 

@@ -13,7 +13,7 @@ from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array
@@ -90,7 +90,7 @@ def made_up(folder: Path) -> Path:
     loads, down = tip_loads(), np.array([0.0, -1.0])
     places = np.array([1 - float(station) / LENGTH_IN for station in STATIONS])
     acting = push(np.array(list(loads.values()))[:, None] * down) + weight(G * down)
-    solved = follow(pose(Beam(LENGTH, k, mass_per_length=mu), acting, Resolution(order=12, widest=0.1)))
+    solved = follow(make_problem(Beam(LENGTH, k, mass_per_length=mu), acting, Resolution(order=12, widest=0.1)))
     y = solved.xy(places)[..., 1]
     rows = [(w, i + 1, y[p, i], READING) for p, w in enumerate(loads) for i in range(len(STATIONS))]
     return bench(folder / "made-up", "straight", "pose,id,y_m,sd_m", rows)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import half_width
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.pipeline import learn
@@ -54,7 +55,8 @@ def bending(posterior: Posterior) -> tuple[float, float, float]:
     row = uncertain.basis(s).mean(axis=0)
     sd = float(np.sqrt(row @ uncertain.covariance @ row))
     middle = LENGTH * float(np.exp(row @ uncertain.mean))
-    return middle, middle * float(np.exp(-1.96 * sd)), middle * float(np.exp(1.96 * sd))
+    factor = float(np.exp(half_width(sd)))
+    return middle, middle / factor, middle * factor
 
 
 def learned(table: Path, wire: str, digitisations: Iterable[str]) -> Posterior:

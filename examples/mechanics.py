@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipj, ellipk, ellipkinc
 
-from onebend.beam.clamped_ends.search import Held, hold_along
+from onebend.beam.clamped_ends.search import ClampedEquilibrium, hold_along
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile, Steps, Uniform
@@ -116,7 +116,7 @@ def compressed(shares: Array, slant: float) -> Equilibrium:
     return equilibrium(UNIFORM, push(np.stack([-axial, slant * axial], axis=-1)))
 
 
-def lead_the_end() -> tuple[Array, Held]:
+def lead_the_end() -> tuple[Array, ClampedEquilibrium]:
     """The end's poses (P, 3) in units of L, and the beam held at each."""
     part = np.linspace(0.0, 1.0, 41)[:, None]
     start = np.array([np.sin(1.2) / 1.2, (1.0 - np.cos(1.2)) / 1.2, 1.2])  # an arc: bent by a moment alone
@@ -124,7 +124,7 @@ def lead_the_end() -> tuple[Array, Held]:
     return poses, hold_along(UNIFORM, poses * [LENGTH, LENGTH, 1.0])
 
 
-def turn_the_end() -> tuple[Array, Held]:
+def turn_the_end() -> tuple[Array, ClampedEquilibrium]:
     """Angles (P,) of the end, over and back with the ends 0.7 L apart, and the beam held at each."""
     over = np.linspace(1.2, -1.2, 41)
     angle = np.concatenate([over, over[-2::-1]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,6 @@ from threading import Barrier
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is there)
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -27,9 +27,13 @@ UNGUARDED = {
 }  # fmt: skip
 
 
+BROUGHT_ALONG = re.compile(r"(numpy|scipy)\.libs|site-packages[\\/](numpy|scipy)[\\/]")
+
+
 def threads() -> list[int]:
-    """BLAS threads of every library."""
-    return [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
+    """BLAS threads of NumPy's library and of SciPy's; other packages may bring one of their own."""
+    ours = [one for one in threadpool_info() if one["user_api"] == "blas" and BROUGHT_ALONG.search(one["filepath"])]
+    return [one["num_threads"] for one in ours]
 
 
 @pytest.fixture
@@ -84,23 +88,6 @@ def test_a_public_call_works_with_one_thread(two_threads: list[int], monkeypatch
         onebend.Beam(0.15, onebend.Uniform(0.02)).equilibrium((0.0, 0.1))
     assert seen == [[1] * len(two_threads)]
     assert threads() == two_threads
-
-
-def test_the_guard_costs_little(two_threads: list[int]) -> None:  # noqa: ARG001
-    """A live update takes 1.5 ms; the guard about 0.02 ms, and inside another one next to nothing."""
-    nothing = one_blas_thread(lambda: None)
-
-    def least(count: int = 200) -> float:
-        spent = []
-        for _ in range(20):
-            began = time.thread_time()
-            for _ in range(count):
-                nothing()
-            spent.append((time.thread_time() - began) / count)
-        return float(np.min(spent))
-
-    assert least() < 5e-5
-    assert one_blas_thread(least)() < 5e-6
 
 
 def guarded(value: Any) -> bool:

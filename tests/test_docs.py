@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from onebend.cli import COMMANDS, app
+from onebend.learning.live.settings import OnlineSettings
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.toml.schema import keys_of
@@ -19,7 +21,7 @@ from tests import made_up
 
 OPTION = re.compile(r"--[a-z][a-z-]*")
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -73,3 +75,8 @@ def test_every_key_of_a_recording_is_documented_as_the_schema_says(record: type)
     text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
     for key, _ in keys_of(record).values():
         assert f"| `{key.name}` | {key.says} |" in text, key.name
+
+
+def test_every_setting_of_the_live_learner_is_documented_and_no_other() -> None:
+    _, _, table = (ROOT / "docs" / "streaming.md").read_text(encoding="utf-8").partition("\n## Settings\n")
+    assert re.findall(r"(?m)^\| `(\w+)`", table) == [one.name for one in fields(OnlineSettings)]

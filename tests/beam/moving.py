@@ -9,7 +9,7 @@ from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.motion.actions import Actions, acting
 from onebend.beam.motion.dynamics import Body, body, coriolis_matrix, force_jacobian, gravity_vector, mass_matrix
-from onebend.beam.motion.integration import State
+from onebend.beam.motion.integration import MotionState
 from onebend.beam.profiles.stiffness import Powers, Scaled, Steps, Uniform
 from onebend.beam.statics.problem import Resolution
 from onebend.records import Array
@@ -29,7 +29,7 @@ def odd_body(n: int = 4) -> Body:
     return body(ODD, Modes(n), rotary_inertia=THICK, damping=LOSSY)
 
 
-def by_the_matrices(of: Body, start: State, duration: float, actions: Actions) -> Array:
+def by_the_matrices(of: Body, start: MotionState, duration: float, actions: Actions) -> Array:
     """(2 n,) state and rate after `duration` from (7) as printed, by an explicit method of order 8. Base at rest."""
     gravity = np.asarray(actions.gravity, dtype=float)
 

@@ -9,12 +9,12 @@ from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from tests.beam.modal import modal_equilibrium
 
 
 def test_modal_equilibrium_approaches_the_exact_one_geometrically() -> None:
-    problem = pose(Beam(1.0, Uniform(1.0)), push((0.3, 2.0)), Resolution(32))
+    problem = make_problem(Beam(1.0, Uniform(1.0)), push((0.3, 2.0)), Resolution(32))
     exact = follow(problem).q
     errors = []
     for n in (2, 4, 6, 8, 10):

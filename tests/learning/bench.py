@@ -8,7 +8,7 @@ from onebend.beam.loads import push
 from onebend.beam.modal import Modes, angles, places, positions
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.records import Array, Observations, Source, Stated
 from tests.beam.modal import modal_equilibrium
 
@@ -74,6 +74,6 @@ def observed(
 
 def in_family(beam: Beam, force: Array, n: int) -> Observations:
     """Markers of the equilibrium within n modes: data that the paper's regression can explain exactly."""
-    theta = modal_equilibrium(pose(beam, push(force)), Modes(n))
+    theta = modal_equilibrium(make_problem(beam, push(force)), Modes(n))
     at = places(beam.length, Modes(n), MARKERS)
     return observed(beam, force, xy=positions(at, theta), angle=angles(at, theta))

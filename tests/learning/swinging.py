@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.actions import Actions, AppliedForce
 from onebend.beam.motion.dynamics import body
 from onebend.beam.motion.integration import simulate
 from onebend.beam.motion.vibration import settle
@@ -30,7 +30,7 @@ def released(
 ) -> Observations:
     """Held by a force at the tip, let go at RELEASE; noise in m on places, in 20 rad/m times that on angles."""
     on = body(beam, Modes(12), damping=Scaled(tau, beam.stiffness))
-    held = settle(on, Actions(forces=(Force((0.1 * pull, pull)),)))
+    held = settle(on, Actions(forces=(AppliedForce((0.1 * pull, pull)),)))
     time = np.arange(round((RELEASE + seconds) * RATE)) / RATE
     free = time > RELEASE
     motion = simulate(on, held, float(time[-1]) - RELEASE + 1e-9, 1e-3)

@@ -202,7 +202,7 @@ def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pyte
     def none(*_: object, **__: object) -> None:
         raise LearningError("no (n, m) gave a beam")
 
-    monkeypatch.setattr(pipeline, "learn", none)
+    monkeypatch.setattr(pipeline, "regress", none)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     run = pipeline.learn(EXAMPLE / "train", fitting=FitSettings(functions=8))
     assert run.learned is None

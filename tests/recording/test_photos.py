@@ -15,7 +15,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.posterior import FitSettings, fit
 from onebend.learning.start import start_of
@@ -32,7 +32,7 @@ LOADS = "pose,s,fx_N,fy_N\n" + "".join(f"{i}.png,1,{x},{y}\n" for i, (x, y) in e
 @cache
 def true() -> Array:
     """(5, 4, 3) poses of the base tag and three tags."""
-    found = follow(pose(BEAM, push(FORCE)))
+    found = follow(make_problem(BEAM, push(FORCE)))
     return np.asarray(np.concatenate([found.xy(S), found.angle(S)[..., None]], axis=-1))
 
 

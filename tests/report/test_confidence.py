@@ -12,6 +12,7 @@ from onebend.report.confidence import gain_words, identified_ranges, load_error_
 from onebend.report.figures import curves
 from onebend.report.figures.style import png_of
 from onebend.report.page.cards import band_card
+from onebend.report.wording import significant
 from tests import made_up
 
 KNOTS = np.array([0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0])  # piecewise linear: the sd at a knot is its coefficient's
@@ -44,6 +45,16 @@ def test_every_blind_stretch_is_named_and_no_other(sd: tuple[float, ...], starts
     np.testing.assert_array_equal(inside, one.band(s).identified)
     png_of(curves.stiffness(made_up.BEAM, uncertain=one))
     assert ("not identified" in band_card(one)["value"]) == (sd[2] == sd[0] == 1.0)
+
+
+def test_the_card_has_the_width_of_the_band_that_is_drawn() -> None:
+    """Also where the band is narrower than a normal's of its sd."""
+    s = np.linspace(0.0, 1.0, 51)
+    one = replace(uncertain(*[0.05] * 5), shape=np.full((3, 41), 0.8))
+    band = one.band(s)
+    percent = 100.0 * float(np.median(band.high / band.k) - 1.0)
+    assert band_card(one)["value"] == f"± {significant(percent, 2)} %"
+    assert percent == pytest.approx(100.0 * np.expm1(0.8 * np.log1p(0.081)), rel=0.02)
 
 
 def test_the_gain_is_in_the_card_and_said_apart() -> None:

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from onebend.beam.loads import twist as twist
     from onebend.beam.loads import weight as weight
     from onebend.beam.profiles.piecewise import Pieces as Pieces
-    from onebend.beam.profiles.section import Along as Along
+    from onebend.beam.profiles.rectangular import RectangularSection as RectangularSection
+    from onebend.beam.profiles.section import SectionProfiles as SectionProfiles
     from onebend.beam.profiles.stiffness import Gaussians as Gaussians
     from onebend.beam.profiles.stiffness import LogSpline as LogSpline
     from onebend.beam.profiles.stiffness import Powers as Powers
@@ -21,10 +22,11 @@ if TYPE_CHECKING:
     from onebend.beam.profiles.stiffness import Scaled as Scaled
     from onebend.beam.profiles.stiffness import Table as Table
     from onebend.beam.statics.equilibrium import Equilibrium as Equilibrium
+    from onebend.beam.statics.nodal_forces import NodalForces as NodalForces
+    from onebend.beam.statics.perturbation import Perturbation as Perturbation
     from onebend.beam.statics.problem import Problem as Problem
     from onebend.beam.statics.problem import Resolution as Resolution
     from onebend.beam.statics.problem import Rod as Rod
-    from onebend.beam.statics.sensitivity import Change as Change
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -32,10 +34,12 @@ else:
             "onebend.beam.grid": "Grid",
             "onebend.beam.loads": "Loads push twist weight",
             "onebend.beam.profiles.piecewise": "Pieces",
-            "onebend.beam.profiles.section": "Along",
+            "onebend.beam.profiles.rectangular": "RectangularSection",
+            "onebend.beam.profiles.section": "SectionProfiles",
             "onebend.beam.profiles.stiffness": "Gaussians LogSpline Powers Profile Scaled Table",
             "onebend.beam.statics.equilibrium": "Equilibrium",
+            "onebend.beam.statics.nodal_forces": "NodalForces",
+            "onebend.beam.statics.perturbation": "Perturbation",
             "onebend.beam.statics.problem": "Problem Resolution Rod",
-            "onebend.beam.statics.sensitivity": "Change",
         },
     )

@@ -118,9 +118,9 @@ def solve_each(matrices: Array, right: Array) -> Array:
         return np.asarray(np.linalg.solve(matrices, right))
     except np.linalg.LinAlgError:
         out = np.full_like(right, np.nan)
-        for one, matrix, side in zip(out, matrices, right, strict=True):
+        for solution, matrix, side in zip(out, matrices, right, strict=True):
             with suppress(np.linalg.LinAlgError):
-                one[:] = np.linalg.solve(matrix, side)
+                solution[:] = np.linalg.solve(matrix, side)
         return out
 
 

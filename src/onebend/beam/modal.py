@@ -92,21 +92,21 @@ def places(length: float, modes: Modes, s: Array, grid: Grid = _GRID) -> Places:
     return Places(length, modes, s, grid, modes.angle(grid.nodes), modes.angle(s), grid.integral_to(s))
 
 
-def angles(at: Places, theta: Array, alpha0: float = 0.0) -> Array:
+def angles(places: Places, theta: Array, alpha0: float = 0.0) -> Array:
     """(T, S) rad, tangent's angle for states (T, n). Equation (3)."""
-    return np.asarray(alpha0 + theta @ at.to_places.T)
+    return np.asarray(alpha0 + theta @ places.to_places.T)
 
 
-def positions(at: Places, theta: Array, alpha0: float = 0.0) -> Array:
+def positions(places: Places, theta: Array, alpha0: float = 0.0) -> Array:
     """(T, S, 2) m for states (T, n). Equation (4)."""
-    alpha = alpha0 + theta @ at.to_nodes.T
-    return np.asarray(at.length * np.stack([np.cos(alpha) @ at.rows.T, np.sin(alpha) @ at.rows.T], axis=-1))
+    alpha = alpha0 + theta @ places.to_nodes.T
+    return np.asarray(places.length * np.stack([np.cos(alpha) @ places.rows.T, np.sin(alpha) @ places.rows.T], axis=-1))
 
 
-def jacobians(at: Places, theta: Array, alpha0: float = 0.0) -> Array:
+def jacobians(places: Places, theta: Array, alpha0: float = 0.0) -> Array:
     """(T, S, 2, n) m, d r(s) / d theta: `J_i(v) = L int_0^v (-sin alpha, cos alpha) a_i ds`."""
-    alpha = alpha0 + theta @ at.to_nodes.T
-    weighted = np.einsum("sq,qi->sqi", at.rows, at.to_nodes).reshape(len(at.s), alpha.shape[-1], -1)
+    alpha = alpha0 + theta @ places.to_nodes.T
+    weighted = np.einsum("sq,qi->sqi", places.rows, places.to_nodes).reshape(len(places.s), alpha.shape[-1], -1)
     jx = -np.einsum("tq,sqi->tsi", np.sin(alpha), weighted, optimize=True)
     jy = np.einsum("tq,sqi->tsi", np.cos(alpha), weighted, optimize=True)
-    return np.asarray(at.length * np.stack([jx, jy], axis=2))
+    return np.asarray(places.length * np.stack([jx, jy], axis=2))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from onebend.beam.loads import push, weight
+from onebend.beam.profiles.rectangular import POISSON, RectangularSection
 from onebend.beam.profiles.stiffness import Profile, Uniform, profile_from_dict
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium
@@ -46,17 +47,26 @@ class Shape:
 
 @dataclass(frozen=True)
 class Beam:
-    """A planar, inextensible, unshearable slender beam, clamped at s = 0."""
+    """A planar slender beam, clamped at s = 0. It stretches and shears where a thickness is given, else it does not."""
 
     length: float  # L, m
     stiffness: Profile  # k(s) = E I / L, N m
     rest_curvature: Profile = field(default_factory=lambda: Uniform(0.0))  # q0(s), rad
     clamp_angle: float = 0.0  # alpha0, rad
     mass_per_length: Profile = field(default_factory=lambda: Uniform(0.0))  # mu(s), kg/m
+    thickness: float | None = None  # h0, m, in the plane of bending where k is its mean; None: no stretch, no shear
+    poisson: float = POISSON  # nu
+    varies: Literal["thickness", "width"] = "thickness"  # what makes k(s) vary
 
     def __post_init__(self) -> None:
         if not self.length > 0.0:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
+        _ = self.section  # checks its numbers
+
+    @property
+    def section(self) -> RectangularSection | None:
+        """From which EA and kGA follow; None for a beam that neither stretches nor shears."""
+        return None if self.thickness is None else RectangularSection(self.thickness, self.poisson, self.varies)
 
     @one_blas_thread
     def equilibrium(
@@ -98,12 +108,14 @@ class Beam:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data from which `Beam.from_dict` makes an equal beam."""
+        section = {"thickness_m": self.thickness, "poisson": self.poisson, "varies": self.varies}
         return {
             "length_m": self.length,
             "stiffness_N_m": self.stiffness.as_dict(),
             "rest_curvature_rad": self.rest_curvature.as_dict(),
             "clamp_angle_rad": self.clamp_angle,
             "mass_per_length_kg_m": self.mass_per_length.as_dict(),
+            **({} if self.thickness is None else section),
         }
 
     @classmethod
@@ -116,6 +128,9 @@ class Beam:
                 rest_curvature=profile_from_dict(data["rest_curvature_rad"]),
                 clamp_angle=float(data["clamp_angle_rad"]),
                 mass_per_length=profile_from_dict(data["mass_per_length_kg_m"]),
+                thickness=None if data.get("thickness_m") is None else float(data["thickness_m"]),
+                poisson=float(data.get("poisson", POISSON)),
+                varies=data.get("varies", "thickness"),
             )
         except KeyError as error:
             raise MechanicsError(f"the beam's data lack {error}") from error

@@ -18,8 +18,8 @@ from onebend.lab.effects.real_bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
 from onebend.lab.filming.film import film as make_film
 from onebend.lab.filming.film_setup import Filming
-from onebend.lab.random_bench import random_bench
-from onebend.lab.random_effects import with_random_effects
+from onebend.lab.random_bench import BenchRanges, design_with_effects, random_bench
+from onebend.lab.random_effects import LABORATORY
 
 Design = Annotated[
     str,
@@ -125,8 +125,9 @@ def film(
         calibrated=not uncalibrated,
     )
     with clean_errors(), progress_of(quiet) as progress:
-        filming, folder = _filming(design, request, seed, output)
-        filming = _with_effects(filming, seed, effects, effect or [])
+        filming, folder = _filming(design, request, seed, output, effects)
+        if effect:
+            filming = _with_effects(filming, effect, effects)
         make_film(filming, folder, seed=seed, progress=progress)
     bench = filming.bench
     if as_json:
@@ -139,22 +140,20 @@ def film(
     )
 
 
-def _with_effects(filming: Filming, seed: int, at_random: bool, named: list[str]) -> Filming:
-    """What is filmed, with effects drawn at random and those that are named."""
+def _with_effects(filming: Filming, named: list[str], drawn: bool) -> Filming:
+    """What is filmed, with effects that are named beside those that are drawn."""
     bench = filming.bench
-    if at_random:
-        bench = with_random_effects(bench, np.random.default_rng([seed, 21]), tag_size=filming.tag_size)
-    if named:
-        before = bench.effects if at_random else replace(bench.effects, patch_length=PATCH_OVER_TAG * filming.tag_size)
-        bench = replace(bench, effects=effects_named(named, before))
-    return replace(filming, bench=bench)
+    before = bench.effects if drawn else replace(bench.effects, patch_length=PATCH_OVER_TAG * filming.tag_size)
+    return replace(filming, bench=replace(bench, effects=effects_named(named, before)))
 
 
-def _filming(design: str, request: FilmRequest, seed: int, output: Path | None) -> tuple[Filming, Path]:
-    """What is filmed, and where to."""
+def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, effects: bool) -> tuple[Filming, Path]:
+    """What is filmed, with effects drawn where they are asked for, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")
-        return random_bench(np.random.default_rng([seed, 20]), name=folder.resolve().name), folder
+        ranges = BenchRanges(effects=LABORATORY if effects else None)
+        return random_bench(np.random.default_rng([seed, 20]), ranges, name=folder.resolve().name), folder
     found = find_design(design)
     folder = output or Path(f"{found.name}-{request.push}")
-    return filming_of(found, request, folder.resolve().name), folder
+    filming = filming_of(found, request, folder.resolve().name)
+    return design_with_effects(filming, np.random.default_rng([seed, 21])) if effects else filming, folder

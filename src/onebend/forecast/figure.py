@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.forecast.rehearsal import LEVEL_SD, MEDIAN, NINETY, Rehearsal
+from onebend.beam.profiles.uncertain import half_width
+from onebend.forecast.rehearsal import MEDIAN, NINETY, Rehearsal
 from onebend.forecast.runs import errors_of
 from onebend.learning.design.proposals import PLACES
 from onebend.records import Array
@@ -31,13 +32,13 @@ def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
 
 def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
-    k, wide = p.k, np.exp(LEVEL_SD * p.sd)
+    k, wide = p.k, np.exp(half_width(p.sd))
     fits, _, _ = errors_of(rehearsal.runs)
     for i, error in enumerate(fits[:SHOWN]):
         axes.plot(PLACES, k * np.exp(error), color=MUTED, linewidth=0.6, alpha=0.5, label=None if i else "fits")
     axes.fill_between(PLACES, k / wide, k * wide, color=BLUE, alpha=0.2, linewidth=0.0, label="95 % band, predicted")
     if o is not None:
-        obtained = np.exp(LEVEL_SD * o.sd)
+        obtained = np.exp(half_width(o.sd))
         style = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
         axes.plot(PLACES, k / obtained, **style, label="95 % band, typical of the fits")  # type: ignore[arg-type]
         axes.plot(PLACES, k * obtained, **style)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from onebend.beam.profiles.uncertain import IDENTIFIED_SD
+from onebend.beam.profiles.uncertain import IDENTIFIED_SD, half_width
 from onebend.blas import one_blas_thread
 from onebend.forecast.instruments import FUNCTIONS, RehearsalInstruments, even_push, instruments
 from onebend.forecast.setup import Setup
@@ -35,7 +35,6 @@ from onebend.records import Array, BoolArray
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
-_TWO_SIDED = 2.0 * 1.959964
 _KNOWN_SHARE = 1e-3  # share of its sd that is left of a nuisance that is known
 _LEAST_SD = 1e-9  # sd of what is known
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
@@ -205,7 +204,7 @@ def _sd_along(covariance: Array) -> Array:
 
 def quality_of(sd: Array, own_sd: Array) -> Quality:
     """Figures of a band of log k whose sd (101,) is `own_sd` without the gain; as `plan` reads them."""
-    width, known = _TWO_SIDED * sd, own_sd < IDENTIFIED_SD
+    width, known = 2.0 * half_width(sd), own_sd < IDENTIFIED_SD
     worst = int(np.argmax(width))
     to = 0.0 if not known[0] else 1.0 if np.all(known) else float(PLACES[max(int(np.argmin(known)) - 1, 0)])
     share = float(np.mean(known))

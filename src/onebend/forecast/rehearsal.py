@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import half_width
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.forecast.advice import SetupChange, advise
@@ -19,7 +20,6 @@ from onebend.learning.design.proposals import PLACES, direction_words
 from onebend.progress import Progress, Silent
 from onebend.records import Array
 
-LEVEL_SD = 1.959964  # half the 95 % band
 MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
 
 
@@ -116,7 +116,7 @@ def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
     failures = [run.failure for run in runs if run.failure]
     if not len(error):
         return None
-    inside = np.asarray(np.abs(error) <= LEVEL_SD * sd)
+    inside = np.asarray(np.abs(error) <= half_width(sd))
     covered, doubt = _share(np.sum(inside & known, axis=1), np.sum(known, axis=1))
     return Obtained(
         runs=len(error),

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import make_lsq_spline
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.section import Along, Material, Part, Rectangle, along
+from onebend.beam.profiles.section import Material, Rectangle, SectionPart, SectionProfiles, along
 from onebend.beam.profiles.stiffness import Powers, Profile, Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import MechanicsError
@@ -58,10 +58,10 @@ class Design:
             )
 
     @cached_property
-    def along(self) -> Along:
+    def along(self) -> SectionProfiles:
         """k(s), mass and rotary inertia per metre."""
         material = Material(self.modulus, self.density)
-        return along((Part(Rectangle(Uniform(self.depth), self.width), material),), self.length)
+        return along((SectionPart(Rectangle(Uniform(self.depth), self.width), material),), self.length)
 
     @property
     def mass(self) -> float:

@@ -13,11 +13,11 @@ from scipy.optimize import brentq
 from onebend.beam.loads import follow_push, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.motion.vibration import vibration
-from onebend.beam.profiles.section import Material, Part, Rectangle, along
+from onebend.beam.profiles.section import Material, Rectangle, SectionPart, along
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import tangent
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design
@@ -93,7 +93,7 @@ def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected
     """
     beam = design.beam()
     still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
-    slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, most=2).frequency
+    slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency
     return Expected(
         design=design,
         bends=tuple(bend(design, math.radians(turn)) for turn in turns_deg),
@@ -132,13 +132,13 @@ def bend(design: Design, turn: float) -> TipBend:
 
 def tip_compliance(beam: Beam) -> float:
     """m/N: how far a small force across moves the tip, `L^2 int (1 - s)^2 / k ds`."""
-    grid = pose(beam, push((0.0, 0.0)), FINE).grid
+    grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
     return float(beam.length**2 * np.sum(grid.weights * (1.0 - grid.nodes) ** 2 / beam.stiffness(grid.nodes)))
 
 
 def _turn_compliance(beam: Beam) -> float:
     """rad/N: how far a small force across turns the tip, `L int (1 - s) / k ds`."""
-    grid = pose(beam, push((0.0, 0.0)), FINE).grid
+    grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
     return float(beam.length * np.sum(grid.weights * (1.0 - grid.nodes) / beam.stiffness(grid.nodes)))
 
 
@@ -147,7 +147,7 @@ def buckling_force(beam: Beam) -> float:
 
     The tangent of the straight shape is affine in that force: its root is an eigenvalue.
     """
-    problem = pose(beam, push((-1.0, 0.0)), FINE)
+    problem = make_problem(beam, push((-1.0, 0.0)), FINE)
     free, pushed = (tangent(problem, np.zeros((1, problem.k.shape[-1])), factor)[0] for factor in (0.0, 1.0))
     softened = eigvals(np.linalg.solve(free, free - pushed)).real
     return float(1.0 / np.max(softened))
@@ -156,7 +156,7 @@ def buckling_force(beam: Beam) -> float:
 def across_depth(design: Design) -> Beam:
     """The same bar, bending across its depth: out of the plane that it is made to bend in."""
     material = Material(design.modulus, design.density)
-    turned = along((Part(Rectangle(design.width, Uniform(design.depth)), material),), design.length)
+    turned = along((SectionPart(Rectangle(design.width, Uniform(design.depth)), material),), design.length)
     return Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)
 
 

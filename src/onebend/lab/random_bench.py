@@ -17,7 +17,7 @@ from onebend.lab.filming.scene import Backdrop, Scene
 from onebend.lab.filming.viewpoint import Camera
 from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import Kind, force_that_bends, random_stiffness
-from onebend.lab.random_effects import EffectRanges, with_random_effects
+from onebend.lab.random_effects import LABORATORY, EffectRanges, with_random_effects
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, VirtualTag
 from onebend.records import Array
@@ -79,7 +79,25 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
     )
     if chance.effects is None:
         return filming
-    return replace(filming, bench=with_random_effects(bench, rng, chance.effects, tag_size=filming.tag_size))
+    return as_thick(replace(filming, bench=with_random_effects(bench, rng, chance.effects, tag_size=filming.tag_size)))
+
+
+def as_thick(filming: Filming) -> Filming:
+    """With a beam drawn as wide as it is thick, where it stretches and shears."""
+    thickness, k = filming.bench.effects.thickness, np.asarray(filming.bench.beam.stiffness(PLACES))
+    if thickness == 0.0:
+        return filming
+    sizes = thickness * np.cbrt(k / float(k.mean()))
+    return replace(filming, width=Table(tuple(PLACES.tolist()), tuple(sizes.tolist())))
+
+
+def design_with_effects(filming: Filming, rng: np.random.Generator, ranges: EffectRanges = LABORATORY) -> Filming:
+    """A filmed design with effects that are drawn; where it stretches and shears, it is as thick as its width says."""
+    bench = with_random_effects(filming.bench, rng, ranges, tag_size=filming.tag_size)
+    if bench.effects.thickness:
+        thickness = float(np.cbrt(np.mean(np.asarray(filming.width(PLACES)) ** 3)))  # that of the mean k
+        bench = replace(bench, effects=replace(bench.effects, thickness=thickness))
+    return replace(filming, bench=bench)
 
 
 def random_beam(rng: np.random.Generator, chance: BenchRanges) -> tuple[Beam, Table]:

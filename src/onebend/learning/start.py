@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile, Uniform
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
@@ -82,7 +82,7 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = shapes_of(o, some, pose(beam, loads_of(o, some), resolution_of(o)))
+        solved = shapes_of(o, some, make_problem(beam, loads_of(o, some), resolution_of(o)))
         if not np.all(solved.converged):
             return float("inf")
         squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2

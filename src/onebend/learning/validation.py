@@ -8,7 +8,7 @@ from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import has_mass, pose
+from onebend.beam.statics.problem import has_mass, make_problem
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
@@ -25,7 +25,7 @@ _CHUNK = 500  # frames solved together: their tangents stay in the cache
 def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
     """Equilibria of the beam, in chunks of frames."""
     count = loads.size
-    return [follow(pose(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION)) for i in range(0, count, _CHUNK)]
+    return [follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION)) for i in range(0, count, _CHUNK)]
 
 
 @one_blas_thread
@@ -72,7 +72,7 @@ def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> 
     """Under the measured loads; an end held by an unknown one stands where it was seen."""
     loads = loads_of(observations, frames)
     if is_held(observations):
-        return [shapes_of(observations, frames, pose(beam, loads, resolution_of(observations)))]
+        return [shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))]
     return simulate(beam, loads)
 
 

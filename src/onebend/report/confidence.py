@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness, half_width
 from onebend.learning.criticism.criticism import ALARM_WRITTEN
 from onebend.learning.criticism_messages import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
@@ -16,7 +16,7 @@ from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
 from onebend.recording.signals import runs
 from onebend.report.wording import millimetres, significant
 
-FACTOR = float(np.exp(1.96 * IDENTIFIED_SD))  # either way: k is identified where it is known to less
+FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
 _PLACES = 401
 _SHOWN = {

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from onebend.beam.profiles.uncertain import half_width
 from onebend.lab.expected import DENSE, Expected
 from onebend.lab.fabrication.mould import Mould, PrintedPart
 from onebend.report.wording import significant
@@ -23,7 +24,7 @@ def show_design(console: Console, expected: Expected) -> None:
     console.print(design_table(expected))
     console.print(bends_table(expected))
     if design.modulus_log_sd > 0.0:
-        factor = math.exp(1.96 * design.modulus_log_sd)
+        factor = math.exp(half_width(design.modulus_log_sd))
         console.print(
             f"E is known to a factor of {factor:.2g} either way (95 %), and so are all forces, k and, to its root, "
             "the frequencies. Turns and shapes do not depend on it.",

@@ -7,10 +7,10 @@ import pytest
 
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force, Gripper, spline_gripper
+from onebend.beam.motion.actions import Actions, AppliedForce, Gripper, spline_gripper
 from onebend.beam.motion.collocation import Method
 from onebend.beam.motion.dynamics import body, mass_matrix, momentum
-from onebend.beam.motion.integration import Options, State, simulate
+from onebend.beam.motion.integration import IntegrationSettings, MotionState, simulate
 from onebend.beam.motion.vibration import settle
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import MechanicsError
@@ -18,8 +18,8 @@ from onebend.records import Array
 from tests.beam.moving import soft_body
 
 S = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
-PULL = Actions(forces=(Force((0.0, 3.0 * 0.02 / 0.15)),))  # P L^2 / EI = 3
-FINE = Options(Method(4), tolerance=1e-12)
+PULL = Actions(forces=(AppliedForce((0.0, 3.0 * 0.02 / 0.15)),))  # P L^2 / EI = 3
+FINE = IntegrationSettings(Method(4), tolerance=1e-12)
 
 
 def test_accelerated_gripper_is_gravity_the_other_way() -> None:
@@ -27,8 +27,8 @@ def test_accelerated_gripper_is_gravity_the_other_way() -> None:
     a = np.array([4.0, -7.0])
     driven = Gripper(lambda t: (*(0.5 * a * t**2), 0.0), lambda t: (*(a * t), 0.0))
     start = settle(of, PULL)
-    moving = simulate(of, start, 0.1, 2.5e-4, Actions(gripper=driven), options=FINE)
-    still = simulate(of, start, 0.1, 2.5e-4, Actions(gravity=-a), options=FINE)
+    moving = simulate(of, start, 0.1, 2.5e-4, Actions(gripper=driven), settings=FINE)
+    still = simulate(of, start, 0.1, 2.5e-4, Actions(gravity=-a), settings=FINE)
     np.testing.assert_allclose(moving.theta, still.theta, atol=1e-6)
     away = moving.xy(S) - moving.base[:, None, :2]
     np.testing.assert_allclose(away, still.xy(S), atol=1e-7)
@@ -38,8 +38,8 @@ def test_gripper_at_constant_speed_changes_nothing() -> None:
     of = soft_body()
     start = settle(of, PULL)
     steady = Gripper(lambda t: (3.0 * t, -t, 0.0), lambda _: (3.0, -1.0, 0.0))
-    moving = simulate(of, start, 0.1, 2.5e-4, Actions(gripper=steady), options=FINE)
-    np.testing.assert_allclose(moving.theta, simulate(of, start, 0.1, 2.5e-4, options=FINE).theta, atol=1e-7)
+    moving = simulate(of, start, 0.1, 2.5e-4, Actions(gripper=steady), settings=FINE)
+    np.testing.assert_allclose(moving.theta, simulate(of, start, 0.1, 2.5e-4, settings=FINE).theta, atol=1e-7)
 
 
 def test_gripper_that_starts_at_once_is_a_beam_thrown_the_other_way() -> None:
@@ -47,9 +47,9 @@ def test_gripper_that_starts_at_once_is_a_beam_thrown_the_other_way() -> None:
     jolt = Gripper(
         lambda t: (0.0, speed * max(t - at, 0.0), 0.0), lambda t: (0.0, speed if t >= at else 0.0, 0.0), (at,)
     )
-    moving = simulate(of, State(np.zeros(4), np.zeros(4)), 0.15, 1e-3, Actions(gripper=jolt))
+    moving = simulate(of, MotionState(np.zeros(4), np.zeros(4)), 0.15, 1e-3, Actions(gripper=jolt))
     extra = momentum(of, np.zeros(4), np.zeros(4), np.zeros(3), np.array([0.0, speed, 0.0]))
-    thrown = State(np.zeros(4), np.asarray(-np.linalg.solve(mass_matrix(of, np.zeros(4)), extra)))
+    thrown = MotionState(np.zeros(4), np.asarray(-np.linalg.solve(mass_matrix(of, np.zeros(4)), extra)))
     still = simulate(of, thrown, 0.1, 1e-3)
     np.testing.assert_allclose(moving.theta[-1], still.theta[-1], atol=1e-6)
 
@@ -73,7 +73,14 @@ def test_spinning_gripper_stiffens_the_beam(speed: float, flap: float) -> None:
     duration, small = 2e-3, 1e-6  # shorter than half a period of the fastest mode: no frequency is mistaken
 
     def end(start: Array) -> Array:
-        motion = simulate(of, State(start[:6], start[6:]), duration, 2.5e-4, actions, options=Options(tolerance=1e-13))
+        motion = simulate(
+            of,
+            MotionState(start[:6], start[6:]),
+            duration,
+            2.5e-4,
+            actions,
+            settings=IntegrationSettings(tolerance=1e-13),
+        )
         return np.concatenate([motion.theta[-1], motion.rate[-1]])
 
     scale = small * np.append(np.ones(6), np.full(6, 1e3))
@@ -92,7 +99,7 @@ def test_measured_gripper_poses_move_the_beam_as_the_function_does() -> None:
         lambda t: (0.0, 0.01 * np.sin(20.0 * t), 0.1 * (1.0 - np.cos(20.0 * t))),
         lambda t: (0.0, 0.2 * np.cos(20.0 * t), 2.0 * np.sin(20.0 * t)),
     )
-    start = State(np.zeros(4), np.zeros(4))
+    start = MotionState(np.zeros(4), np.zeros(4))
     measured = simulate(of, start, 0.3, 1e-3, Actions(gripper=spline_gripper(time, shake)))
     np.testing.assert_allclose(measured.xy(S), simulate(of, start, 0.3, 1e-3, Actions(gripper=exact)).xy(S), atol=1e-6)
     assert np.ptp(measured.xy(S)[:, -1, 1]) > 0.02
@@ -113,4 +120,4 @@ def test_measured_gripper_poses_move_the_beam_as_the_function_does() -> None:
 def test_what_is_no_motion_of_a_clamp_is_refused(make: object, words: str) -> None:
     assert callable(make)
     with pytest.raises(MechanicsError, match=words):
-        simulate(soft_body(), State(np.zeros(4), np.zeros(4)), 1.0, 0.1, Actions(gripper=make()))
+        simulate(soft_body(), MotionState(np.zeros(4), np.zeros(4)), 1.0, 0.1, Actions(gripper=make()))

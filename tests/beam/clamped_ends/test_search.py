@@ -10,13 +10,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from onebend.beam.clamped_ends.end_pose import end_jacobian, end_pose, let_down
-from onebend.beam.clamped_ends.search import Held, hold, hold_along
+from onebend.beam.clamped_ends.search import ClampedEquilibrium, hold, hold_along
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Steps, Uniform
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import gradient, potential
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.boundary import shoot
@@ -211,7 +211,7 @@ def test_along_a_smooth_path_nothing_jumps_and_work_is_energy() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: hold(UNIT, (1.0, 0.0, 0.0)), "1 m long and does not stretch"),
+        (lambda: hold(UNIT, (1.0, 0.0, 0.0)), "1 m long at rest"),
         (lambda: hold(UNIT, [(0.5, 0.0, 0.0), (0.8, 0.8, 0.0)]), "pose 1"),
         (lambda: hold(UNIT, (0.5, 0.0)), "three finite numbers"),
         (lambda: hold(UNIT, (0.5, np.nan, 0.0)), "three finite numbers"),
@@ -219,7 +219,7 @@ def test_along_a_smooth_path_nothing_jumps_and_work_is_energy() -> None:
         (lambda: hold_along(UNIT, np.array([[0.5, 0.0, 0.0]] * 2), push(np.ones((2, 2)))), "one set of loads"),
     ],
 )
-def test_what_cannot_be_held_is_refused(make: Callable[[], Held], words: str) -> None:
+def test_what_cannot_be_held_is_refused(make: Callable[[], ClampedEquilibrium], words: str) -> None:
     with pytest.raises(MechanicsError, match=words):
         make()
 
@@ -232,5 +232,5 @@ def test_hold_gives_one_set_of_loads_to_many_poses_and_many_loads_to_one_pose() 
 
 
 def test_letting_down_gives_up_where_there_is_nothing_to_stand_on() -> None:
-    problem = pose(UNIT, Loads(), Resolution())
+    problem = make_problem(UNIT, Loads(), Resolution())
     assert let_down(problem, np.zeros((1, 16)), np.array([[2.0, 0.0, 0.0]])) is None

@@ -10,10 +10,10 @@ import pytest
 from onebend.beam.loads import push
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force, Moment
+from onebend.beam.motion.actions import Actions, AppliedForce, AppliedMoment
 from onebend.beam.motion.collocation import Method
 from onebend.beam.motion.dynamics import Body, body
-from onebend.beam.motion.integration import Motion, Options, State, converged, simulate
+from onebend.beam.motion.integration import IntegrationSettings, Motion, MotionState, converged, simulate
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Scaled, Steps, Uniform
 from onebend.beam.statics.continuation import equilibrium
@@ -23,12 +23,12 @@ from onebend.records import Array
 from tests.beam.moving import ODD, SOFT, by_the_matrices, odd_body, soft_body
 
 S = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
-PULL = Actions(forces=(Force((0.0, 3.0 * 0.02 / 0.15)),))  # P L^2 / EI = 3
-FINE = Options(Method(4), tolerance=1e-12)
+PULL = Actions(forces=(AppliedForce((0.0, 3.0 * 0.02 / 0.15)),))  # P L^2 / EI = 3
+FINE = IntegrationSettings(Method(4), tolerance=1e-12)
 WEIGHT = Actions(gravity=(2.0, -9.0))
 
 
-def released(n: int = 4) -> tuple[Body, State, float]:
+def released(n: int = 4) -> tuple[Body, MotionState, float]:
     of = soft_body(n)
     period = 1.0 / float(vibration_of(of, settle(of)).frequency[0])
     return of, settle(of, PULL), period
@@ -53,12 +53,17 @@ def drift(motion: Motion, period: float) -> tuple[float, float]:
 )
 def test_error_falls_with_the_stated_order(method: Method, steps: tuple[int, ...]) -> None:
     of = soft_body(2)
-    start = State(np.array([1.0, -0.3]), np.array([2.0, 4.0]))
+    start = MotionState(np.array([1.0, -0.3]), np.array([2.0, 4.0]))
     duration = 0.1
-    exact = simulate(of, start, duration, duration / 400, options=Options(Method(5), tolerance=1e-13)).xy(1.0)[-1]
+    exact = simulate(of, start, duration, duration / 400, settings=IntegrationSettings(Method(5), tolerance=1e-13)).xy(
+        1.0
+    )[-1]
     errors = [
         np.linalg.norm(
-            simulate(of, start, duration, duration / n, options=Options(method, tolerance=1e-13)).xy(1.0)[-1] - exact
+            simulate(of, start, duration, duration / n, settings=IntegrationSettings(method, tolerance=1e-13)).xy(1.0)[
+                -1
+            ]
+            - exact
         )
         for n in steps
     ]
@@ -71,13 +76,13 @@ def test_motion_agrees_with_the_printed_equation(family: str) -> None:
     """Everything at once: k(s), jump of mass, rotary inertia, natural curvature, clamp angle, damping, all actions."""
     of = odd_body(3)
     actions = Actions(
-        forces=(Force(lambda t: (0.1 * np.sin(40.0 * t), 0.2), 0.7), Force((0.0, -0.1))),
-        moments=(Moment(lambda t: 2e-3 * np.cos(30.0 * t), 0.5),),
+        forces=(AppliedForce(lambda t: (0.1 * np.sin(40.0 * t), 0.2), 0.7), AppliedForce((0.0, -0.1))),
+        moments=(AppliedMoment(lambda t: 2e-3 * np.cos(30.0 * t), 0.5),),
         gravity=(2.0, -9.0),
     )
-    start = State(np.array([0.3, -0.4, 0.2]), np.array([3.0, 1.0, -2.0]), time=0.02)
+    start = MotionState(np.array([0.3, -0.4, 0.2]), np.array([3.0, 1.0, -2.0]), time=0.02)
     method = Method(4, family)  # type: ignore[arg-type]
-    found = simulate(of, start, 0.06, 5e-4, actions, options=Options(method, tolerance=1e-12))
+    found = simulate(of, start, 0.06, 5e-4, actions, settings=IntegrationSettings(method, tolerance=1e-12))
     expected = by_the_matrices(of, start, 0.06, actions)
     np.testing.assert_allclose(found.theta[-1], expected[: of.n], atol=2e-8)
     np.testing.assert_allclose(found.rate[-1], expected[of.n :], rtol=1e-6, atol=1e-5)
@@ -88,7 +93,7 @@ def test_motion_agrees_with_the_printed_equation(family: str) -> None:
 
 def test_energy_is_kept_within_a_bounded_oscillation() -> None:
     of, start, period = released()
-    motion = simulate(of, start, 25.0 * period, period / 200.0, options=Options(Method(4)))
+    motion = simulate(of, start, 25.0 * period, period / 200.0, settings=IntegrationSettings(Method(4)))
     span, trend = drift(motion, period)
     assert span < 1e-6
     assert abs(trend) < 2e-6  # 25 periods tell the trend no better than the oscillation allows
@@ -97,7 +102,7 @@ def test_energy_is_kept_within_a_bounded_oscillation() -> None:
 @pytest.mark.slow
 def test_energy_over_a_thousand_periods() -> None:
     of, start, period = released(6)
-    motion = simulate(of, start, 1000.0 * period, period / 200.0, options=Options(Method(4)))
+    motion = simulate(of, start, 1000.0 * period, period / 200.0, settings=IntegrationSettings(Method(4)))
     span, trend = drift(motion, period)
     assert span < 1e-6
     assert abs(trend) < 1e-8
@@ -105,13 +110,13 @@ def test_energy_over_a_thousand_periods() -> None:
 
 def test_larger_steps_than_the_fastest_modes_do_not_blow_up() -> None:
     of = soft_body(10)
-    frequency = vibration_of(of, settle(of), most=10).frequency
-    start = settle(of, Actions(forces=(Force((0.0, 0.05)),)))
+    frequency = vibration_of(of, settle(of), count=10).frequency
+    start = settle(of, Actions(forces=(AppliedForce((0.0, 0.05)),)))
     step = 0.05 / frequency[0]
     assert step * frequency[-1] > 50.0  # periods of the fastest mode in a step
     keeps = simulate(of, start, 400 * step, step)
     assert np.max(np.abs(keeps.energy / keeps.energy[0] - 1.0)) < 1e-3
-    loses = simulate(of, start, 400 * step, step, options=Options(Method(3, "radau")))
+    loses = simulate(of, start, 400 * step, step, settings=IntegrationSettings(Method(3, "radau")))
     assert np.all(np.diff(loses.energy) < 1e-9 * loses.energy[0])
     assert loses.energy[-1] > 0.9 * loses.energy[0]
 
@@ -119,9 +124,16 @@ def test_larger_steps_than_the_fastest_modes_do_not_blow_up() -> None:
 def test_running_backwards_comes_back_to_the_start() -> None:
     of = odd_body()
     of = replace(of, damping=np.zeros_like(of.damping))
-    start = State(np.array([0.5, -0.4, 0.2, 0.1]), np.array([3.0, 1.0, -2.0, 4.0]))
-    there = simulate(of, start, 0.2, 1e-3, WEIGHT, options=Options(tolerance=1e-12))
-    back = simulate(of, State(there.theta[-1], -there.rate[-1]), 0.2, 1e-3, WEIGHT, options=Options(tolerance=1e-12))
+    start = MotionState(np.array([0.5, -0.4, 0.2, 0.1]), np.array([3.0, 1.0, -2.0, 4.0]))
+    there = simulate(of, start, 0.2, 1e-3, WEIGHT, settings=IntegrationSettings(tolerance=1e-12))
+    back = simulate(
+        of,
+        MotionState(there.theta[-1], -there.rate[-1]),
+        0.2,
+        1e-3,
+        WEIGHT,
+        settings=IntegrationSettings(tolerance=1e-12),
+    )
     np.testing.assert_allclose(back.theta[-1], start.theta, atol=1e-8)
     np.testing.assert_allclose(back.rate[-1], -start.rate, atol=1e-5)
 
@@ -148,7 +160,7 @@ def test_logarithmic_decrement_of_kelvin_voigt_damping() -> None:
     zeta = 0.5 * eta * omega
     period = 2.0 * np.pi / (omega * np.sqrt(1.0 - zeta**2))
     small = 1e-5 * vibration.shapes[:, 0] / np.max(np.abs(vibration.shapes[:, 0]))
-    motion = simulate(of, State(small, np.zeros(4)), 10.0 * period, period / 50.0)
+    motion = simulate(of, MotionState(small, np.zeros(4)), 10.0 * period, period / 50.0)
     peaks = motion.theta[::50, 0] / small[0]
     decrement = -np.diff(np.log(peaks))
     np.testing.assert_allclose(decrement, 2.0 * np.pi * zeta / np.sqrt(1.0 - zeta**2), rtol=1e-4)
@@ -161,14 +173,14 @@ def test_slow_loading_ends_in_the_exact_equilibrium() -> None:
     def ramp(time: float) -> Array:
         return np.asarray(force * (0.5 - 0.5 * np.cos(np.pi * min(time / rise, 1.0))))
 
-    actions = Actions(forces=(Force(ramp, breaks=(rise,)),))
+    actions = Actions(forces=(AppliedForce(ramp, breaks=(rise,)),))
     motion = simulate(of, settle(of), rise + 1.0, 0.02, actions)
     exact = equilibrium(ODD, push(force)).xy(S)[0]
     np.testing.assert_allclose(motion.xy(S)[-1], exact, atol=1e-6 * ODD.length)
 
 
 def test_settle_is_the_exact_equilibrium_with_nodes_as_coordinates() -> None:
-    actions = Actions(forces=(Force((-0.1, 0.15)),), gravity=(1.0, -9.0))
+    actions = Actions(forces=(AppliedForce((-0.1, 0.15)),), gravity=(1.0, -9.0))
     of = body(ODD)
     exact = ODD.equilibrium((-0.1, 0.15), gravity=(1.0, -9.0)).xy(S)
     np.testing.assert_allclose(of.xy(S, settle(of, actions).theta[None])[0], exact, atol=1e-9)
@@ -187,11 +199,11 @@ def test_motion_converges_with_the_number_of_modes() -> None:
 
 def test_a_force_that_ends_at_a_break_is_followed_to_full_order() -> None:
     of, at = soft_body(), 0.0333
-    kick = Actions(forces=(Force(lambda t: (0.0, 0.2 if t < at else 0.0), breaks=(at,)),))
-    rest = State(np.zeros(4), np.zeros(4))
-    whole = simulate(of, rest, 0.1, 3e-4, kick, options=FINE)
-    first = simulate(of, rest, at, 2e-4, Actions(forces=(Force((0.0, 0.2)),)), options=FINE)
-    second = simulate(of, State(first.theta[-1], first.rate[-1]), 0.1 - at, 2e-4, options=FINE)
+    kick = Actions(forces=(AppliedForce(lambda t: (0.0, 0.2 if t < at else 0.0), breaks=(at,)),))
+    rest = MotionState(np.zeros(4), np.zeros(4))
+    whole = simulate(of, rest, 0.1, 3e-4, kick, settings=FINE)
+    first = simulate(of, rest, at, 2e-4, Actions(forces=(AppliedForce((0.0, 0.2)),)), settings=FINE)
+    second = simulate(of, MotionState(first.theta[-1], first.rate[-1]), 0.1 - at, 2e-4, settings=FINE)
     np.testing.assert_allclose(whole.xy(S)[-1], second.xy(S)[-1], atol=1e-8)
     assert at in whole.time
 
@@ -200,19 +212,21 @@ def test_a_force_that_ends_at_a_break_is_followed_to_full_order() -> None:
 def test_converged_motion_is_as_good_as_it_says(tolerance: float) -> None:
     of = soft_body()
     start = settle(of, PULL)
-    found = converged(of, start, 0.2, tolerance=tolerance, step=0.02, options=Options(every=5))
+    found = converged(of, start, 0.2, tolerance=tolerance, step=0.02, settings=IntegrationSettings(every=5))
     assert found.error < tolerance
-    finest = simulate(of, start, 0.2, found.step / 16.0, options=Options(Method(4), every=16 * found.steps // 2))
+    finest = simulate(
+        of, start, 0.2, found.step / 16.0, settings=IntegrationSettings(Method(4), every=16 * found.steps // 2)
+    )
     assert found.time.tolist() == pytest.approx([0.0, 0.1, 0.2])  # every fifth of ten steps, whatever the halvings
     assert np.max(np.linalg.norm(found.xy(S) - finest.xy(S), axis=-1)) < found.error
 
 
 def test_states_between_steps_are_interpolated_at_fourth_order() -> None:
-    of, start = soft_body(2), State(np.array([1.0, -0.3]), np.zeros(2))
-    exact = simulate(of, start, 0.1, 1e-4, options=FINE)
+    of, start = soft_body(2), MotionState(np.array([1.0, -0.3]), np.zeros(2))
+    exact = simulate(of, start, 0.1, 1e-4, settings=FINE)
     errors = []
     for step in (4e-3, 2e-3, 1e-3):
-        motion = simulate(of, start, 0.1, step, options=FINE)
+        motion = simulate(of, start, 0.1, step, settings=FINE)
         np.testing.assert_allclose(motion.states_at(motion.time), motion.theta, atol=1e-12)
         errors.append(np.max(np.abs(motion.states_at(exact.time) - exact.theta)))
     assert np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(errors), 1)[0] == pytest.approx(4.0, abs=0.3)
@@ -250,41 +264,51 @@ class Counts:
 
 def test_progress_is_told_and_closed_even_on_failure() -> None:
     of, counts = soft_body(), Counts()
-    simulate(of, settle(of, PULL), 0.05, 1e-3, options=Options(progress=counts))
+    simulate(of, settle(of, PULL), 0.05, 1e-3, settings=IntegrationSettings(progress=counts))
     assert (counts.total, counts.seen, counts.closed) == (50, 50, True)
     counts = Counts()
     with pytest.raises(MechanicsError, match=r"beyond t = 0 s with steps of 5 s; give a smaller step"):
         simulate(
-            of, State(np.array([3.0, 1.0, 0.0, 0.0]), np.full(4, 300.0)), 10.0, 5.0, options=Options(progress=counts)
+            of,
+            MotionState(np.array([3.0, 1.0, 0.0, 0.0]), np.full(4, 300.0)),
+            10.0,
+            5.0,
+            settings=IntegrationSettings(progress=counts),
         )
     assert counts.closed
 
 
-REST = State(np.zeros(4), np.zeros(4))
+REST = MotionState(np.zeros(4), np.zeros(4))
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: simulate(soft_body(), State(np.zeros(3), np.zeros(4)), 1.0, 0.1), "3.*4"),
-        (lambda: simulate(soft_body(), State(np.full(4, np.nan), np.zeros(4)), 1.0, 0.1), "finite"),
+        (lambda: simulate(soft_body(), MotionState(np.zeros(3), np.zeros(4)), 1.0, 0.1), "3.*4"),
+        (lambda: simulate(soft_body(), MotionState(np.full(4, np.nan), np.zeros(4)), 1.0, 0.1), "finite"),
         (lambda: simulate(soft_body(), REST, -1.0, 0.1), "positive"),
-        (lambda: simulate(soft_body(), REST, 1.0, 1e-3, options=Options(most=10)), "1000 steps, more than the 10"),
+        (
+            lambda: simulate(soft_body(), REST, 1.0, 1e-3, settings=IntegrationSettings(max_steps=10)),
+            "1000 steps, more than the 10",
+        ),
         (
             lambda: simulate(
-                soft_body(), REST, 1.0, 0.1, Actions((Force(lambda t: (0.0, np.nan if t > 0.5 else 0.0)),))
+                soft_body(), REST, 1.0, 0.1, Actions((AppliedForce(lambda t: (0.0, np.nan if t > 0.5 else 0.0)),))
             ),
             "a force is not finite at t = 0.5",
         ),
-        (lambda: simulate(soft_body(), REST, 1.0, 0.1, Actions((Force((0.0, 1.0, 2.0)),))), "2 number"),
-        (lambda: Actions((Force((0.0, 1.0), 1.5),)), r"s in \[0, 1\]"),
+        (lambda: simulate(soft_body(), REST, 1.0, 0.1, Actions((AppliedForce((0.0, 1.0, 2.0)),))), "2 number"),
+        (lambda: Actions((AppliedForce((0.0, 1.0), 1.5),)), r"s in \[0, 1\]"),
         (lambda: Actions(gravity=(0.0, 0.0, -9.81)), "gravity"),
         (lambda: Method(0), "1 to 6 stages"),
         (
             lambda: converged(soft_body(), settle(soft_body(), PULL), 0.1, tolerance=1e-12, step=0.01, halvings=1),
             "still",
         ),
-        (lambda: settle(soft_body(), Actions(forces=(Force((-0.5 * np.pi**2 * 0.02 / 0.15, 0.0)),))), "not stable"),
+        (
+            lambda: settle(soft_body(), Actions(forces=(AppliedForce((-0.5 * np.pi**2 * 0.02 / 0.15, 0.0)),))),
+            "not stable",
+        ),
     ],
 )
 def test_what_cannot_be_followed_is_refused(make: object, words: str) -> None:

@@ -11,15 +11,15 @@ from scipy.optimize import brentq
 from onebend.beam.loads import follow_push, push
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.actions import Actions, AppliedForce
 from onebend.beam.motion.dynamics import body, mass_matrix
-from onebend.beam.motion.integration import State
+from onebend.beam.motion.integration import MotionState
 from onebend.beam.motion.vibration import exponents, settle, vibration, vibration_of
 from onebend.beam.profiles.piecewise import taper
-from onebend.beam.profiles.section import Material, Part, Rectangle, along
+from onebend.beam.profiles.section import Material, Rectangle, SectionPart, along
 from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.errors import MechanicsError
 from tests.beam.moving import ODD, odd_body
 
@@ -31,7 +31,7 @@ UNLOADED = push((0.0, 0.0))
 def bar(last: float) -> tuple[Beam, Profile]:
     """A square steel bar of 1 m whose side runs from 10 mm to `last`, and its rotary inertia."""
     side = taper(0.01, last)
-    profiles = along((Part(Rectangle(side, side), STEEL),), 1.0)
+    profiles = along((SectionPart(Rectangle(side, side), STEEL),), 1.0)
     return Beam(1.0, profiles.stiffness, mass_per_length=profiles.mass_per_length), profiles.rotary_inertia
 
 
@@ -55,8 +55,8 @@ def test_uniform_cantilever_has_the_roots_of_its_frequency_equation() -> None:
     exact = np.square(roots) / (2.0 * np.pi)
     errors = []
     for order in (8, 12, 16):
-        solved = follow(pose(UNIT, UNLOADED, Resolution(order)))
-        errors.append(np.max(np.abs(vibration(UNIT, solved, most=4).frequency / exact[:4] - 1.0)))
+        solved = follow(make_problem(UNIT, UNLOADED, Resolution(order)))
+        errors.append(np.max(np.abs(vibration(UNIT, solved, count=4).frequency / exact[:4] - 1.0)))
     assert np.all(np.diff(np.log(errors)) < -4.0)
     assert errors[-1] < 1e-11
 
@@ -77,8 +77,8 @@ def test_modes_approach_the_exact_frequencies_about_a_bent_shape(load: float, sh
     exact = vibration(UNIT, equilibrium(UNIT, push((load, shear)))).frequency[:3]
     errors = []
     for n in (4, 6, 8, 10):
-        of, actions = body(UNIT, Modes(n)), Actions((Force((load, shear)),))
-        errors.append(np.max(np.abs(vibration_of(of, settle(of, actions), actions, most=3).frequency / exact - 1.0)))
+        of, actions = body(UNIT, Modes(n)), Actions((AppliedForce((load, shear)),))
+        errors.append(np.max(np.abs(vibration_of(of, settle(of, actions), actions, count=3).frequency / exact - 1.0)))
     assert np.all(np.diff(np.log(errors)) < -1.5)
     assert errors[-1] < 1e-5
 
@@ -99,7 +99,7 @@ def test_the_slowest_frequency_vanishes_at_the_euler_load_and_turns_imaginary_be
 
 def test_shapes_carry_unit_mass_and_move_the_places_as_they_say() -> None:
     of = odd_body(6)
-    actions = Actions((Force((0.05, 0.1)),))
+    actions = Actions((AppliedForce((0.05, 0.1)),))
     rest = settle(of, actions)
     found = vibration_of(of, rest, actions)
     np.testing.assert_allclose(found.shapes.T @ mass_matrix(of, rest.theta) @ found.shapes, np.eye(6), atol=1e-9)
@@ -116,11 +116,11 @@ def test_follower_force_makes_the_column_flutter_at_becks_load() -> None:
 
     def found(load: float) -> np.ndarray:
         loads = follow_push((-load, 0.0))
-        return exponents(UNIT, follow(pose(UNIT, loads, Resolution(20))), most=4)
+        return exponents(UNIT, follow(make_problem(UNIT, loads, Resolution(20))), count=4)
 
     free = found(0.0)
     np.testing.assert_allclose(free.real, 0.0, atol=1e-6)
-    np.testing.assert_allclose(free.imag, 2.0 * np.pi * vibration(UNIT, equilibrium(UNIT, UNLOADED), most=4).frequency)
+    np.testing.assert_allclose(free.imag, 2.0 * np.pi * vibration(UNIT, equilibrium(UNIT, UNLOADED), count=4).frequency)
     assert np.max(found(20.04).real) < 1e-3
     assert np.max(found(20.06).real) > 0.1
     assert abs(found(20.06)[0].imag) > 10.0
@@ -139,7 +139,7 @@ def test_one_frame_of_a_batch() -> None:
 def test_a_state_that_is_no_equilibrium_is_refused() -> None:
     of = odd_body()
     with pytest.raises(MechanicsError, match="left unbalanced"):
-        vibration_of(of, State(np.array([0.1, 0.0, 0.0, 0.0]), np.zeros(4)))
+        vibration_of(of, MotionState(np.array([0.1, 0.0, 0.0, 0.0]), np.zeros(4)))
     with pytest.raises(MechanicsError, match="not one of this beam"):
         vibration(ODD, equilibrium(UNIT, UNLOADED))
     with pytest.raises(MechanicsError, match="mass per metre = 0"):

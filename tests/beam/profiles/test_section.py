@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from onebend.beam.profiles.piecewise import Pieces, broken_line, in_pieces, taper
 from onebend.beam.profiles.section import (
     Circle,
-    Layer,
+    LaminateLayer,
     Material,
-    Part,
     Polygon,
-    Properties,
     Rectangle,
+    SectionPart,
+    SectionProperties,
     Tube,
     along,
     laminate,
@@ -33,7 +33,7 @@ ONE = np.array([0.5])
 sizes = st.floats(0.1, 10.0)
 
 
-def at(*parts: Part) -> Properties:
+def at(*parts: SectionPart) -> SectionProperties:
     return section(parts, ONE)
 
 
@@ -69,7 +69,7 @@ def test_order_of_corners_does_not_matter() -> None:
 def test_rectangle_as_a_polygon(width: float, thickness: float) -> None:
     square = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
     w, t = Uniform(width), Uniform(thickness)
-    rectangle, polygon = at(Part(Rectangle(w, t), STEEL)), at(Part(Polygon(square, w, t), STEEL))
+    rectangle, polygon = at(SectionPart(Rectangle(w, t), STEEL)), at(SectionPart(Polygon(square, w, t), STEEL))
     assert rectangle.bending[0] == pytest.approx(210e9 * width * thickness**3 / 12.0, rel=1e-13)
     assert polygon.bending[0] == pytest.approx(rectangle.bending[0], rel=1e-13)
     assert polygon.mass[0] == pytest.approx(7850.0 * width * thickness, rel=1e-13)
@@ -77,15 +77,15 @@ def test_rectangle_as_a_polygon(width: float, thickness: float) -> None:
 
 
 def test_many_corners_become_a_circle_at_second_order() -> None:
-    exact = at(Part(Circle(Uniform(2.0)), STEEL)).bending[0]
+    exact = at(SectionPart(Circle(Uniform(2.0)), STEEL)).bending[0]
     counts = np.array([20, 40, 80])
-    errors = [1.0 - at(Part(Polygon(ring(int(n), 0.1)), STEEL)).bending[0] / exact for n in counts]
+    errors = [1.0 - at(SectionPart(Polygon(ring(int(n), 0.1)), STEEL)).bending[0] / exact for n in counts]
     assert np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(-2.0, abs=0.02)
 
 
 @given(outer=sizes, share=st.floats(0.0, 0.99))
 def test_tube_is_a_circle_less_a_circle(outer: float, share: float) -> None:
-    tube = at(Part(Tube(Uniform(outer), Uniform(share * outer)), STEEL))
+    tube = at(SectionPart(Tube(Uniform(outer), Uniform(share * outer)), STEEL))
     assert tube.bending[0] == pytest.approx(210e9 * np.pi / 64.0 * (outer**4 - (share * outer) ** 4), rel=1e-12)
     assert tube.mass[0] == pytest.approx(7850.0 * np.pi / 4.0 * (outer**2 - (share * outer) ** 2), rel=1e-12)
 
@@ -98,7 +98,10 @@ def test_wood_with_a_steel_plate() -> None:
     """
     width = Uniform(0.1)
     parts = laminate(
-        (Layer(width, Uniform(0.01), Material(200e9, 7850.0)), Layer(width, Uniform(0.15), Material(10e9, 500.0)))
+        (
+            LaminateLayer(width, Uniform(0.01), Material(200e9, 7850.0)),
+            LaminateLayer(width, Uniform(0.15), Material(10e9, 500.0)),
+        )
     )
     found = at(*parts)
     axis = 275.0 / 7.0
@@ -117,15 +120,15 @@ def test_bimetal_strip_curls_as_timoshenko_says(m: float, n: float) -> None:
     h, strain, width = 2e-3, 1e-3, Uniform(0.01)
     t1, t2 = h * m / (1.0 + m), h / (1.0 + m)
     low, high = Material(n * 1e11, 8000.0, strain), Material(1e11, 8000.0)
-    found = at(*laminate((Layer(width, Uniform(t1), low), Layer(width, Uniform(t2), high))))
+    found = at(*laminate((LaminateLayer(width, Uniform(t1), low), LaminateLayer(width, Uniform(t2), high))))
     exact = 6.0 * strain * (1.0 + m) ** 2 / (h * (3.0 * (1.0 + m) ** 2 + (1.0 + m * n) * (m**2 + 1.0 / (m * n))))
     assert found.curvature[0] == pytest.approx(exact, rel=1e-10)
 
 
 def test_cutting_a_bar_into_layers_changes_nothing() -> None:
     width, quarter = taper(0.02, 0.01), Scaled(0.25, taper(0.004, 0.002))
-    whole = section((Part(Rectangle(width, taper(0.004, 0.002)), STEEL),), S)
-    cut = section(laminate((Layer(width, quarter, STEEL),) * 4), S)
+    whole = section((SectionPart(Rectangle(width, taper(0.004, 0.002)), STEEL),), S)
+    cut = section(laminate((LaminateLayer(width, quarter, STEEL),) * 4), S)
     np.testing.assert_allclose(cut.bending, whole.bending, rtol=1e-13)
     np.testing.assert_allclose(cut.rotary, whole.rotary, rtol=1e-13)
     np.testing.assert_allclose(cut.curvature, 0.0, atol=1e-15)
@@ -135,13 +138,17 @@ def test_cutting_a_bar_into_layers_changes_nothing() -> None:
 
 def test_heavy_side_shows_as_an_offset_of_mass() -> None:
     width, t = Uniform(0.01), Uniform(1e-3)
-    found = at(*laminate((Layer(width, t, Material(1e9, 1000.0)), Layer(width, t, Material(1e9, 3000.0)))))
+    found = at(
+        *laminate((LaminateLayer(width, t, Material(1e9, 1000.0)), LaminateLayer(width, t, Material(1e9, 3000.0))))
+    )
     assert found.mass_offset[0] == pytest.approx(0.5 * 0.5e-3, rel=1e-13)
 
 
 def test_profiles_along_a_tapered_layered_beam() -> None:
     thickness: Profile = Steps((0.0, 0.3, 1.0), (2e-3, 1e-3))
-    parts = laminate((Layer(taper(0.02, 0.01), thickness, STEEL), Layer(Uniform(0.01), Uniform(1e-3), BRASS)))
+    parts = laminate(
+        (LaminateLayer(taper(0.02, 0.01), thickness, STEEL), LaminateLayer(Uniform(0.01), Uniform(1e-3), BRASS))
+    )
     found, exact = along(parts, 0.5), section(parts, S)
     np.testing.assert_allclose(found.stiffness(S), exact.bending / 0.5, rtol=1e-11)
     np.testing.assert_allclose(found.mass_per_length(S), exact.mass, rtol=1e-12)
@@ -153,7 +160,7 @@ def test_profiles_along_a_tapered_layered_beam() -> None:
 
 def test_knots_of_a_table_are_resolved_but_are_no_jumps() -> None:
     width = Table((0.0, 0.21, 0.47, 1.0), (0.02, 0.01, 0.03, 0.02))
-    parts = (Part(Rectangle(width, Uniform(1e-3)), STEEL),)
+    parts = (SectionPart(Rectangle(width, Uniform(1e-3)), STEEL),)
     found = along(parts, 1.0)
     np.testing.assert_allclose(found.stiffness(S), section(parts, S).bending, rtol=1e-11)
     assert found.stiffness.jumps == ()
@@ -188,13 +195,13 @@ def test_broken_line_with_a_kink_and_a_jump() -> None:
     ("make", "words"),
     [
         (lambda: at(), "at least one part"),
-        (lambda: at(Part(Circle(Uniform(0.0)), STEEL)), "positive, got 0 m at s = 0.5"),
-        (lambda: at(Part(Tube(Uniform(1.0), Uniform(1.0)), STEEL)), "inner diameter"),
+        (lambda: at(SectionPart(Circle(Uniform(0.0)), STEEL)), "positive, got 0 m at s = 0.5"),
+        (lambda: at(SectionPart(Tube(Uniform(1.0), Uniform(1.0)), STEEL)), "inner diameter"),
         (lambda: Polygon(((0.0, 0.0), (1.0, 1.0))), "three"),
         (lambda: Polygon(((0.0, 0.0), (1.0, 1.0), (2.0, 2.0))), "no area"),
         (lambda: Polygon(((0.0, 0.0), (2.0, 2.0), (2.0, 0.0), (0.0, 1.0))), "cross"),
         (lambda: Material(-1.0, 1.0), "E > 0"),
-        (lambda: along((Part(Circle(Uniform(1.0)), STEEL),), 0.0), "length"),
+        (lambda: along((SectionPart(Circle(Uniform(1.0)), STEEL),), 0.0), "length"),
         (lambda: in_pieces(lambda s: np.sign(s - 0.3)), "jumps near s = 0.29"),
         (lambda: in_pieces(lambda s: np.where(s < 0.3, np.nan, s)), "finite"),
         (lambda: Pieces((0.0, 0.5), 0, (1.0,)), "from 0 to 1"),

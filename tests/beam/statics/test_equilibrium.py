@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Profile, Steps, Table, Uniform
-from onebend.beam.statics.continuation import Search, equilibrium, follow, refine
-from onebend.beam.statics.equilibrium import gradient, node_angles, tangent
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.continuation import ContinuationSettings, equilibrium, follow, refine
+from onebend.beam.statics.equilibrium import gradient, tangent
+from onebend.beam.statics.nodal_forces import node_angles
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.errors import MechanicsError
 from tests.beam.exact import elastica_tip
@@ -85,7 +86,7 @@ def test_error_falls_with_the_fourth_order_for_two_nodes_a_panel() -> None:
     panels = np.array([8, 16, 32, 64])
     errors = []
     for count in panels:
-        solved = follow(pose(UNIT, push((0.5, 3.0)), Resolution(order=2, widest=1.0 / count)))
+        solved = follow(make_problem(UNIT, push((0.5, 3.0)), Resolution(order=2, widest=1.0 / count)))
         errors.append(np.linalg.norm(solved.xy(np.array([1.0]))[0, 0] - reference))
     slope = np.polyfit(np.log(panels), np.log(errors), 1)[0]
     assert slope == pytest.approx(-4.0, abs=0.1)
@@ -95,7 +96,8 @@ def test_error_falls_spectrally_with_the_nodes_of_one_panel() -> None:
     force = push((0.02, 0.2))
     reference = equilibrium(SOFT, force).xy(S)
     errors = [
-        np.max(np.abs(follow(pose(SOFT, force, Resolution(order=n))).xy(S) - reference)) for n in (4, 8, 12, 16, 20)
+        np.max(np.abs(follow(make_problem(SOFT, force, Resolution(order=n))).xy(S) - reference))
+        for n in (4, 8, 12, 16, 20)
     ]
     assert np.all(np.diff(np.log(errors)) < -1.5)
 
@@ -166,7 +168,7 @@ def test_elastic_energy_is_the_work_of_slow_loading() -> None:
 
 
 def test_tangent_is_the_derivative_of_the_gradient() -> None:
-    problem = pose(SOFT, push((0.1, 0.3), 0.7) + twist(0.002, 0.4))
+    problem = make_problem(SOFT, push((0.1, 0.3), 0.7) + twist(0.002, 0.4))
     q = 0.5 + np.sin(np.arange(problem.to_nodes.shape[-1]))[None]
     exact = tangent(problem, q)[0]
     for i in range(q.shape[1]):
@@ -234,7 +236,7 @@ def test_refine_comes_back_from_a_disturbed_start() -> None:
 
 
 def test_refine_does_not_stay_on_an_unstable_branch() -> None:
-    problem = pose(UNIT, push((-4.0, 0.05)), Resolution(16, 0.5))
+    problem = make_problem(UNIT, push((-4.0, 0.05)), Resolution(16, 0.5))
     straight = np.zeros((1, problem.to_nodes.shape[-1]))
     solved = refine(problem, straight)
     assert solved.stable[0]
@@ -287,9 +289,9 @@ def test_strides_land_where_tiny_load_steps_lead(beam: Beam) -> None:
     force = rng.normal(size=(60, 2)) * 1.5
     force[:30, 0] = -np.abs(force[:30, 0]) * 3.0
     force[:30, 1] *= 10.0 ** rng.uniform(-6.0, -1.0, 30)
-    problem = pose(beam, push(force), Resolution(10, 0.3))
-    tiny = Search(stride=0.04, trust=0.01, shortest=1e-11, most=6000)
-    quick, slow = follow(problem), follow(problem, search=tiny)
+    problem = make_problem(beam, push(force), Resolution(10, 0.3))
+    tiny = ContinuationSettings(max_turn=0.04, trust=0.01, min_step=1e-11, max_steps=6000)
+    quick, slow = follow(problem), follow(problem, settings=tiny)
     assert np.all(quick.converged)
     assert np.all(quick.stable)
     np.testing.assert_allclose(node_angles(problem, quick.q), node_angles(problem, slow.q), atol=1e-7)

@@ -12,9 +12,9 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.perturbation import Perturbations
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import (
-    Changes,
     clamp_wrench,
     of_clamp_angle,
     of_force,
@@ -46,7 +46,7 @@ def made(p: Array, loads: Loads) -> Equilibrium:
     return equilibrium(beam, loads + extra, resolution=FINE)
 
 
-def all_changes(solved: Equilibrium) -> Changes:
+def all_changes(solved: Equilibrium) -> Perturbations:
     """In the order of p."""
     nodes = solved.problem.grid.nodes
     return (

@@ -18,13 +18,13 @@ from scipy.special import ellipe, ellipk
 from onebend.beam.loads import Loads, follow_push, push, weight
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.actions import Actions, AppliedForce
 from onebend.beam.motion.dynamics import body
-from onebend.beam.motion.integration import State, simulate
+from onebend.beam.motion.integration import MotionState, simulate
 from onebend.beam.profiles.stiffness import Gaussians, Steps, Uniform
 from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.equilibrium import gradient, is_stable, potential, tangent
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.snap_through import Side, let_fall
 from onebend.errors import MechanicsError
 from onebend.records import Array
@@ -73,7 +73,7 @@ def test_without_it_the_straight_branch_is_kept_and_called_unstable() -> None:
 
 def test_frames_that_stand_are_left_alone() -> None:
     rng = np.random.default_rng(3)
-    problem = pose(UNIT, push(np.vstack([2.0 * rng.normal(size=(40, 2)), [[-0.9 * EULER, 0.0]]])), FINE)
+    problem = make_problem(UNIT, push(np.vstack([2.0 * rng.normal(size=(40, 2)), [[-0.9 * EULER, 0.0]]])), FINE)
     plain, with_fall = follow(problem), follow(problem, fall="right")
     assert not np.any(with_fall.fell)
     np.testing.assert_array_equal(with_fall.q, plain.q)
@@ -84,7 +84,7 @@ def test_frames_that_stand_are_left_alone() -> None:
 
 def first_critical(beam: Beam, loads: Loads) -> float:
     """Share of the loads at which the straight beam's tangent, linear in them, becomes singular."""
-    problem = pose(beam, loads, FINE)
+    problem = make_problem(beam, loads, FINE)
     straight = np.zeros((1, problem.to_nodes.shape[-1]))
     unloaded = tangent(problem, straight, 0.0)[0]
     taken = unloaded - tangent(problem, straight, 1.0)[0]
@@ -103,7 +103,7 @@ def test_energy_falls_and_the_mirror_image_is_the_other_side(dip: float, ratio: 
     beam = Beam(0.3, stiffness, mass_per_length=Uniform(0.2))
     loads = push((-0.2, 0.0)) + weight((-9.81, 0.0))
     critical = first_critical(beam, loads)
-    problem = pose(beam, loads, FINE).loaded(np.array([ratio * critical]))
+    problem = make_problem(beam, loads, FINE).loaded(np.array([ratio * critical]))
     straight = follow(problem)
     q, landed = let_fall(problem, straight.q, side)
     other, _ = let_fall(problem, straight.q, "right" if side == "left" else "left")
@@ -186,7 +186,7 @@ def test_an_overdamped_beam_set_free_where_the_branch_ends_moves_to_the_same_sha
     weights = ended.problem.grid.weights
     phi = Modes(10).curvature(nodes)
     begin = np.linalg.solve(phi.T @ (weights[:, None] * phi), phi.T @ (weights * (ended.q[0] - 4.0)))
-    run = simulate(of, State(begin, np.zeros(10)), 60.0, 0.05, Actions(forces=(Force(tuple(force)),)))
+    run = simulate(of, MotionState(begin, np.zeros(10)), 60.0, 0.05, Actions(forces=(AppliedForce(tuple(force)),)))
     assert np.linalg.norm(ended.xy(TIP)[0, 0] - solved.xy(TIP)[0, 0]) > 0.2
     np.testing.assert_allclose(run.xy(TIP)[-1, 0], solved.xy(TIP)[0, 0], atol=1e-3)
 

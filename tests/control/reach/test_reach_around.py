@@ -16,7 +16,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import pose_many
+from onebend.beam.statics.problem import make_problems
 from onebend.cli import app
 from onebend.control.reach.reach import ReachSettings, reach
 from onebend.control.reach.reachable import reachable
@@ -66,7 +66,7 @@ def test_predicted_error_is_that_of_beams_drawn_anew() -> None:
     found = reach(BEAM, GOAL)
     error = predicted_error(BEAM, BAND, found)
     beams = [replace(BEAM, stiffness=k) for k in BAND.draw(300, seed=9)]
-    places = follow(pose_many(beams, push(np.tile(found.force, (300, 1))))).xy(np.ones(1))[:, 0]
+    places = follow(make_problems(beams, push(np.tile(found.force, (300, 1))))).xy(np.ones(1))[:, 0]
     np.testing.assert_allclose(error.mean, places.mean(axis=0), atol=4 * places.std() / np.sqrt(300))
     inside = np.mean([error.holds(xy) for xy in places])
     assert 0.90 < inside < 0.985

@@ -9,10 +9,12 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.effects.real_bench import RealBench
+from onebend.lab.designs import DESIGNS
+from onebend.lab.effects.real_bench import RealBench, section_flexibility
+from onebend.lab.film_request import FilmRequest, filming_of
 from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import force_that_bends, random_stiffness
-from onebend.lab.random_bench import BenchRanges, random_bench
+from onebend.lab.random_bench import BenchRanges, design_with_effects, random_bench
 from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, only, with_random_effects
 from onebend.lab.tag_errors import TagNoise
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
@@ -119,12 +121,25 @@ def test_pushes_of_the_tip_stay_on_the_beam() -> None:
         assert one.motion.contact[0] <= 1.0
 
 
+def test_a_design_is_as_thick_as_its_width_says() -> None:
+    design = DESIGNS["linear"]
+    plain = filming_of(design, FilmRequest(), "linear")
+    real = design_with_effects(plain, np.random.default_rng(1), only("stretch"))
+    stretch, shear = section_flexibility(plain.bench.beam, real.bench.effects, S)
+    area = np.asarray(design.width(S)) * design.depth
+    np.testing.assert_allclose(1.0 / stretch, design.modulus * area, rtol=1e-3)
+    np.testing.assert_allclose(stretch / shear, 5.0 / 6.0 / 2.9)
+
+
 def test_random_benches_are_the_same_but_for_their_effects() -> None:
     plain = random_bench(np.random.default_rng(5))
     real = random_bench(np.random.default_rng(5), BenchRanges(effects=LABORATORY))
     assert plain.bench.effects == RealBench()
     assert real.bench.effects != RealBench()
-    for name in ("width", "camera", "scene", "tag_size", "lost", "calibrated"):
+    for name in ("camera", "scene", "tag_size", "lost", "calibrated"):
         assert getattr(real, name) == getattr(plain, name)
     assert real.bench.beam == plain.bench.beam
+    assert real.bench.effects.thickness > 0.0
+    thickness = np.asarray(real.width(S)) / np.cbrt(np.asarray(real.bench.beam.stiffness(S)))
+    np.testing.assert_allclose(thickness, thickness[0], rtol=1e-3)  # drawn as wide as it is thick
     assert real.bench.effects.patch_length == pytest.approx(1.25 * real.tag_size)

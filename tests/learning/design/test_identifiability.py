@@ -12,7 +12,7 @@ from onebend.beam.loads import twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline, Powers, Uniform
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.design.identifiability import (
     STEPS,
@@ -118,9 +118,9 @@ def filmed(push: PlannedPush, vector: Array, gravity: tuple[float, float] = (0.0
     force = np.vstack([size[:, None] * unit @ turned.T + wrong.force, np.zeros(2)])
     loads = load(force, push.at_s) + weight(gravity)
     if wrong.place[0] != 0.0:  # a force farther out, also where there is no beam: the same with its moment
-        here = follow(pose(bent, loads, Resolution(16, 0.5))).angle(np.array([push.at_s]))[:, 0]
+        here = follow(make_problem(bent, loads, Resolution(16, 0.5))).angle(np.array([push.at_s]))[:, 0]
         loads = loads + twist(wrong.place[0] * (np.cos(here) * force[:, 1] - np.sin(here) * force[:, 0]), push.at_s)
-    shape = follow(pose(bent, loads, Resolution(16, 0.5)))
+    shape = follow(make_problem(bent, loads, Resolution(16, 0.5)))
     places = np.asarray(TAGS) + wrong.along / 0.15
     s = np.minimum(places, 1.0)
     angle, over = shape.angle(s), 0.15 * (places - s)

@@ -14,7 +14,7 @@ from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Uniform
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
@@ -58,13 +58,13 @@ def learned(o: Observations) -> Posterior:
 
 def test_the_equilibrium_near_a_known_shape_is_the_held_one() -> None:
     there = hold(HEAVY, ENDS, weight(G * DOWN), resolution=HELD_RESOLUTION)
-    problem = pose(HEAVY, weight(G * DOWN).spread(len(ENDS)), HELD_RESOLUTION)
+    problem = make_problem(HEAVY, weight(G * DOWN).spread(len(ENDS)), HELD_RESOLUTION)
     rough = there.solved.q * (1.0 + 0.2 * np.sin(9.0 * problem.grid.nodes))
     found, wrench = hold_near(problem, rough, ENDS, fall=True)
     assert found.converged.all()
     np.testing.assert_allclose(found.q, there.solved.q, atol=1e-7)
     np.testing.assert_allclose(wrench, there.wrench, atol=1e-7)
-    loose = follow(pose(ROD, push(wrench[:1, :2]), HELD_RESOLUTION))  # the wrench alone is another problem
+    loose = follow(make_problem(ROD, push(wrench[:1, :2]), HELD_RESOLUTION))  # the wrench alone is another problem
     assert np.abs(loose.q - found.q[:1]).max() > 0.1
 
 

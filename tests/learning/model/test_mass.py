@@ -12,7 +12,7 @@ from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Table
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.errors import LearningError, RecordingError
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
@@ -41,7 +41,7 @@ def rod(power: float, mass: float = 0.03) -> Beam:
 
 
 def bench(folder: Path, beam: Beam, along: str, *, entry: str = "", sd: float = 2e-5) -> Observations:
-    there = follow(pose(beam, push(HUNG[:, None] * DOWN) + weight(G * DOWN))).xy(ROD_S)
+    there = follow(make_problem(beam, push(HUNG[:, None] * DOWN) + weight(G * DOWN))).xy(ROD_S)
     shown: Array = there + sd * np.random.default_rng(0).normal(size=there.shape)
     loads = "pose,s,weight_N\n" + "".join(f"{i},1,{w}\n" for i, w in enumerate(HUNG))
     stated = f'{entry}mass_along = "{along}"\n'

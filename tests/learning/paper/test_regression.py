@@ -13,6 +13,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Profile, equidistant
 from onebend.learning.paper.inverse_kinematics import solve_states
 from onebend.learning.paper.regression import assemble, basis, literal, profile, weighted
+from onebend.records import MassLine
 from tests.learning.bench import SOFT, forces, in_family, observed
 from tests.made_up import with_stated
 
@@ -72,6 +73,22 @@ def test_weight_of_the_beam_enters_the_load() -> None:
     down = -0.05 * 9.81 * (1.0 - grid.nodes) * np.cos(alpha)
     expected = 0.15 * (down * grid.weights) @ phi.angle(grid.nodes)
     np.testing.assert_allclose(rows.load - plain.load, expected, atol=1e-12)
+
+
+def test_an_uneven_mass_loads_the_beam_where_it_is() -> None:
+    """Three times as heavy at the tip as at the clamp; with an even mass the rows are wrong."""
+    s = np.linspace(0.0, 1.0, 201)
+    line = MassLine(s, (0.5 + s) * 0.05 / 0.15)  # kg/m, 0.05 kg in all
+    made = in_family(Beam(0.15, SOFT.stiffness), forces(), 5)
+    even = with_stated(replace(made, gravity=np.tile([0.0, -9.81], (len(made.time), 1))), mass=0.05)
+    uneven = with_stated(even, mass_line=line)
+    grid, phi, plain = make_grid(order=40), Modes(5), assemble(made, solve_states(made, 5))
+    rows, of_even = assemble(uneven, solve_states(uneven, 5)), assemble(even, solve_states(even, 5))
+    beyond = 0.05 * (1.0 - 0.5 * grid.nodes - 0.5 * grid.nodes**2)  # kg, of (0.5 + s) from s to 1
+    alpha = rows.states.theta @ phi.angle(grid.nodes).T
+    expected = 0.15 * (-9.81 * beyond * np.cos(alpha) * grid.weights) @ phi.angle(grid.nodes)
+    np.testing.assert_allclose(rows.load - plain.load, expected, atol=1e-10)
+    assert np.max(np.abs(of_even.load - rows.load)) > 0.1 * np.max(np.abs(expected))
 
 
 def test_weights_beat_the_literal_rows_under_noise() -> None:

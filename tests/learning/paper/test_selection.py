@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Steps, Uniform
+from onebend.beam.profiles.stiffness import Profile, Steps, Table, Uniform
 from onebend.errors import LearningError
 from onebend.learning.model.frames import usable_frames
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings, information_criterion, pairs
 from onebend.learning.validation import validate
+from onebend.records import MassLine
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated
 
@@ -146,15 +147,21 @@ def test_weight_without_mass_is_refused() -> None:
         validate(SOFT, made)
 
 
-def test_weight_alone_teaches_the_stiffness() -> None:
-    """A base that is turned under gravity, no force at all: the weight is the load."""
-    heavy = Beam(0.15, SOFT.stiffness, mass_per_length=Uniform(0.1 / 0.15))
+@pytest.mark.parametrize("uneven", [False, True])
+def test_weight_alone_teaches_the_stiffness(uneven: bool) -> None:
+    """A base that is turned under gravity, no force at all: the weight is the load, an uneven one where it is."""
+    line = MassLine(S, (0.5 + S) * 0.1 / 0.15) if uneven else None
+    mass: Profile = Uniform(0.1 / 0.15) if line is None else Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
+    heavy = Beam(0.15, SOFT.stiffness, mass_per_length=mass)
     turns = np.linspace(-np.pi, np.pi, 60)
     gravity = 9.81 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     shape = heavy.equilibrium(np.zeros((60, 2)), gravity=gravity)
     made = observed(SOFT, np.zeros((60, 2)), xy=shape.xy(MARKERS), angle=shape.angle(MARKERS))
     hanging = with_stated(
-        replace(made, gravity=gravity, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool)), mass=0.1
+        replace(made, gravity=gravity, push_s=np.full(60, np.nan), loaded=np.zeros(60, dtype=bool)),
+        mass=0.1,
+        mass_line=line,
     )
     found = regress(hanging, RegressionSettings(n=6, m=3, width=0.5)).beam
+    np.testing.assert_allclose(found.mass_per_length(S), mass(S))
     np.testing.assert_allclose(found.stiffness(S), SOFT.stiffness(S), rtol=0.02)

@@ -13,7 +13,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Table
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.errors import LearningError, ObservationError, RecordingError
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
@@ -37,7 +37,7 @@ FEW = FitSettings(functions=10)
 
 
 def solved(loads: Loads, beam: Beam = ROD) -> Equilibrium:
-    return follow(pose(beam, loads))
+    return follow(make_problem(beam, loads))
 
 
 def hanging(beam: Beam = ROD) -> Array:

@@ -3,14 +3,21 @@
 With the wrench (F, M) as multipliers of the end's pose the conditions are `g(q) = C^T (F, M)` and `c(q) = pose`, where
 `c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system). The
 equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
+
+Where the beam stretches and shears, the wrench also strains it: `c(q, F, M) = pose`, and the balance is that under the
+wrench as a dead load. With D = dc/dF at fixed q the step's matrix is `[T, -C^T; C, D]`, and the equilibrium stands if
+`[T, C^T; C, -D]` has three negative eigenvalues, one for each condition: strains minimise the energy at any shape.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from onebend.beam.grid import solve_each, transposed
-from onebend.beam.statics.equilibrium import gradient, node_angles, positive_definite, potential, tangent
+from onebend.beam.statics.equilibrium import gradient, positive_definite, potential, tangent
+from onebend.beam.statics.nodal_forces import centreline_slope, nodal_forces, node_angles, strain_by_force
 from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.snap_through import to_the_left
 from onebend.records import Array, BoolArray
@@ -20,38 +27,47 @@ _FLAT = 1e-3  # least curvature of the energy assumed in a descent, as a share o
 
 
 def end_pose(problem: Problem, q: Array) -> Array:
-    """(T, 3) x, y, angle of the end s = 1."""
-    alpha = node_angles(problem, q)
-    lw = problem.length * problem.weights
-    x, y = np.sum(lw * np.cos(alpha), axis=-1), np.sum(lw * np.sin(alpha), axis=-1)
+    """(T, 3) x, y, angle of the end s = 1, under the problem's loads."""
+    lw, slope = problem.length * problem.weights, centreline_slope(problem, q)
+    x, y = np.sum(lw * slope[..., 0], axis=-1), np.sum(lw * slope[..., 1], axis=-1)
     angle = np.sum(problem.weights * q, axis=-1) + np.ravel(problem.alpha0)
     return np.stack([x, y, angle], axis=-1)
 
 
 def end_jacobian(problem: Problem, q: Array) -> Array:
     """(T, 3, Q) derivative of the end's pose with the curvature at the nodes."""
-    alpha = node_angles(problem, q)
-    lw = problem.length * problem.weights
-    turning = np.stack([-lw * np.sin(alpha), lw * np.cos(alpha)], axis=-2)
-    angle = np.broadcast_to(problem.weights, alpha.shape)[:, None, :]
+    lw, ways = problem.length * problem.weights, nodal_forces(problem, q).lever
+    turning = np.stack([lw * ways[..., 0], lw * ways[..., 1]], axis=-2)
+    angle = np.broadcast_to(problem.weights, q.shape)[:, None, :]
     return np.concatenate([turning @ problem.to_nodes, angle], axis=-2)
 
 
 def second_variation(problem: Problem, q: Array, wrench: Array) -> Array:
     """(T, Q, Q) tangent less what the wrench's own force takes off it."""
+    if problem.compliance is not None:
+        return tangent(with_end_wrench(problem, wrench), q)
     alpha = node_angles(problem, q)
     along = wrench[:, :1] * np.cos(alpha) + wrench[:, 1:2] * np.sin(alpha)
     b = problem.to_nodes
     return tangent(problem, q) + transposed(b) @ ((problem.length * problem.weights * along)[..., None] * b)
 
 
+def with_end_wrench(problem: Problem, wrench: Array) -> Problem:
+    """With a force and a moment (T, 3) N, N, N m more at the end."""
+    return replace(
+        problem,
+        dead_force=problem.dead_force + wrench[:, None, :2],
+        moment=problem.moment + wrench[:, 2:],
+    )
+
+
 def newton(
-    problem: Problem, start: Array, wrench: Array, goal: Array, *, trust: float, most: int = 12
+    problem: Problem, start: Array, wrench: Array, goal: Array, *, trust: float, max_iterations: int = 12
 ) -> tuple[Array, Array, BoolArray]:
     """Shape and wrench by Newton's method; True where it settled without turning by more than `trust` on the way."""
     q, w, nodes = start.copy(), wrench.copy(), start.shape[1]
     settled, strayed = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
-    for _ in range(most):
+    for _ in range(max_iterations):
         todo = np.flatnonzero(~(settled | strayed))
         if todo.size == 0:
             break
@@ -68,13 +84,21 @@ def newton(
 
 def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Array:
     """(T, Q + 3): Newton's step of shape and wrench."""
-    c, nodes = end_jacobian(problem, q), q.shape[1]
+    nodes = q.shape[1]
     system = np.zeros((len(q), nodes + 3, nodes + 3))
+    if problem.compliance is not None:
+        loaded = with_end_wrench(problem, wrench)
+        c = end_jacobian(loaded, q)
+        system[:, :nodes, :nodes], system[:, :nodes, nodes:] = tangent(loaded, q), -transposed(c)
+        system[:, nodes:, :nodes], system[:, nodes:, nodes:] = c, _pose_by_wrench(loaded, q)
+        right = np.concatenate([-gradient(loaded, q), goal - end_pose(loaded, q)], axis=1)
+        return solve_each(system, right[..., None])[..., 0]
+    c = end_jacobian(problem, q)
     system[:, :nodes, :nodes] = second_variation(problem, q, wrench)
     system[:, :nodes, nodes:] = -transposed(c)
     system[:, nodes:, :nodes] = c
-    unbalanced = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
-    return solve_each(system, np.concatenate([-unbalanced, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
+    residual = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
+    return solve_each(system, np.concatenate([-residual, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
@@ -82,14 +106,40 @@ def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
     if len(q) == 0:
         return np.zeros(0, dtype=bool)
     scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    if problem.compliance is not None:
+        return _stands_strained(with_end_wrench(problem, wrench), q, np.broadcast_to(scale, q.shape))
     scaled = second_variation(problem, q, wrench) * (scale[..., :, None] * scale[..., None, :])
     c = end_jacobian(problem, q) * np.broadcast_to(scale, q.shape)[:, None, :]
     free = np.linalg.qr(transposed(c), mode="complete")[0][..., 3:]
     return positive_definite(transposed(free) @ scaled @ free)
 
 
+def _stands_strained(loaded: Problem, q: Array, scale: Array) -> BoolArray:
+    """(T,) the same where the beam stretches and shears, from the number of negative eigenvalues."""
+    nodes, c = q.shape[1], end_jacobian(loaded, q) * scale[:, None, :]
+    root = np.sqrt(np.sum(np.broadcast_to(loaded.weights * loaded.k, q.shape), axis=-1, keepdims=True))
+    unit = root * np.concatenate([1.0 / (loaded.length * np.ones((len(q), 2))), np.ones((len(q), 1))], axis=1)
+    matrix = np.zeros((len(q), nodes + 3, nodes + 3))
+    matrix[:, :nodes, :nodes] = tangent(loaded, q) * scale[..., :, None] * scale[..., None, :]
+    matrix[:, nodes:, :nodes] = c * unit[..., None]
+    matrix[:, :nodes, nodes:] = transposed(matrix[:, nodes:, :nodes])
+    matrix[:, nodes:, nodes:] = -_pose_by_wrench(loaded, q) * unit[..., :, None] * unit[..., None, :]
+    return np.asarray(np.sum(np.linalg.eigvalsh(matrix) < 0.0, axis=-1) == 3)
+
+
+def _pose_by_wrench(loaded: Problem, q: Array) -> Array:
+    """(T, 3, 3) of the end's pose with the wrench at fixed q: what it strains."""
+    out = np.zeros((len(q), 3, 3))
+    lw = (loaded.length * loaded.weights)[..., None, None]
+    out[:, :2, :2] = np.sum(lw * strain_by_force(loaded, nodal_forces(loaded, q)), axis=1)
+    return out
+
+
 def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArray]:
-    """Shapes near `start` with the end at `goal`, by Gauss-Newton steps of least `int dq^2`; True where reached."""
+    """Without strain: shapes near `start` with the end at `goal`, by Gauss-Newton steps of least `int dq^2`.
+
+    True where the goal was reached.
+    """
     q = start.copy()
     weights = np.broadcast_to(problem.weights, q.shape)[:, None, :]
     for _ in range(60):
@@ -104,7 +154,7 @@ def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArr
 
 
 def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array] | None:
-    """One frame: from a shape off balance down the energy, the end at its pose all the way, to where the beam stands.
+    """One frame, without strain: down the energy, the end at its pose all the way, to where the beam stands.
 
     Newton's steps on the free directions with the second variation made positive, shortened until the energy falls.
     Returns shape and wrench; None where no stable equilibrium was reached.
@@ -116,8 +166,8 @@ def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array]
         step, wrench, rising = _way_down(problem, q)
         turn = float(np.max(np.abs(node_angles(problem, step) - problem.alpha0)))
         if turn < 1e-5 and rising:
-            found, push, near = newton(problem, q, wrench, goal, trust=0.1)
-            return (found, push) if near[0] and stands(problem, found, push)[0] else None
+            shape, end_wrench, near = newton(problem, q, wrench, goal, trust=0.1)
+            return (shape, end_wrench) if near[0] and stands(problem, shape, end_wrench)[0] else None
         step, energy = step * min(1.0, 0.3 / max(turn, 1e-300)), potential(problem, q)[0]
         for _ in range(30):
             lower, there = restore(problem, q + step, goal)

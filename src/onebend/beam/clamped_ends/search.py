@@ -3,42 +3,43 @@
 A held beam has several equilibria, and which of them a real beam takes depends on how it came there. `hold` answers
 for a beam brought to its pose in no particular way: several shapes through the pose (bowed to either side, its chord
 reached by turning either way) are each followed, with the end at its pose all the way, from being stress-free to the
-true rest curvature and loads; of the stable equilibria found the one of least potential energy is returned.
+true rest curvature and loads; of the stable equilibria found the one of least potential energy is returned. Where the
+beam stretches and shears, all this is done without; then the strains grow from nothing.
 `hold_along` answers for a known history: it follows the beam from pose to pose, and says where it snaps over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.clamped_ends.end_pose import end_pose, let_down, newton, restore, stands
+from onebend.beam.clamped_ends.end_pose import end_pose, let_down, newton, restore, stands, with_end_wrench
+from onebend.beam.clamped_ends.homotopy import follow_homotopy, let_strain, release, rigid
 from onebend.beam.loads import Loads
-from onebend.beam.statics.equilibrium import Equilibrium, node_angles, potential
-from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics.equilibrium import Equilibrium, potential
+from onebend.beam.statics.nodal_forces import node_angles
+from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.sensitivity import clamp_wrench
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
-_TRUST = 0.4  # rad, the largest turn that one step of a walk may take
 _NEIGHBOUR = 0.05  # rad, the largest turn from a coarser grid's equilibrium to that of a finer grid
-_SHORTEST = 1e-5  # share of a walk: where no step above this keeps the beam stable, it snaps
 _FAR = 2.0  # rad, from a circular arc's chord: beyond it turning the other way to the chord may be the easier
 _COARSEST = Resolution(order=16, widest=0.5)
 _FINEST = 1.0 / 8.0  # widest panel at the end of refinement
 _BATCH = 4_000_000  # entries of the tangents solved together: what stays within some ten MB
 
-Setting = Callable[[IntArray, Array], tuple[Problem, Array]]  # frames, share of the way -> problem and pose there
-
 
 @dataclass(frozen=True)
-class Held:
-    """Equilibria of a beam held at both ends."""
+class ClampedEquilibrium:
+    """Equilibria of a beam held at both ends.
+
+    Where it stretches and shears, the wrench is among the loads of `solved.problem`, since it strains the beam.
+    """
 
     solved: Equilibrium  # `converged`: the end is at its pose in equilibrium; `stable`: with both ends held
     wrench: Array  # (T, 3) N, N, N m: what the second end's holder puts on the beam
@@ -47,13 +48,17 @@ class Held:
     @property
     def clamp_wrench(self) -> Array:
         """(T, 3) N, N, N m: what the clamp at s = 0 puts on the beam; with `wrench` and all loads it cancels."""
+        if self.solved.problem.compliance is not None:
+            return clamp_wrench(self.solved)
         x, y, _ = end_pose(self.solved.problem, self.solved.q).T
         fx, fy, moment = self.wrench.T
         return np.asarray(clamp_wrench(self.solved) - np.stack([fx, fy, x * fy - y * fx + moment], axis=-1))
 
 
 @one_blas_thread
-def hold(beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution | None = None) -> Held:
+def hold(
+    beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution | None = None
+) -> ClampedEquilibrium:
     """Equilibria with the end s = 1 held at `end`: (3,) or (T, 3) of x [m], y [m], angle [rad].
 
     The angle counts full turns. Where two equilibria have the same energy (a pose on the clamp's axis) the beam bows to
@@ -70,14 +75,14 @@ def hold(beam: Rod, end: ArrayLike, loads: Loads = Loads(), *, resolution: Resol
     widest = _COARSEST.widest
     while resolution is None and widest > _FINEST and not np.all(held.solved.resolved):
         widest *= 0.5
-        held = _resolve(held, pose(beam, loads, replace(_COARSEST, widest=widest)), goal)
-    return held
+        held = _resolve(held, make_problem(beam, loads, replace(_COARSEST, widest=widest)), goal)
+    return _under_wrench(held)
 
 
 @one_blas_thread
 def hold_along(
     beam: Rod, path: ArrayLike, loads: Loads = Loads(), *, resolution: Resolution = Resolution(order=16, widest=0.25)
-) -> Held:
+) -> ClampedEquilibrium:
     """The beam while its end is led along `path` (P, 3) of x [m], y [m], angle [rad]; one equilibrium a pose.
 
     Between two poses the end moves in a straight line and turns evenly, in as many steps as it takes. `jumped` marks
@@ -89,17 +94,17 @@ def hold_along(
     poses = _goals(beam, path, Loads())
     if loads.size != 1:
         raise MechanicsError(f"loads for {loads.size} frames: along a path one set of loads acts all the way")
-    found = [_hold(beam, _goals(beam, poses[:1], loads), loads, resolution)]
-    problem = found[0].solved.problem
+    solutions = [_hold(beam, _goals(beam, poses[:1], loads), loads, resolution)]
+    problem = solutions[0].solved.problem
     for before, after in pairwise(poses):
-        here = found[-1]
+        here = solutions[-1]
 
         def on_the_way(_: IntArray, share: Array, a: Array = before, b: Array = after) -> tuple[Problem, Array]:
             return problem, a + share[:, None] * (b - a)
 
-        q, wrench, share = _walk(on_the_way, here.solved.q, here.wrench)
-        found.append(_land(problem, q, wrench, after[None], share))
-    return _join(pose(beam, loads.spread(len(poses)), resolution), found)
+        q, wrench, share = follow_homotopy(on_the_way, here.solved.q, here.wrench)
+        solutions.append(_land(problem, q, wrench, after[None], share))
+    return _under_wrench(_join(make_problem(beam, loads.spread(len(poses)), resolution), solutions))
 
 
 def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
@@ -115,20 +120,20 @@ def _goals(beam: Rod, end: ArrayLike, loads: Loads) -> Array:
         frame = int(np.argmax(reach))
         raise MechanicsError(
             f"pose {frame}: the end is held {reach[frame]:.4g} m from the clamp, but the beam is {beam.length:.4g} m "
-            "long and does not stretch; bring the ends closer"
+            "long at rest; bring the ends closer"
         )
     return goal
 
 
-def _hold(beam: Rod, goal: Array, loads: Loads, resolution: Resolution) -> Held:
+def _hold(beam: Rod, goal: Array, loads: Loads, resolution: Resolution) -> ClampedEquilibrium:
     """From every first shape to equilibrium, and the lowest of those, in batches that fit the memory."""
-    problem = pose(beam, loads.spread(len(goal)), resolution)
+    problem = make_problem(beam, loads.spread(len(goal)), resolution)
     several = max(1, _BATCH // problem.to_nodes.shape[-1] ** 2)
     parts = [np.arange(i, min(i + several, len(goal))) for i in range(0, len(goal), several)]
     return _join(problem, [_lowest(problem.take(frames), goal[frames]) for frames in parts])
 
 
-def _resolve(held: Held, finer: Problem, goal: Array) -> Held:
+def _resolve(held: ClampedEquilibrium, finer: Problem, goal: Array) -> ClampedEquilibrium:
     """The same equilibria on a finer grid; sought anew where the finer one is not close by."""
     start = held.solved.q @ held.solved.problem.grid.value_at(finer.grid.nodes).T
     q, wrench, near = newton(finer, start, held.wrench, goal, trust=_NEIGHBOUR)
@@ -143,7 +148,16 @@ def _resolve(held: Held, finer: Problem, goal: Array) -> Held:
     return _held(finer, q, wrench, near, jumped)
 
 
-def _lowest(problem: Problem, goal: Array) -> Held:
+def _lowest(problem: Problem, goal: Array) -> ClampedEquilibrium:
+    """The beam without strain at its lowest, and then as it strains."""
+    held = _lowest_rigid(rigid(problem), goal)
+    if problem.compliance is None:
+        return held
+    q, wrench, there = let_strain(problem, held.solved.q, held.wrench, goal)
+    return _held(problem, q, wrench, np.asarray(there & held.solved.stable), held.jumped)
+
+
+def _lowest_rigid(problem: Problem, goal: Array) -> ClampedEquilibrium:
     """Of the equilibria that grow from the first shapes, the stable one of least energy; the first where equal.
 
     Where none of the walks came to its end, the beam is let down from where the longest of them stopped.
@@ -195,54 +209,19 @@ def _bowed(problem: Problem, goal: Array, chord: Array, side: float) -> Array:
     return restore(problem, q + side * bow, goal)[0]
 
 
-def release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, Array]:
-    """From `begin` as a stress-free shape over to the true rest curvature and loads, the end held at `goal`."""
-
-    def partly(frames: IntArray, share: Array) -> tuple[Problem, Array]:
-        part, f = problem.take(frames), share[:, None]
-        blended = replace(
-            part,
-            q0=(1.0 - f) * begin[frames] + f * part.q0,
-            dead_force=f[..., None] * part.dead_force,
-            moment=f * part.moment,
-        )
-        return blended, goal[frames]
-
-    return _walk(partly, begin, np.zeros((len(begin), 3)))
-
-
-def _walk(at: Setting, start: Array, wrench: Array) -> tuple[Array, Array, Array]:
-    """Follow stable equilibria while a setting goes over from its beginning to its end; the share of the way reached.
-
-    A step counts if Newton's method settled within `_TRUST` and the second variation stayed positive on the way.
-    """
-    q, w = start.copy(), wrench.copy()
-    done, step = np.zeros(len(q)), np.full(len(q), 0.25)
-    while True:
-        todo = np.flatnonzero((done < 1.0) & (step > _SHORTEST))
-        if todo.size == 0:
-            return q, w, done
-        target = np.minimum(done[todo] + step[todo], 1.0)
-        problem, goal = at(todo, target)
-        found, push, near = newton(problem, q[todo], w[todo], goal, trust=_TRUST)
-        near[near] &= stands(problem.take(near), found[near], push[near])
-        q[todo[near]], w[todo[near]], done[todo[near]] = found[near], push[near], target[near]
-        step[todo] = np.where(near, 2.0, 0.25) * step[todo]
-
-
-def _land(problem: Problem, q: Array, wrench: Array, goal: Array, share: Array) -> Held:
+def _land(problem: Problem, q: Array, wrench: Array, goal: Array, share: Array) -> ClampedEquilibrium:
     """Frames whose walk ended early have lost stability: they fall from there to a stable equilibrium, if any."""
     jumped = share < 1.0
     stable = ~jumped
     for i in np.flatnonzero(jumped):
-        fallen = let_down(problem.take(np.array([i])), q[i : i + 1], goal[i : i + 1])
+        part, end = problem.take(np.array([i])), goal[i : i + 1]
+        fallen = let_down(rigid(part), q[i : i + 1], end)
         if fallen is not None:
-            q[i], wrench[i] = fallen[0][0], fallen[1][0]
-            stable[i] = True
+            q[i : i + 1], wrench[i : i + 1], stable[i : i + 1] = let_strain(part, *fallen, end)
     return _held(problem, q, wrench, stable, jumped)
 
 
-def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: BoolArray) -> Held:
+def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: BoolArray) -> ClampedEquilibrium:
     """A record of what was found; only stable equilibria are."""
     solved = Equilibrium(
         problem=problem,
@@ -254,10 +233,18 @@ def _held(problem: Problem, q: Array, wrench: Array, stable: BoolArray, jumped: 
         fell=jumped,
         iterations=0,
     )
-    return Held(solved, wrench, jumped)
+    return ClampedEquilibrium(solved, wrench, jumped)
 
 
-def _join(problem: Problem, parts: list[Held]) -> Held:
+def _under_wrench(held: ClampedEquilibrium) -> ClampedEquilibrium:
+    """The same, the wrench among the loads where it strains the beam."""
+    problem = held.solved.problem
+    if problem.compliance is None:
+        return held
+    return replace(held, solved=replace(held.solved, problem=with_end_wrench(problem, held.wrench)))
+
+
+def _join(problem: Problem, parts: list[ClampedEquilibrium]) -> ClampedEquilibrium:
     """Several results as one, in their order."""
     return _held(
         problem,

@@ -22,7 +22,7 @@ InTime = Callable[[float], ArrayLike]
 
 
 @dataclass(frozen=True)
-class Force:
+class AppliedForce:
     """A force on the beam at a fixed place of it: two numbers [N], or a function of time [s] that returns them."""
 
     value: ArrayLike | InTime
@@ -31,7 +31,7 @@ class Force:
 
 
 @dataclass(frozen=True)
-class Moment:
+class AppliedMoment:
     """A moment about z on the beam at a fixed place of it: a number [N m], or a function of time [s]."""
 
     value: ArrayLike | InTime
@@ -56,8 +56,8 @@ class Gripper:
 class Actions:
     """All that acts on a moving beam."""
 
-    forces: tuple[Force, ...] = ()
-    moments: tuple[Moment, ...] = ()
+    forces: tuple[AppliedForce, ...] = ()
+    moments: tuple[AppliedMoment, ...] = ()
     gravity: ArrayLike = (0.0, 0.0)  # m/s^2
     gripper: Gripper | None = None
 
@@ -69,7 +69,7 @@ class Actions:
             raise MechanicsError(f"gravity has two finite components [m/s^2], got {self.gravity}")
 
     @property
-    def _loads(self) -> tuple[Force | Moment, ...]:
+    def _loads(self) -> tuple[AppliedForce | AppliedMoment, ...]:
         return (*self.forces, *self.moments)
 
     @property
@@ -85,7 +85,7 @@ class Actions:
 
 
 @dataclass(frozen=True)
-class Acting:
+class TabulatedActions:
     """Actions on a body at R times, as the equation of motion wants them."""
 
     pull: Array  # (2, Q, R) N m: all that pulls beyond each node, weight included, times its lever; x and y
@@ -97,7 +97,7 @@ class Acting:
     base_rate: Array  # (R, 3)
 
 
-def acting(on: Body, actions: Actions, times: Array) -> Acting:
+def acting(on: Body, actions: Actions, times: Array) -> TabulatedActions:
     """Actions at `times` (R,) s. Raises `MechanicsError` where a function does not return finite numbers."""
     count = len(times)
     weight = np.multiply.outer(np.asarray(actions.gravity, dtype=float), np.outer(on.lever, np.ones(count)))
@@ -115,10 +115,10 @@ def acting(on: Body, actions: Actions, times: Array) -> Acting:
     if actions.gripper is not None:
         base = _values(actions.gripper.pose, times, 3, "the gripper's pose")
         base_rate = _values(actions.gripper.rate, times, 3, "the gripper's rate")
-    return Acting(weight + forced, forced, total, couple, moment, base, base_rate)
+    return TabulatedActions(weight + forced, forced, total, couple, moment, base, base_rate)
 
 
-def power(on: Body, theta: Array, rate: Array, now: Acting) -> Array:
+def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
     """(R,) W: power of forces and moments at states and rates (n, R), the gripper's motion included."""
     turn, spin = now.base[:, 2], now.base_rate[:, 2]
     alpha = on.rest_angle[:, None] + turn + on.to_angle @ theta

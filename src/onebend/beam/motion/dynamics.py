@@ -27,7 +27,7 @@ import numpy as np
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.modal import Modes
 from onebend.beam.profiles.stiffness import Profile, Uniform
-from onebend.beam.statics.problem import Resolution, Rod
+from onebend.beam.statics.problem import Resolution, Rod, refuse_section
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray
 
@@ -93,8 +93,10 @@ def body(
     resolve any k(s), with panels that end at its jumps. A `grid` given takes the place of the one made here.
 
     Raises:
-        MechanicsError: k or mu is not positive, iota or d negative somewhere, or the grid cannot carry the modes.
+        MechanicsError: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the equation
+            of motion has no stretch and shear), or the grid cannot carry the modes.
     """
+    refuse_section(beam, "the equation of motion")
     profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
     jumps = tuple(jump for profile in profiles for jump in profile.jumps)
     if grid is None:

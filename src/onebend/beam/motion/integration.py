@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
-from onebend.beam.motion.actions import Acting, Actions, acting, check_gripper, power
+from onebend.beam.motion.actions import Actions, TabulatedActions, acting, check_gripper, power
 from onebend.beam.motion.collocation import Method, Tableau, tableau
 from onebend.beam.motion.dynamics import Body, elastic_energy, kinetic_energy, mass_matrix, momentum, weight_energy
 from onebend.beam.motion.stepping import Step, StepError, Stepper
@@ -23,7 +23,7 @@ from onebend.records import Array
 
 
 @dataclass(frozen=True)
-class State:
+class MotionState:
     """Where a motion starts."""
 
     theta: Array  # (n,) rad
@@ -32,13 +32,13 @@ class State:
 
 
 @dataclass(frozen=True)
-class Options:
+class IntegrationSettings:
     """How a motion is stepped."""
 
     method: Method = field(default_factory=Method)
     tolerance: float = 1e-10  # stage velocities are solved to this share of the largest
     every: int = 1  # keep every so many steps (the last one always)
-    most: int = 1_000_000  # steps
+    max_steps: int = 1_000_000  # steps
     progress: Progress = field(default_factory=Silent)
 
 
@@ -88,12 +88,12 @@ class Motion:
 
 def simulate(
     body: Body,
-    start: State,
+    start: MotionState,
     duration: float,
     step: float,
     actions: Actions = Actions(),
     *,
-    options: Options = Options(),
+    settings: IntegrationSettings = IntegrationSettings(),
 ) -> Motion:
     """Motion from `start` for `duration` s in equal steps of at most `step` s.
 
@@ -101,20 +101,20 @@ def simulate(
         MechanicsError: a start that does not fit the body, more steps than allowed, actions that are not finite, or
             stage equations that could not be solved (the message names the time).
     """
-    stretches = _stretches(body, start, duration, step, actions, options.most)
-    return _follow(body, start, stretches, actions, options)
+    stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
+    return _follow(body, start, stretches, actions, settings)
 
 
 def converged(
     body: Body,
-    start: State,
+    start: MotionState,
     duration: float,
     actions: Actions = Actions(),
     *,
     tolerance: float,
     step: float,
     at_s: ArrayLike = (1.0 / 3.0, 2.0 / 3.0, 1.0),
-    options: Options = Options(),
+    settings: IntegrationSettings = IntegrationSettings(),
     halvings: int = 10,
 ) -> Motion:
     """Motion whose markers at `at_s` are known to `tolerance` m, judged by halving the step.
@@ -126,9 +126,9 @@ def converged(
     Raises:
         MechanicsError: as `simulate`, or the tolerance was not met after `halvings`.
     """
-    stretches = _stretches(body, start, duration, step, actions, options.most)
+    stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
     places, change = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf
-    running = replace(options, every=1)
+    running = replace(settings, every=1)
     coarse = _attempt(body, start, stretches, actions, running)
     for _ in range(halvings):
         stretches = [replace(stretch, count=2 * stretch.count) for stretch in stretches]
@@ -137,7 +137,7 @@ def converged(
         if coarse is not None and fine is not None:
             change = float(np.max(np.linalg.norm(fine.xy(places) - coarse.xy(places), axis=-1)))
             if 2.0 * change < tolerance:
-                return _thinned(replace(fine, error=2.0 * change), options.every)
+                return _thinned(replace(fine, error=2.0 * change), settings.every)
         coarse = fine
     raise MechanicsError(
         f"markers still change by {change:.3g} m when the step is halved to {step / 2**halvings:.3g} s; "
@@ -145,7 +145,9 @@ def converged(
     )
 
 
-def _stretches(body: Body, start: State, duration: float, step: float, actions: Actions, most: int) -> list[_Stretch]:
+def _stretches(
+    body: Body, start: MotionState, duration: float, step: float, actions: Actions, max_steps: int
+) -> list[_Stretch]:
     """Stretches between jumps of the actions, each in equal steps."""
     if np.shape(start.theta) != (body.n,) or np.shape(start.rate) != (body.n,):
         raise MechanicsError(
@@ -159,18 +161,20 @@ def _stretches(body: Body, start: State, duration: float, step: float, actions: 
     times = [start.time, *(t for t in actions.breaks if start.time < t < end), end]
     stretches = [_Stretch(a, b, max(1, int(np.ceil((b - a) / step * (1.0 - 1e-12))))) for a, b in pairwise(times)]
     count = sum(stretch.count for stretch in stretches)
-    if count > most:
-        raise MechanicsError(f"{duration:g} s in steps of {step:g} s are {count} steps, more than the {most} allowed")
+    if count > max_steps:
+        raise MechanicsError(f"{duration:g} s in steps of {step:g} s are {count} steps, more than the {max_steps}")
     return stretches
 
 
-def _attempt(body: Body, start: State, stretches: list[_Stretch], actions: Actions, options: Options) -> Motion | None:
+def _attempt(
+    body: Body, start: MotionState, stretches: list[_Stretch], actions: Actions, settings: IntegrationSettings
+) -> Motion | None:
     """The motion, or None where these steps are too long for it."""
     count = sum(stretch.count for stretch in stretches)
-    if count > options.most:
-        raise MechanicsError(f"the tolerance is not met with the {options.most} steps allowed")
+    if count > settings.max_steps:
+        raise MechanicsError(f"the tolerance is not met with the {settings.max_steps} steps allowed")
     try:
-        return _follow(body, start, stretches, actions, options)
+        return _follow(body, start, stretches, actions, settings)
     except StepError:
         return None
 
@@ -183,25 +187,27 @@ def _thinned(motion: Motion, every: int) -> Motion:
     return replace(motion, **{name: getattr(motion, name)[kept] for name in names})
 
 
-def _follow(body: Body, start: State, stretches: list[_Stretch], actions: Actions, options: Options) -> Motion:
+def _follow(
+    body: Body, start: MotionState, stretches: list[_Stretch], actions: Actions, settings: IntegrationSettings
+) -> Motion:
     for stretch in stretches:
         if actions.gripper is not None:
             check_gripper(actions.gripper, stretch.first, stretch.last, stretch.step)
     ledger = _Ledger(body, start, actions)
-    numbers = tableau(options.method)
-    options.progress.start("motion", sum(stretch.count for stretch in stretches))
+    numbers = tableau(settings.method)
+    settings.progress.start("motion", sum(stretch.count for stretch in stretches))
     try:
         for stretch in stretches:
-            _run(ledger, stretch, numbers, actions, options)
+            _run(ledger, stretch, numbers, actions, settings)
     finally:
-        options.progress.done()
+        settings.progress.done()
     return ledger.motion(max(stretch.step for stretch in stretches))
 
 
-def _run(ledger: _Ledger, stretch: _Stretch, numbers: Tableau, actions: Actions, options: Options) -> None:
+def _run(ledger: _Ledger, stretch: _Stretch, numbers: Tableau, actions: Actions, settings: IntegrationSettings) -> None:
     """Equal steps between two jumps of the actions."""
     body, h = ledger.body, stretch.step
-    stepper = Stepper(body, numbers, h, tolerance=options.tolerance)
+    stepper = Stepper(body, numbers, h, tolerance=settings.tolerance)
     inside = h * np.minimum(numbers.c, 1.0 - 1e-12)  # a stage at the end still belongs to this side of a jump
     now = acting(body, actions, stretch.first + inside)
     guess = np.repeat(ledger.rate_after(stretch.first, h)[:, None], len(inside), axis=1)
@@ -210,13 +216,13 @@ def _run(ledger: _Ledger, stretch: _Stretch, numbers: Tableau, actions: Actions,
         begin = stretch.first + i * h
         if i and not actions.steady:
             now = acting(body, actions, begin + inside)
-        found = stepper.advance(theta, momentum, guess, now, begin)
-        theta, momentum = found.theta, found.momentum
-        guess = found.velocity @ numbers.ahead.T
-        ledger.add(found, now, h * numbers.b)
-        if (i + 1) % options.every == 0 or i + 1 == stretch.count:
+        taken = stepper.advance(theta, momentum, guess, now, begin)
+        theta, momentum = taken.theta, taken.momentum
+        guess = taken.velocity @ numbers.ahead.T
+        ledger.add(taken, now, h * numbers.b)
+        if (i + 1) % settings.every == 0 or i + 1 == stretch.count:
             ledger.keep(stretch.last if i + 1 == stretch.count else begin + h)
-        options.progress.advance()
+        settings.progress.advance()
 
 
 @dataclass(frozen=True)
@@ -233,9 +239,9 @@ class _Stretch:
 
 
 class _Ledger:
-    """What a run has found so far. Lives only inside `simulate`."""
+    """What a run has taken so far. Lives only inside `simulate`."""
 
-    def __init__(self, body: Body, start: State, actions: Actions) -> None:
+    def __init__(self, body: Body, start: MotionState, actions: Actions) -> None:
         now = acting(body, actions, np.array([start.time]))
         self.body, self.actions = body, actions
         self.theta = np.asarray(start.theta, dtype=float)
@@ -251,15 +257,15 @@ class _Ledger:
         now = acting(self.body, self.actions, np.array([time + 1e-9 * h]))
         return np.asarray(_rates(self.body, self.theta[None], self.momentum[None], now.base, now.base_rate)[0])
 
-    def add(self, found: Step, now: Acting, weights: Array) -> None:
+    def add(self, taken: Step, now: TabulatedActions, weights: Array) -> None:
         """One more step; work and loss by the method's own quadrature at its stages."""
-        self.theta, self.momentum = found.theta, found.momentum
+        self.theta, self.momentum = taken.theta, taken.momentum
         self.steps += 1
-        self.iterations += found.iterations
+        self.iterations += taken.iterations
         if self._forced:
-            self.work += float(power(self.body, found.stage_theta, found.velocity, now) @ weights)
+            self.work += float(power(self.body, taken.stage_theta, taken.velocity, now) @ weights)
         if self._damped:
-            self.loss += float(np.sum(found.velocity * (self.body.damping @ found.velocity), axis=0) @ weights)
+            self.loss += float(np.sum(taken.velocity * (self.body.damping @ taken.velocity), axis=0) @ weights)
 
     def keep(self, time: float) -> None:
         self._rows.append((time, self.theta, self.momentum, self.work, self.loss))

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from onebend.beam.motion.actions import Acting
+from onebend.beam.motion.actions import TabulatedActions
 from onebend.beam.motion.collocation import Tableau
 from onebend.beam.motion.dynamics import Body
 from onebend.errors import MechanicsError
@@ -55,10 +55,10 @@ class Stepper:
     def __init__(self, body: Body, numbers: Tableau, h: float, *, tolerance: float) -> None:
         self.body, self.numbers, self.h, self.tolerance = body, numbers, h, tolerance
         n, s, q = body.n, len(numbers.c), len(body.lever)
-        eye, one, two = np.eye(s), h * numbers.a, h * h * numbers.a @ numbers.a
-        self._to_stage = one.T.copy()  # theta_i = theta_0 + V @ to_stage
+        eye, first, second = np.eye(s), h * numbers.a, h * h * numbers.a @ numbers.a
+        self._to_stage = first.T.copy()  # theta_i = theta_0 + V @ to_stage
         self._spread = np.hstack([eye, eye, self._to_stage])
-        self._blocks = np.stack([eye, one, two]).reshape(3, s * s)
+        self._blocks = np.stack([eye, first, second]).reshape(3, s * s)
         self._products = np.einsum("qi,qj->ijq", body.to_angle, body.to_angle).reshape(n * n, q)
         self._rotary = (self._products @ body.rotary).reshape(n, n)
         self._linear = self._coupled(self._rotary, body.damping, body.stiffness)
@@ -67,10 +67,10 @@ class Stepper:
         self._weights = np.empty((4, q))
         self._mass = np.empty((n, n))
         self._factor: tuple[Array, Array] | None = None
-        self._now: Acting | None = None
+        self._now: TabulatedActions | None = None
         self._prepare(q, s)
 
-    def advance(self, theta: Array, momentum: Array, guess: Array, now: Acting, time: float) -> Step:
+    def advance(self, theta: Array, momentum: Array, guess: Array, now: TabulatedActions, time: float) -> Step:
         """One step from (theta, momentum) under what acts at the stages; `guess` (n, s) of the stage velocities.
 
         Raises:
@@ -118,7 +118,7 @@ class Stepper:
         self._first, self._second = self._parts[:, :s], self._parts[:, s:]
         self._pi, self._tau, self._other = np.empty((q, s)), np.empty((q, s)), np.empty((q, s))
 
-    def _take(self, now: Acting) -> None:
+    def _take(self, now: TabulatedActions) -> None:
         """What acts from here on; absent kinds of action cost nothing in the residual."""
         self._now = now
         self._pull = now.pull if np.any(now.pull) else None

@@ -14,10 +14,10 @@ from scipy.linalg import eigh, eigvals
 
 from onebend.beam.motion.actions import Actions, acting
 from onebend.beam.motion.dynamics import Body, body, mass_matrix
-from onebend.beam.motion.integration import State
+from onebend.beam.motion.integration import MotionState
 from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.problem import Rod
+from onebend.beam.statics.problem import Rod, refuse_section
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
@@ -47,7 +47,7 @@ class Vibration:
         return np.stack([(-np.sin(alpha) * turning) @ rows.T, (np.cos(alpha) * turning) @ rows.T], axis=-1)
 
 
-def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_steps: int = 20) -> State:
+def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_steps: int = 20) -> MotionState:
     """The state at rest under the actions as they stand at `time`: equilibrium within the coordinates (8).
 
     Loads grow in equal steps, each solved by Newton's method from the one before.
@@ -72,47 +72,47 @@ def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_st
             raise MechanicsError(f"no equilibrium within {on.n} coordinates at {factor:.0%} of the load")
     if not np.linalg.eigvalsh(_tangent(on, clamped + on.to_angle @ theta, pull))[0] > 0.0:
         raise MechanicsError("the equilibrium under these actions is not stable: a beam at rest there would not stay")
-    return State(theta, np.zeros(on.n), time)
+    return MotionState(theta, np.zeros(on.n), time)
 
 
-def vibration_of(on: Body, at: State, actions: Actions = Actions(), *, most: int = 6) -> Vibration:
-    """The `most` slowest small vibrations of a body about an equilibrium `at` under steady actions.
+def vibration_of(on: Body, state: MotionState, actions: Actions = Actions(), *, count: int = 6) -> Vibration:
+    """The `count` slowest small vibrations of a body about an equilibrium `state` under steady actions.
 
     Raises:
         MechanicsError: the state is not an equilibrium under these actions.
     """
-    now = acting(on, actions, np.array([at.time]))
-    alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ at.theta
+    now = acting(on, actions, np.array([state.time]))
+    alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ state.theta
     pull = now.pull[:, :, 0]
     across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]
-    terms = (on.stiffness @ at.theta, across @ on.to_angle, now.couple[:, 0])
-    left = np.max(np.abs(terms[0] - terms[1] - terms[2]))
-    if left > 1e-6 * max(np.max(np.abs(term)) for term in terms):
-        raise MechanicsError(f"vibrations are about an equilibrium, but {left:.3g} N m are left unbalanced here")
-    squared, shapes = _modes(_tangent(on, alpha, pull), mass_matrix(on, at.theta), most)
-    return Vibration(on, at.theta, now.base[0], squared, shapes)
+    terms = (on.stiffness @ state.theta, across @ on.to_angle, now.couple[:, 0])
+    residual = np.max(np.abs(terms[0] - terms[1] - terms[2]))
+    if residual > 1e-6 * max(np.max(np.abs(term)) for term in terms):
+        raise MechanicsError(f"vibrations are about an equilibrium, but {residual:.3g} N m are left unbalanced here")
+    squared, shapes = _modes(_tangent(on, alpha, pull), mass_matrix(on, state.theta), count)
+    return Vibration(on, state.theta, now.base[0], squared, shapes)
 
 
 def vibration(
-    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), most: int = 6
+    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
 ) -> Vibration:
-    """The `most` slowest small vibrations about an exact equilibrium of the statics, its far end free.
+    """The `count` slowest small vibrations about an exact equilibrium of the statics, its far end free.
 
     `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; without it the beam is Euler-Bernoulli's.
 
     Raises:
-        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass, or
-            follower forces act (their vibrations are `exponents`).
+        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass or has a
+            thickness, or follower forces act (their vibrations are `exponents`).
     """
     if solved.problem.follower.shape[1]:
         raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
     on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
-    squared, shapes = _modes(stiff, mass_matrix(on, theta), most)
+    squared, shapes = _modes(stiff, mass_matrix(on, theta), count)
     return Vibration(on, theta, np.zeros(3), squared, shapes)
 
 
 def exponents(
-    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), most: int = 6
+    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
 ) -> NDArray[np.complex128]:
     """(m,) 1/s, z of small motions exp(z t) about any equilibrium, follower forces included; slowest first.
 
@@ -121,7 +121,7 @@ def exponents(
     """
     on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
     inverse = eigvals(mass_matrix(on, theta), stiff)  # 1 / omega^2, the slow ones large
-    inverse = inverse[np.argsort(-np.abs(inverse))][:most]
+    inverse = inverse[np.argsort(-np.abs(inverse))][:count]
     z = 1j / np.sqrt(inverse.astype(complex))
     return np.asarray(np.where(z.real < 0.0, -z, z))
 
@@ -130,6 +130,7 @@ def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) 
     """Body on the grid of one equilibrium, its state there, and its tangent."""
     if not solved.converged[frame]:
         raise MechanicsError(f"load {frame} has no equilibrium to vibrate about")
+    refuse_section(beam, "the equation of motion")
     problem = solved.problem.take(np.array([frame]))
     grid = problem.grid if problem.grid.edges.ndim == 1 else replace(problem.grid, edges=problem.grid.edges[0])
     on = body(beam, rotary_inertia=rotary_inertia, grid=grid)
@@ -144,7 +145,7 @@ def _tangent(on: Body, alpha: Array, pull: Array) -> Array:
     return np.asarray(on.stiffness + on.to_angle.T @ (along[:, None] * on.to_angle))
 
 
-def _modes(stiff: Array, mass: Array, most: int) -> tuple[Array, Array]:
+def _modes(stiff: Array, mass: Array, count: int) -> tuple[Array, Array]:
     """omega^2 rising and shapes, from `mass x = (stiff + shift mass) x / (omega^2 + shift)`.
 
     The mass matrix is nearly singular in many coordinates, so it stands on the left: its large eigenvalues, the slow
@@ -155,7 +156,7 @@ def _modes(stiff: Array, mass: Array, most: int) -> tuple[Array, Array]:
         right = stiff + shift * mass
         if np.linalg.eigvalsh(right)[0] > 1e-13 * np.max(np.diag(right)):
             inverse, shapes = eigh(mass, right)
-            order = np.argsort(inverse)[::-1][: min(most, len(inverse))]
+            order = np.argsort(inverse)[::-1][: min(count, len(inverse))]
             inverse, shapes = inverse[order], shapes[:, order]
             if np.any(inverse <= 0.0):
                 raise MechanicsError("some modes carry no mass: ask for fewer modes, or refine the grid")

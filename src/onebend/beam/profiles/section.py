@@ -40,7 +40,7 @@ class Material:
             )
 
 
-class Shape(Protocol):
+class SectionShape(Protocol):
     """A plane figure whose size follows profiles along the beam."""
 
     @property
@@ -130,16 +130,16 @@ class Polygon:
 
 
 @dataclass(frozen=True)
-class Part:
+class SectionPart:
     """A shape of one material whose own axes stand at y = `offset` of the section."""
 
-    shape: Shape
+    shape: SectionShape
     material: Material
     offset: Profile = field(default_factory=lambda: Uniform(0.0))  # m
 
 
 @dataclass(frozen=True)
-class Layer:
+class LaminateLayer:
     """A rectangular layer of a laminate."""
 
     width: Profile
@@ -148,7 +148,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Properties:
+class SectionProperties:
     """A section at places (S,)."""
 
     axial: Array  # EA, N
@@ -161,7 +161,7 @@ class Properties:
 
 
 @dataclass(frozen=True)
-class Along:
+class SectionProfiles:
     """A section's properties as profiles of a beam of given length."""
 
     stiffness: Pieces  # k = EI / L, N m
@@ -170,7 +170,7 @@ class Along:
     rest_curvature: Pieces  # q0 = L times the curvature, rad
 
 
-def section(parts: tuple[Part, ...], s: Array) -> Properties:
+def section(parts: tuple[SectionPart, ...], s: Array) -> SectionProperties:
     """Properties of a section of several parts at places `s` (S,).
 
     Raises:
@@ -189,7 +189,7 @@ def section(parts: tuple[Part, ...], s: Array) -> Properties:
     about = second + area * (y - neutral) ** 2
     bending = np.sum(modulus * about, axis=0)
     static = np.sum(density * area * (y - neutral), axis=0)
-    return Properties(
+    return SectionProperties(
         axial=axial,
         neutral_axis=neutral,
         bending=bending,
@@ -200,10 +200,10 @@ def section(parts: tuple[Part, ...], s: Array) -> Properties:
     )
 
 
-def laminate(layers: tuple[Layer, ...]) -> tuple[Part, ...]:
+def laminate(layers: tuple[LaminateLayer, ...]) -> tuple[SectionPart, ...]:
     """Layers stacked upwards along y, the lowest face of the first at y = 0."""
     return tuple(
-        Part(
+        SectionPart(
             Rectangle(layer.width, layer.thickness),
             layer.material,
             _Stacked(tuple(below.thickness for below in layers[:i]), layer.thickness),
@@ -212,7 +212,7 @@ def laminate(layers: tuple[Layer, ...]) -> tuple[Part, ...]:
     )
 
 
-def along(parts: tuple[Part, ...], length: float) -> Along:
+def along(parts: tuple[SectionPart, ...], length: float) -> SectionProfiles:
     """Profiles of a beam of `length` m with this section, to 1e-12 of their largest values, with all jumps kept.
 
     Raises:
@@ -223,7 +223,7 @@ def along(parts: tuple[Part, ...], length: float) -> Along:
     sizes = [size for part in parts for size in (*part.shape.sizes, part.offset)]
     jumps = tuple(sorted({jump for size in sizes for jump in size.jumps}))
     breaks = tuple(sorted({place for size in sizes for place in _knots(size)}))
-    return Along(
+    return SectionProfiles(
         stiffness=in_pieces(lambda s: section(parts, s).bending / length, breaks, jumps=jumps),
         mass_per_length=in_pieces(lambda s: section(parts, s).mass, breaks, jumps=jumps),
         rotary_inertia=in_pieces(lambda s: section(parts, s).rotary, breaks, jumps=jumps),

@@ -22,6 +22,11 @@ SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
 IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
 
 
+def half_width(sd: Array | float, level: float = 0.95) -> Array:
+    """Half the width of the band between the quantiles of a normal of this sd that leave out `1 - level`."""
+    return np.asarray(ndtri(0.5 + 0.5 * level) * sd)
+
+
 @dataclass(frozen=True)
 class Band:
     """k(s) and how sure it is, at places s (S,)."""
@@ -76,14 +81,18 @@ class UncertainStiffness:
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
         mean, sd = self.log_at(s)
-        wide = float(ndtri(0.5 + 0.5 * level)) * np.hypot(self._widening(s, level) * sd, self.gain_sd)
+        wide = self.half_width(s, level)
         return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
+
+    def half_width(self, s: Array, level: float = 0.95) -> Array:
+        """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
+        return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
 
     def _widening(self, s: Array, level: float) -> Array | float:
         """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
         if self.shape is None:
             return 1.0
-        at_places = [np.interp(level, SHAPE_LEVELS, one) for one in self.shape.T]
+        at_places = [np.interp(level, SHAPE_LEVELS, widths) for widths in self.shape.T]
         return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
 
     def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
@@ -93,7 +102,7 @@ class UncertainStiffness:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))
-        return tuple(LogSpline(tuple(self.knots.tolist()), tuple(one.tolist()), self.degree) for one in drawn)
+        return tuple(LogSpline(tuple(self.knots.tolist()), tuple(c.tolist()), self.degree) for c in drawn)
 
     def basis(self, s: Array) -> Array:
         """(S, p) the splines' values at `s`."""
@@ -118,7 +127,7 @@ class UncertainStiffness:
         arrays = [np.asarray(data[key], dtype=float) for key in ("knots", "mean", "covariance")]
         shape = None if data.get("shape") is None else np.asarray(data["shape"], dtype=float)
         arrays += [] if shape is None else [shape]
-        if not all(np.all(np.isfinite(one)) for one in arrays) or not float(data["gain_sd"]) >= 0.0:
+        if not all(np.all(np.isfinite(array)) for array in arrays) or not float(data["gain_sd"]) >= 0.0:
             raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
         doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before, as the shape
         gain_sd, degree = float(data["gain_sd"]), int(data["degree"])

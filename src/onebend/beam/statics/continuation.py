@@ -10,41 +10,42 @@ a place to a stable equilibrium (`snap_through.py`) and is followed on from ther
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.beam.grid import apply, transposed
 from onebend.beam.loads import Loads
-from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, pulls, tangent
+from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, tangent
 from onebend.beam.statics.newton import correct, solve_batch
-from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics.nodal_forces import nodal_forces
+from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
 from onebend.beam.statics.snap_through import Side, let_fall
 from onebend.blas import one_blas_thread
 from onebend.records import Array, IntArray
 
 
 @dataclass(frozen=True)
-class Search:
+class ContinuationSettings:
     """How the branch is followed. Angles in radians."""
 
-    stride: float = 0.7  # the largest predicted turn of a step
+    max_turn: float = 0.7  # the largest predicted turn of a step
     trust: float = 0.25  # the largest turn that the corrector may add to the prediction,
-    surprise: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
-    least_surprise: float = 1e-3  # which is allowed however small the prediction
+    correction_share: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
+    least_correction: float = 1e-3  # which is allowed however small the prediction
     corrections: int = 8  # Newton iterations a step
-    left: float = 1e-13  # what Newton's method may leave of the way to equilibrium at the full load,
-    on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
-    shortest: float = 1e-9  # share of the load: a step below this has met the end of the branch
-    most: int = 400  # steps
+    tolerance: float = 1e-13  # what Newton's method may leave of the way to equilibrium at the full load,
+    tolerance_on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
+    min_step: float = 1e-9  # share of the load: a step below this has met the end of the branch
+    max_steps: int = 400  # steps
 
 
-_PROBES = 4  # frames that decide the resolution of a batch
-_FINEST = 5  # halvings of the panels
+_PROBE_FRAMES = 4  # frames that decide the resolution of a batch
+_MAX_HALVINGS = 5  # halvings of the panels
 
 
-_BENT = 0.7  # share of the predicted turn that the terms beyond the slope may change
-_BEYOND = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
+_HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
+_LOAD_OVERSHOOT = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
 
 
 class _State:
@@ -70,14 +71,14 @@ def equilibrium(
     loads: Loads,
     *,
     resolution: Resolution | None = None,
-    search: Search = Search(),
+    settings: ContinuationSettings = ContinuationSettings(),
     fall: Side | None = None,
 ) -> Equilibrium:
     """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
 
     Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (see
     `Equilibrium.resolved`) or a finer one moves their tips by less than 1e-11 L; measured tables of k(s), which are not
-    smooth, stop at the finest of `_FINEST` halvings, where the tip is good to about 1e-8 L.
+    smooth, stop at the finest of `_MAX_HALVINGS` halvings, where the tip is good to about 1e-8 L.
 
     With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
 
@@ -85,19 +86,19 @@ def equilibrium(
         MechanicsError: k(s) is not positive somewhere.
     """
     if resolution is None:
-        resolution = _resolve(beam, loads, search, fall)
-    return follow(pose(beam, loads, resolution), search=search, fall=fall)
+        resolution = _resolve(beam, loads, settings, fall)
+    return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
 
 
-def _resolve(beam: Rod, loads: Loads, search: Search, fall: Side | None) -> Resolution:
+def _resolve(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Resolution:
     """The coarsest resolution that is fine enough for the few frames that bend the beam most."""
     resolution, tip = Resolution(), None
-    coarse = pose(beam, loads, resolution)
+    coarse = make_problem(beam, loads, resolution)
     size = np.max(np.linalg.norm(coarse.dead_force, axis=-1), axis=1) * beam.length
     size += np.max(np.abs(coarse.moment), axis=1) + np.sum(np.abs(coarse.follower), axis=(1, 2)) * beam.length
-    hardest = loads.spread(loads.size).take(np.sort(np.argsort(size)[-_PROBES:]))
-    for _ in range(_FINEST):
-        result = follow(pose(beam, hardest, resolution), search=search, fall=fall)
+    hardest = loads.spread(loads.size).take(np.sort(np.argsort(size)[-_PROBE_FRAMES:]))
+    for _ in range(_MAX_HALVINGS):
+        result = follow(make_problem(beam, hardest, resolution), settings=settings, fall=fall)
         there = result.xy(np.array([1.0]))
         if np.all(result.resolved) or (tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length):
             break
@@ -105,23 +106,25 @@ def _resolve(beam: Rod, loads: Loads, search: Search, fall: Side | None) -> Reso
     return resolution
 
 
-def follow(problem: Problem, *, search: Search = Search(), fall: Side | None = None) -> Equilibrium:
+def follow(
+    problem: Problem, *, settings: ContinuationSettings = ContinuationSettings(), fall: Side | None = None
+) -> Equilibrium:
     """Equilibria of a batch by load continuation from rest.
 
-    With `fall`, a frame whose branch loses stability or ends falls there to a stable equilibrium (`falling.let_fall`;
-    `fall` says to which side where that is undecided), and is followed on from there.
+    With `fall`, a frame whose branch loses stability or ends falls there to a stable equilibrium
+    (`snap_through.let_fall`; `fall` gives the side where the loads leave it open) and is followed on from there.
     """
     size = problem.size
     rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
     state = _State(rest, size)
     open_frames = np.arange(size)
-    for _ in range(search.most):
+    for _ in range(settings.max_steps):
         if open_frames.size == 0:
             break
-        _advance(problem, state, open_frames, search)
+        _advance(problem, state, open_frames, settings)
         if fall is not None:
             _fall(problem, state, open_frames[state.lost[open_frames]], fall)
-        open_frames = open_frames[(state.factor[open_frames] < 1.0) & (state.step[open_frames] >= search.shortest)]
+        open_frames = open_frames[(state.factor[open_frames] < 1.0) & (state.step[open_frames] >= settings.min_step)]
     converged = state.factor >= 1.0
     stable = converged & ~state.lost
     doubtful = np.flatnonzero(converged & state.lost)
@@ -138,53 +141,60 @@ def follow(problem: Problem, *, search: Search = Search(), fall: Side | None = N
     )
 
 
-def refine(problem: Problem, start: Array, *, search: Search = Search()) -> Equilibrium:
+def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()) -> Equilibrium:
     """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
     full, size = np.ones(problem.size), problem.size
     q, near, iterations = correct(
-        problem, start, full, trust=search.stride * full, left=search.left * full, most=search.corrections
+        problem,
+        start,
+        full,
+        trust=settings.max_turn * full,
+        remaining=settings.tolerance * full,
+        max_iterations=settings.corrections,
     )
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
     stable, buckled_at = near.copy(), np.full(size, np.nan)
     lost = np.flatnonzero(~near)
     if lost.size:
-        again = follow(problem.take(lost), search=search)
+        again = follow(problem.take(lost), settings=settings)
         q[lost], near[lost], stable[lost], buckled_at[lost] = again.q, again.converged, again.stable, again.buckled_at
         iterations += again.iterations
     factor = np.where(near, 1.0, np.nan)
     return Equilibrium(problem, q, near, stable, factor, buckled_at, np.zeros(size, dtype=bool), iterations)
 
 
-def _advance(problem: Problem, state: _State, frames: IntArray, search: Search) -> None:
+def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:
     """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
     part = problem if frames.size == problem.size else problem.take(frames)
     q, factor = state.q[frames], state.factor[frames]
     _look_ahead(part, state, frames)
     turn = state.turn[frames]
-    step = np.minimum(state.step[frames], search.stride / np.maximum(turn, 1e-300))
+    step = np.minimum(state.step[frames], settings.max_turn / np.maximum(turn, 1e-300))
     curl = np.maximum(state.curl[frames], 1e-300)
-    step = np.minimum(step, np.maximum(_BENT * turn, search.least_surprise) / curl)
+    step = np.minimum(step, np.maximum(_HIGHER_ORDER_SHARE * turn, settings.least_correction) / curl)
     step = np.minimum(step, 1.0 - factor)
     last = factor + step >= 1.0 - 1e-12
     target = np.where(last, 1.0, factor + step)
-    left = np.where(last, search.left, search.on_the_way)
-    trust = np.minimum(search.trust, search.least_surprise + search.surprise * step * turn)
+    remaining = np.where(last, settings.tolerance, settings.tolerance_on_the_way)
+    trust = np.minimum(settings.trust, settings.least_correction + settings.correction_share * step * turn)
     begin = _predicted(part, state, frames, step)
-    found, near, count = correct(part, begin, target, trust=trust, left=left, most=search.corrections)
+    corrected, near, count = correct(
+        part, begin, target, trust=trust, remaining=remaining, max_iterations=settings.corrections
+    )
     state.iterations += count
     guarded = near & ~state.lost[frames]
-    buckles = np.zeros_like(near)
-    buckles[guarded] = ~is_stable(part.take(guarded), found[guarded], target[guarded])
-    at_last = buckles & (step < 4.0 * search.shortest)  # stability is lost however short the step
+    loses_stability = np.zeros_like(near)
+    loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
+    at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost however short the step
     first = at_last & np.isnan(state.buckled_at[frames])
     state.buckled_at[frames[first]] = target[first]
     state.lost[frames[at_last]] = True
-    near &= ~buckles | at_last
+    near &= ~loses_stability | at_last
     moved = frames[near]
     state.q_before[moved], state.factor_before[moved] = q[near], factor[near]
-    state.q[moved], state.factor[moved], state.fresh[moved] = found[near], target[near], False
+    state.q[moved], state.factor[moved], state.fresh[moved] = corrected[near], target[near], False
     state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
-    ended = ~near & (state.step[frames] < search.shortest)
+    ended = ~near & (state.step[frames] < settings.min_step)
     state.lost[frames[ended]] = True
 
 
@@ -196,7 +206,7 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     chosen = frames[stale]
     part = problem if stale.size == frames.size else problem.take(stale)
     q, factor = state.q[chosen], state.factor[chosen]
-    right = gradient(part, q, 0.0) - gradient(part, q, 1.0)
+    right = _by_load(part, q, factor)
     if np.all(factor == 0.0):  # then the tangent is diagonal
         slope = right / (part.weights * part.k)
         second, third = _terms_at_rest(part, q, slope)
@@ -209,15 +219,28 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     state.fresh[chosen] = True
 
 
+def _by_load(problem: Problem, q: Array, factor: Array) -> Array:
+    """(T, Q) minus the derivative of the gradient with the load factor, in which it is linear, or quadratic where
+    the beam stretches or shears: a difference over 1 is exact."""
+    if problem.compliance is None:
+        return gradient(problem, q, 0.0) - gradient(problem, q, 1.0)
+    return gradient(problem, q, factor - 0.5) - gradient(problem, q, factor + 0.5)
+
+
 def _terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
     """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
     if problem.follower.shape[1]:
         return np.zeros_like(q), np.zeros_like(q)
-    along, across = pulls(problem, q)
+    forces = nodal_forces(replace(problem, section=None, stretch=None, shear=None), q)
+    along, across, delta = forces.along, forces.across, problem.strain_lever
     back, stiff = transposed(problem.to_nodes), problem.weights * problem.k
     turn = apply(problem.to_nodes, slope)
     second = -2.0 * apply(back, along * turn) / stiff
+    if delta is not None:
+        second = second + 2.0 * apply(back, delta * along * across) / stiff
     third = -3.0 * apply(back, along * apply(problem.to_nodes, second) + across * turn**2) / stiff
+    if delta is not None:
+        third = third + 6.0 * apply(back, delta * (across**2 - along**2) * turn) / stiff
     return second / 2.0, third / 6.0
 
 
@@ -235,7 +258,7 @@ def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -
     t = step[:, None]
     bent = t**2 * (state.second[frames] + t * state.third[frames])
     turn = np.max(np.abs(apply(problem.to_nodes, bent)), axis=-1)
-    little = turn < _BENT * step * state.turn[frames]
+    little = turn < _HIGHER_ORDER_SHARE * step * state.turn[frames]
     return state.q[frames] + t * state.slope[frames] + np.where(little[:, None], bent, 0.0)
 
 
@@ -243,10 +266,10 @@ def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None
     """Frames that have lost their branch fall, the load a little beyond, to another; or end where they are."""
     if frames.size == 0:
         return
-    beyond = np.minimum(1.0, (1.0 + _BEYOND) * state.factor[frames])
+    beyond = np.minimum(1.0, (1.0 + _LOAD_OVERSHOOT) * state.factor[frames])
     q, landed = let_fall(problem.take(frames).loaded(beyond), state.q[frames], side)
     down = frames[landed]
-    state.q[down], state.factor[down], state.step[down] = q[landed], beyond[landed], _BEYOND
+    state.q[down], state.factor[down], state.step[down] = q[landed], beyond[landed], _LOAD_OVERSHOOT
     state.fell[down], state.lost[down], state.fresh[down] = True, False, False
     state.factor_before[down] = np.nan
     state.step[frames[~landed]] = 0.0

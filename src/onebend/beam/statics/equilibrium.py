@@ -7,8 +7,10 @@ on panels that end at every load and at every jump of k, the gradient and the ta
     g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
 
 B the integration matrix, u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). The stiffness enters at the nodes:
-no mode shapes, no quadrature of k against them. A follower force turns with the tangent where it acts; it has no
-potential, and its part of T is not symmetric.
+no mode shapes, no quadrature of k against them. A beam that stretches and shears takes other values of `L N . u'` and
+`L N . u`, and nothing else (`nodal_forces.py`): V is then its potential with the strains eliminated, which minimise it
+at every angle, so that stability is decided by the same T. A follower force turns with the tangent where it acts; it
+has no potential, and its part of T is not symmetric.
 
 `continuation.py` finds the branch of g = 0 that grows from the rest shape.
 """
@@ -16,12 +18,20 @@ potential, and its part of T is not symmetric.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
 from onebend.beam.grid import apply, transposed
+from onebend.beam.statics.nodal_forces import (
+    NodalForces,
+    centreline_slope,
+    nodal_forces,
+    node_angles,
+    strains,
+    turned_followers,
+)
 from onebend.beam.statics.problem import Problem
 from onebend.records import Array, BoolArray
 
@@ -47,10 +57,15 @@ class Equilibrium:
         """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
         return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
 
-    @property
+    @cached_property
     def alpha(self) -> Array:
-        """(T, Q) tangent's angle at the nodes."""
+        """(T, Q) the director's angle at the nodes: the tangent's, where nothing shears."""
         return node_angles(self.problem, self.q)
+
+    @cached_property
+    def forces(self) -> NodalForces:
+        """Internal forces at the nodes under the full load."""
+        return nodal_forces(self.problem, self.q)
 
     def angle(self, s: Array) -> Array:
         """(T, S) tangent's angle at places `s` (S,) or (T, S). Equation (3)."""
@@ -58,52 +73,58 @@ class Equilibrium:
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2) m, position at places `s` (S,) or (T, S). Equation (4)."""
-        alpha = self.alpha
+        slope = centreline_slope(self.problem, self.q, self._factor)
         rows = self.problem.grid.integral_to(s)
-        unit = np.stack([apply(rows, np.cos(alpha)), apply(rows, np.sin(alpha))], axis=-1)
+        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
         return np.asarray(self.problem.length[..., None] * unit)
+
+    def xy_by_s(self, s: Array) -> Array:
+        """(T, S, 2) m, d r / d s at places `s` (S,): how positions go along the beam, stretch and shear included."""
+        slope = centreline_slope(self.problem, self.q, self._factor)
+        rows = self.problem.grid.value_at(s)
+        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
+        return np.asarray(self.problem.length[..., None] * unit)
+
+    def strains(self) -> tuple[Array, Array]:
+        """(T, Q) each: stretch N/EA and shear Q/kGA at the nodes."""
+        return strains(self.problem, self.q, self._factor)
 
     def moment(self) -> Array:
         """(T, Q) N m, internal bending moment k (q - q0) at the nodes."""
         return self.problem.k * (self.q - self.problem.q0)
 
-
-def node_angles(problem: Problem, q: Array) -> Array:
-    """(T, Q) `alpha = alpha0 + B q` (3)."""
-    return problem.alpha0 + apply(problem.to_nodes, q)
-
-
-def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q, 2) N: the sum of all forces beyond each node, followers turned to where they point now."""
-    factor = np.asarray(load_factor, dtype=float)[..., None, None]
-    if problem.follower.shape[1] == 0:
-        return np.asarray(factor * problem.dead_force)
-    turned, _ = _followers(problem, q)
-    return np.asarray(factor * (problem.dead_force + np.einsum("tcd,tcq->tqd", turned, problem.follower_beyond)))
+    @property
+    def _factor(self) -> Array:
+        """(T,) share of the loads that acts on the shapes."""
+        return np.where(np.isfinite(self.load_factor), self.load_factor, 1.0)
 
 
 def potential(problem: Problem, q: Array) -> Array:
     """(T,) J: bending energy less the work of the dead loads, whose gradient `gradient` is. Followers have none."""
     alpha = node_angles(problem, q)
     elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
-    work = problem.length * (problem.dead_force[..., 0] * np.cos(alpha) + problem.dead_force[..., 1] * np.sin(alpha))
+    x, y = np.cos(alpha), np.sin(alpha)
+    if problem.compliance is not None:  # loads work on the whole strain, and half of it is stored
+        slope = centreline_slope(problem, q)
+        x, y = 0.5 * (x + slope[..., 0]), 0.5 * (y + slope[..., 1])
+    work = problem.length * (problem.dead_force[..., 0] * x + problem.dead_force[..., 1] * y)
     return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
 
 
 def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
     """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads."""
-    return _gradient(problem, q, load_factor, _pulls(problem, q, load_factor))
+    return _gradient(problem, q, load_factor, nodal_forces(problem, q, load_factor))
 
 
 def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
     """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
-    return _tangent(problem, q, load_factor, _pulls(problem, q, load_factor))
+    return _tangent(problem, q, load_factor, nodal_forces(problem, q, load_factor))
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
     """Gradient and tangent together, for Newton's method."""
-    pulls = _pulls(problem, q, load_factor)
-    return _gradient(problem, q, load_factor, pulls), _tangent(problem, q, load_factor, pulls)
+    forces = nodal_forces(problem, q, load_factor)
+    return _gradient(problem, q, load_factor, forces), _tangent(problem, q, load_factor, forces)
 
 
 def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
@@ -112,17 +133,17 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     With follower forces there is no potential: then "stable" means that no real eigenvalue of T is negative or zero
     (no divergence). Flutter is a matter of dynamics and not seen here.
     """
-    pulls = _pulls(problem, q, load_factor)
+    forces = nodal_forces(problem, q, load_factor)
     if problem.follower.shape[1]:
-        values = np.linalg.eigvals(scaled(problem, _tangent(problem, q, load_factor, pulls)))
+        values = np.linalg.eigvals(scaled(problem, _tangent(problem, q, load_factor, forces)))
         real = np.abs(values.imag) < 1e-9 * np.abs(values)
         return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
-    stable = _surely_stable(problem, pulls.along)
+    stable = _surely_stable(problem, forces.along)
     doubtful = np.flatnonzero(~stable)
     if doubtful.size:
         part = problem if doubtful.size == len(q) else problem.take(doubtful)
         diagonal = part.weights * part.k
-        stable[doubtful] = positive_definite(_second_variation(part, pulls.along[doubtful], diagonal))
+        stable[doubtful] = positive_definite(_second_variation(part, forces.along[doubtful], diagonal))
     return stable
 
 
@@ -132,47 +153,25 @@ def scaled(problem: Problem, matrices: Array) -> Array:
     return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
 
 
-def pulls(problem: Problem, q: Array) -> tuple[Array, Array]:
-    """(T, Q) N m each: the internal force times L w, along the tangent and across it, to its left."""
-    here = _pulls(problem, q, 1.0)
-    return here.along, here.across
-
-
-@dataclass(frozen=True)
-class _Pulls:
-    """Direction of the tangent at the nodes, and the internal force times L w along it and across it."""
-
-    cos: Array  # (T, Q)
-    sin: Array  # (T, Q)
-    along: Array  # (T, Q) N m
-    across: Array  # (T, Q) N m
-
-
-def _pulls(problem: Problem, q: Array, load_factor: Array | float) -> _Pulls:
-    alpha = node_angles(problem, q)
-    cos, sin = np.cos(alpha), np.sin(alpha)
-    factor = np.asarray(load_factor, dtype=float)[..., None]
-    x, y = problem.dead_pull
-    if problem.follower.shape[1]:
-        turned, _ = _followers(problem, q)
-        lw = problem.length * problem.weights
-        x, y = (d + lw * np.einsum("tc,tcq->tq", turned[..., i], problem.follower_beyond) for i, d in enumerate((x, y)))
-    return _Pulls(cos, sin, factor * (x * cos + y * sin), factor * (y * cos - x * sin))
-
-
-def _gradient(problem: Problem, q: Array, load_factor: Array | float, pulls: _Pulls) -> Array:
+def _gradient(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
     factor = np.asarray(load_factor, dtype=float)[..., None]
     elastic = problem.weights * (problem.k * (q - problem.q0) - factor * problem.moment)
-    return elastic - apply(transposed(problem.to_nodes), pulls.across)
+    return elastic - apply(transposed(problem.to_nodes), forces.across)
 
 
-def _tangent(problem: Problem, q: Array, load_factor: Array | float, pulls: _Pulls) -> Array:
-    out = _second_variation(problem, pulls.along, problem.weights * problem.k)
+def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
+    out = _second_variation(problem, forces.along, problem.weights * problem.k)
     if problem.follower.shape[1]:
-        _, turning = _followers(problem, q)
+        _, turning = turned_followers(problem, q)
         factor = np.asarray(load_factor, dtype=float)[..., None, None]
         lw = (problem.length * problem.weights)[..., None, :]
-        per_turn = turning[..., 1, None] * pulls.cos[:, None] - turning[..., 0, None] * pulls.sin[:, None]  # (T, c, Q)
+        per_turn = (
+            turning[..., 1, None] * forces.cos[:, None] - turning[..., 0, None] * forces.sin[:, None]
+        )  # (T, c, Q)
+        if forces.turned is not None:
+            first, second = (x[:, None] for x in forces.turned)
+            along = turning[..., 0, None] * forces.cos[:, None] + turning[..., 1, None] * forces.sin[:, None]
+            per_turn = first * along + second * per_turn
         moved = factor * lw * per_turn * problem.follower_beyond @ problem.to_nodes
         out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
     return out
@@ -217,14 +216,5 @@ def positive_definite(matrices: Array) -> BoolArray:
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        return np.array([dpotrf(one, lower=1)[1] == 0 for one in matrices], dtype=bool)
+        return np.array([dpotrf(matrix, lower=1)[1] == 0 for matrix in matrices], dtype=bool)
     return np.ones(len(matrices), dtype=bool)
-
-
-def _followers(problem: Problem, q: Array) -> tuple[Array, Array]:
-    """(T, c, 2) the followers in the beam's frame, and their derivative with the angle there."""
-    angle = problem.alpha0 + np.einsum("tcq,tq->tc", problem.follower_rows, q)
-    cos, sin = np.cos(angle), np.sin(angle)
-    f = problem.follower
-    turned = np.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1]], axis=-1)
-    return turned, np.stack([-turned[..., 1], turned[..., 0]], axis=-1)

@@ -13,11 +13,11 @@ TOLERANCE = 3e-7  # rad, of the last update: what is left then is its square
 
 
 def correct(
-    problem: Problem, start: Array, factor: Array, *, trust: Array, left: Array, most: int = 8
+    problem: Problem, start: Array, factor: Array, *, trust: Array, remaining: Array, max_iterations: int = 8
 ) -> tuple[Array, BoolArray, int]:
     """Newton from `start` (T, Q) with all loads times `factor` (T,); frames that are done are not solved again.
 
-    Returns the shapes, True where no more than about `left` (T,) rad is left to turn and no update took the beam
+    Returns the shapes, True where no more than about `remaining` (T,) rad is left to turn and no update took the beam
     further than `trust` (T,) rad from the start, and the number of iterations. Updates fall with the square of the one
     before: after updates u and v, `v (v / u)^2` is left. Where rounding keeps updates from falling (a tangent near
     singular), one below `TOLERANCE` will do.
@@ -25,31 +25,31 @@ def correct(
     q = start.copy()
     near = np.zeros(len(q), dtype=bool)
     todo, part = np.arange(len(q)), problem
-    at, moved, count = q, np.zeros_like(q), 0
+    q_now, moved, count = q, np.zeros_like(q), 0
     before = np.zeros(len(q))  # rad, the update before the last
-    while todo.size and count < most:
+    while todo.size and count < max_iterations:
         count += 1
-        unbalanced, matrices = balance(part, at, factor)
-        update = solve_batch(matrices, unbalanced)
-        at = at - update
+        residual, matrices = balance(part, q_now, factor)
+        update = solve_batch(matrices, residual)
+        q_now = q_now - update
         turn = apply(part.to_nodes, update)
         size = np.max(np.abs(turn), axis=-1)
         moved = moved + turn
         strayed = ~(np.max(np.abs(moved), axis=-1) < trust)
         settled = size < TOLERANCE
         if count > 1:
-            settled |= size**3 < left * before**2
-        q[todo] = at
+            settled |= size**3 < remaining * before**2
+        q[todo] = q_now
         near[todo] = settled & ~strayed
         going = np.flatnonzero(~(settled | strayed))
         if going.size < todo.size:
             todo, part = todo[going], part.take(going)
-            at, moved, size = at[going], moved[going], size[going]
-            factor, trust, left = factor[going], trust[going], left[going]
+            q_now, moved, size = q_now[going], moved[going], size[going]
+            factor, trust, remaining = factor[going], trust[going], remaining[going]
         before = size
     return q, near, count
 
 
-def solve_batch(matrices: Array, right: Array) -> Array:
+def solve_batch(matrices: Array, right_side: Array) -> Array:
     """(T, n) solutions of (T, n, n) systems; frames whose matrix is singular come back as NaN."""
-    return solve_each(matrices, right[..., None])[..., 0]
+    return solve_each(matrices, right_side[..., None])[..., 0]

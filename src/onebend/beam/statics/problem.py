@@ -1,7 +1,7 @@
 """What is solved: the arrays of a batch of beams under loads, on a grid with an edge at every load and every jump.
 
 With the sum N(s) of all forces and the sum m(s) of all point moments beyond s known at the nodes, nothing else of the
-loads enters the statics; see `equilibrium.py` for what is made of them.
+loads enters the statics of dead loads; see `nodal_forces.py` and `equilibrium.py` for what is made of them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from onebend.beam.grid import Grid, apply, make_grid
 from onebend.beam.loads import Loads
+from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
@@ -33,11 +34,19 @@ class Rod(Protocol):
     def clamp_angle(self) -> float: ...
     @property
     def mass_per_length(self) -> Profile: ...
+    @property
+    def section(self) -> RectangularSection | None: ...
 
 
 def has_mass(rod: Rod) -> bool:
     """Whether it weighs anything: without, gravity does nothing and nothing swings."""
     return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
+
+
+def refuse_section(rod: Rod, who: str) -> None:
+    """Raises `MechanicsError` where a beam has a thickness and `who` does not know stretch and shear."""
+    if rod.section is not None:
+        raise MechanicsError(f"{who} takes beams that neither stretch nor shear: give the beam without its thickness")
 
 
 @dataclass(frozen=True)
@@ -54,7 +63,11 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Problem:
-    """Arrays of one batch of equilibria: T frames, Q nodes. What differs from beam to beam leads with T."""
+    """Arrays of one batch of equilibria: T frames, Q nodes. What differs from beam to beam leads with T.
+
+    A beam stretches and shears by its `section`, whose 1/EA and 1/kGA follow k, or by given arrays `stretch` and
+    `shear`. Without any of them, or with zeros, it does neither.
+    """
 
     grid: Grid
     weights: Array  # (Q,) or (T, Q)
@@ -68,6 +81,9 @@ class Problem:
     follower: Array  # (T, c, 2) N, in the tangent's frame
     follower_beyond: Array  # (T, c, Q): 1 where the follower acts beyond the node
     follower_rows: Array  # (T, c, Q): angle at the follower's place
+    section: RectangularSection | None = None
+    stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA, where there is no section
+    shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA, where there is no section
 
     @property
     def size(self) -> int:
@@ -79,6 +95,33 @@ class Problem:
         """(T, Q) N m each: the dead force beyond the nodes times L w, its components x and y."""
         lw = self.length * self.weights
         return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
+
+    @cached_property
+    def compliance(self) -> tuple[Array, Array] | None:
+        """(Q,) or (T, Q) 1/N each: 1/EA and 1/kGA; None for a beam that neither stretches nor shears."""
+        if self.section is not None:
+            if self.stretch is not None or self.shear is not None:
+                raise MechanicsError("1/EA and 1/kGA follow from the section: give it or them, not both")
+            return self.section.compliance(self.k, self.weights, self.length)
+        given = [np.zeros(1) if x is None else x for x in (self.stretch, self.shear)]
+        if not all(np.all(x >= 0.0) for x in given):
+            raise MechanicsError("1/EA and 1/kGA must be 0 or more")
+        return (given[0], given[1]) if any(np.any(x) for x in given) else None
+
+    @cached_property
+    def strain_lever(self) -> Array | None:
+        """(Q,) or (T, Q) 1/(N m): delta / (L w) of `nodal_forces.py`, or None where `compliance` is."""
+        if self.compliance is None:
+            return None
+        stretch, shear = self.compliance
+        return np.asarray((stretch - shear) / (self.length * self.weights))
+
+    def strained(self, share: Array) -> Problem:
+        """With 1/EA and 1/kGA times `share` (T,): 0 is the beam that neither stretches nor shears."""
+        if self.compliance is None:
+            return self
+        stretch, shear = (share[:, None] * compliance for compliance in self.compliance)
+        return replace(self, section=None, stretch=stretch, shear=shear)
 
     def loaded(self, factor: Array) -> Problem:
         """With all loads times `factor` (T,)."""
@@ -109,15 +152,18 @@ class Problem:
             follower=self.follower[chosen],
             follower_beyond=self.follower_beyond[chosen],
             follower_rows=self.follower_rows[chosen],
+            section=self.section if self.section is None else _picked_section(self.section, chosen),
+            stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
+            shear=self.shear if self.shear is None else pick(self.shear, 1),
         )
 
 
-def pose(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of a beam under loads. Raises `MechanicsError` where k(s) is not positive at every node."""
-    return pose_many([beam], loads, resolution)
+    return make_problems([beam], loads, resolution)
 
 
-def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of several beams, one a frame (or one for all frames), on one grid.
 
     Raises:
@@ -130,11 +176,11 @@ def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resol
     jumps = tuple(j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps)
     grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
-    one = len(beams) == 1
+    shared = len(beams) == 1
     k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
     _check_positive(k, nodes)
-    length = np.asarray(beams[0].length) if one else np.array([[b.length] for b in beams])
-    alpha0 = np.asarray(beams[0].clamp_angle) if one else np.array([[b.clamp_angle] for b in beams])
+    length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
+    alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
     dead = np.einsum("tac,taq->tqc", loads.force, _beyond(nodes, loads.force_s))
     if np.any(loads.gravity != 0.0):
         line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
@@ -154,7 +200,26 @@ def pose_many(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resol
         follower=loads.follower,
         follower_beyond=_beyond(nodes, loads.follower_s),
         follower_rows=rows,
+        section=_common_section(beams),
     )
+
+
+def _picked_section(section: RectangularSection, chosen: IntArray | BoolArray) -> RectangularSection:
+    """That of some frames of the batch."""
+    h = section.thickness
+    return section if np.ndim(h) == 0 else replace(section, thickness=np.asarray(h)[chosen])
+
+
+def _common_section(beams: Sequence[Rod]) -> RectangularSection | None:
+    """One section for the batch, of thickness (T, 1) where several beams differ in it."""
+    first, *others = (beam.section for beam in beams)
+    if first is None or not others or all(other == first for other in others):
+        if any(other is not None for other in others) and first is None:
+            raise MechanicsError("some beams of the batch have a thickness, others none: solve them apart")
+        return first
+    if any(o is None or (o.poisson, o.varies) != (first.poisson, first.varies) for o in others):
+        raise MechanicsError("beams of one batch share Poisson's ratio and what varies; solve the others apart")
+    return replace(first, thickness=np.array([[o.thickness] for o in (first, *others) if o is not None]))
 
 
 def _beyond(nodes: Array, places: Array) -> Array:

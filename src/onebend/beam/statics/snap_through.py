@@ -18,19 +18,20 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.grid import apply, transposed
-from onebend.beam.statics.equilibrium import balance, gradient, is_stable, node_angles, scaled
+from onebend.beam.statics.equilibrium import balance, gradient, is_stable, scaled
 from onebend.beam.statics.newton import correct, solve_batch
+from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Problem
 from onebend.records import Array, BoolArray
 
 Side = Literal["left", "right"]
 
-_LONGEST = 0.3  # rad, the largest turn of a step
-_SHORTEST = 1e-9  # rad, of a step that still does no work: the frame is given up
+_MAX_TURN = 0.3  # rad, the largest turn of a step
+_MIN_TURN = 1e-9  # rad, of a step that still does no work: the frame is given up
 _NUDGE = 1e-4  # rad, the turn that takes a beam out of an exact equilibrium
-_DECIDED = 1e-9  # share of the stiffness: an out-of-balance above it says by itself which way to fall
-_NEAR = 1e-2  # rad, of a step: below it Newton's method is tried
-_MOST = 400  # steps
+_RESIDUAL_DECIDES = 1e-9  # share of the stiffness: an out-of-balance above it says by itself which way to fall
+_NEWTON_TURN = 1e-2  # rad, of a step: below it Newton's method is tried
+_MAX_STEPS = 400  # steps
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -42,8 +43,8 @@ def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array
     """
     q = _nudged(problem, start, side)
     landed, given_up = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
-    reach = np.full(len(q), _LONGEST)
-    for _ in range(_MOST):
+    reach = np.full(len(q), _MAX_TURN)
+    for _ in range(_MAX_STEPS):
         todo = np.flatnonzero(~(landed | given_up))
         if todo.size == 0:
             break
@@ -54,9 +55,9 @@ def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array
         step, turn = share[:, None] * step, share * turn
         falls = _work(part, q[todo], step) > 0.0
         q[todo[falls]] += step[falls]
-        reach[todo] = np.where(falls, np.minimum(2.0 * reach[todo], _LONGEST), 0.25 * turn)
-        given_up[todo] = ~falls & ~(turn > _SHORTEST)
-        close = todo[(turn < _NEAR) & (convex | (problem.follower.shape[1] > 0))]
+        reach[todo] = np.where(falls, np.minimum(2.0 * reach[todo], _MAX_TURN), 0.25 * turn)
+        given_up[todo] = ~falls & ~(turn > _MIN_TURN)
+        close = todo[(turn < _NEWTON_TURN) & (convex | (problem.follower.shape[1] > 0))]
         landed[close], q[close] = _land(problem.take(close), q[close])
     return q, landed
 
@@ -82,7 +83,7 @@ def _nudged(problem: Problem, start: Array, side: Side) -> Array:
     pull = -np.sum(slope * mode, axis=-1)  # along a mode of unit energy: in the root of N m
     stiffness = np.sqrt(np.sum(problem.weights * problem.k, axis=-1))
     asked = to_the_left(problem, start, mode[..., None])[:, 0] * (1.0 if side == "left" else -1.0)
-    sign = np.where(np.abs(pull) > _DECIDED * stiffness, np.sign(pull), asked)
+    sign = np.where(np.abs(pull) > _RESIDUAL_DECIDES * stiffness, np.sign(pull), asked)
     turn = np.max(np.abs(apply(problem.to_nodes, mode)), axis=-1)
     amplitude = np.where(is_stable(problem, start), 0.0, sign * _NUDGE / turn)
     return np.asarray(start + amplitude[:, None] * mode)
@@ -111,6 +112,8 @@ def _work(problem: Problem, q: Array, step: Array) -> Array:
 def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
     """Newton's method from close by; True where it came to a stable equilibrium, shapes as they were elsewhere."""
     full = np.ones(len(q))
-    found, near, _ = correct(problem, q, full, trust=10.0 * _NEAR * full, left=1e-13 * full, most=12)
-    near[near] &= is_stable(problem.take(near), found[near])
-    return near, np.where(near[:, None], found, q)
+    corrected, near, _ = correct(
+        problem, q, full, trust=10.0 * _NEWTON_TURN * full, remaining=1e-13 * full, max_iterations=12
+    )
+    near[near] &= is_stable(problem.take(near), corrected[near])
+    return near, np.where(near[:, None], corrected, q)

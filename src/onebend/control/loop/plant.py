@@ -75,7 +75,7 @@ def plant_at(
     compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(point)[0, 0]
     if not has_mass(beam):
         return Plant(np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), compliance)
-    small = vibration(beam, solved, most=MODES)
+    small = vibration(beam, solved, count=MODES)
     omega = np.sqrt(small.squared)
     moved = small.moved(np.array([push_s, point_s]))
     return Plant(omega, damping_ratio * omega / omega[0], moved[:, 0], moved[:, 1], compliance)

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.motion.actions import Actions, acting
 from onebend.beam.motion.collocation import Method, tableau
 from onebend.beam.motion.dynamics import Body, body
-from onebend.beam.motion.integration import State
+from onebend.beam.motion.integration import MotionState
 from onebend.beam.motion.stepping import Stepper
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Scaled
@@ -148,7 +148,7 @@ class _MovingBeam:
 def damped_body(truth: TrueSystem) -> Body:
     """The true beam in curvature modes, its internal damping in proportion to k(s)."""
     plain = body(truth.beam, Modes(truth.modes))
-    slowest = float(vibration_of(plain, State(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
+    slowest = float(vibration_of(plain, MotionState(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
     damping = Scaled(truth.damping_ratio / (np.pi * slowest), truth.beam.stiffness)
     return body(truth.beam, Modes(truth.modes), damping=damping)
 

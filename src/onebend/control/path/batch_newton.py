@@ -12,8 +12,9 @@ import numpy as np
 
 from onebend.beam.clamped_ends.end_pose import stands
 from onebend.beam.grid import transposed
-from onebend.beam.statics.equilibrium import balance, is_stable, pulls, scaled
+from onebend.beam.statics.equilibrium import balance, is_stable, scaled
 from onebend.beam.statics.newton import solve_batch
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.control.goals.targets import Targets, target_residuals_along
 from onebend.control.shape.actuators import Actuators, actions
 from onebend.control.shape.newton_step import control_coupling
@@ -93,7 +94,7 @@ def _step(
     stiff, root = scaled(problem, matrix), np.sqrt(actuators.mean_stiffness)
     unbend, unit = 1.0 / np.sqrt(problem.weights * problem.k), actuators.scale / root
     turned = samples.multipliers @ b.T
-    bent = residuals.curvature_term + pulls(problem, samples.q)[1] * turned
+    bent = residuals.curvature_term + nodal_forces(problem, samples.q).across * turned
     rows = residuals.jacobian * unbend
     second = transposed(rows) @ rows + scaled(problem, transposed(b) @ (bent[..., None] * b))
     coupled = unit[:, None] * (control_coupling(actuators, solved.alpha, turned) @ b) * unbend

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dgesv, dposv, dpotrf
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Problem, Resolution, pose
+from onebend.beam.statics.problem import Problem, Resolution, make_problem, refuse_section
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -41,13 +41,15 @@ class PushedBeam:
         gravity: ArrayLike = (0.0, 0.0),
         resolution: Resolution = Resolution(),
     ) -> None:
-        """Raises `ControlError` for a place outside (0, 1], `MechanicsError` where no shape carries the weight."""
+        """Raises `ControlError` for a place outside (0, 1], `MechanicsError` where no shape carries the weight or the
+        beam has a thickness."""
+        refuse_section(beam, "reaching for a point")
         for name, place in (("push_s", push_s), ("point_s", point_s)):
             if not 0.0 < place <= 1.0:
                 raise ControlError(f"{name} lies in (0, 1], 1 the tip; got {place:g}")
         self._heavy = heavy = bool(np.any(np.asarray(gravity, dtype=float) != 0.0))
         loads = weight(gravity) + push((0.0, 0.0), push_s) + twist(0.0, push_s)
-        self.problem: Problem = pose(beam, loads, resolution)
+        self.problem: Problem = make_problem(beam, loads, resolution)
         self.beam, self.push_s, self.point_s, self.resolution = beam, push_s, point_s, resolution
         problem, nodes = self.problem, self.problem.grid.nodes
         self.count = n = len(nodes) if heavy else int(np.sum(nodes < push_s))

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import numbers
 from onebend.control.reach.continuation import trace
@@ -152,7 +152,7 @@ def reachable(
     grow = max_force * np.arange(1, sizes + 1) / sizes
     force = grow[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None]
     loads = push(force.reshape(-1, 2), push_s) + weight(gravity)
-    solved = follow(pose(beam, loads, Resolution()))
+    solved = follow(make_problem(beam, loads, Resolution()))
     point = solved.xy(np.array([point_s]))[:, 0]
     q = solved.q[:, : pushed.count] if solved.q.shape[1] >= pushed.count else solved.q
     good = solved.converged & solved.stable

@@ -10,7 +10,7 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import refine
-from onebend.beam.statics.problem import pose_many
+from onebend.beam.statics.problem import make_problems
 from onebend.beam.statics.sensitivity import of_stiffness, respond
 from onebend.blas import one_blas_thread
 from onebend.control.reach.reach import Reach
@@ -97,7 +97,7 @@ def predicted_error(
     if draws == 0:
         return PredictedError(result.reached[:2], result.reached[:2], _first_order(known, result), 0.0)
     beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=seed)]
-    problem = pose_many(beams, result.loads, result.resolution)
+    problem = make_problems(beams, result.loads, result.resolution)
     solved = refine(problem, np.repeat(result.solved.q, draws, axis=0))
     stands = solved.converged & solved.stable
     if np.sum(stands) < max(3, draws // 2):

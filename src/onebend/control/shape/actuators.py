@@ -23,7 +23,7 @@ from onebend.beam.clamped_ends.end_pose import end_jacobian, end_pose
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium, balance, scaled, tangent
-from onebend.beam.statics.problem import Problem, Resolution, Rod, pose
+from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem, refuse_section
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -205,13 +205,15 @@ def resting_state(
 
     Raises:
         ControlError: no actuator, or a beam that buckles under its own weight.
+        MechanicsError: the beam has a thickness: stretch and shear are not known here.
     """
     if not pushes and grip is None:
         raise ControlError("no actuator on the beam: give a push or a grip")
     loads = sum((push((0.0, 0.0), pusher.at_s) for pusher in pushes), Loads())
     if gravity is not None:
         loads = loads + weight(gravity)
-    actuators = Actuators(pose(beam, loads, resolution), pushes, grip)
+    refuse_section(beam, "the search for a shape")
+    actuators = Actuators(make_problem(beam, loads, resolution), pushes, grip)
     solved = equilibrium(beam, loads, resolution=resolution)
     if not solved.stable[0]:
         raise ControlError("the beam buckles under its own weight; there is no stable shape at rest to start from")

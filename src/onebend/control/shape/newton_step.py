@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.statics.equilibrium import pulls
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.control.goals.targets import TargetResiduals
 from onebend.control.shape.actuators import Actuators, BeamState, LoadBound
 from onebend.records import Array
@@ -33,7 +33,7 @@ def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
     dq, du = state.plane
     b, solved = state.actuators.problem.to_nodes, state.solved
     turned = b @ multipliers(state, residuals)
-    _, across = pulls(solved.problem, solved.q)
+    across = nodal_forces(solved.problem, solved.q).across
     flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turn of the nodes
     bent = flow.T @ ((residuals.curvature_term[0] + across[0] * turned)[:, None] * flow)
     coupled = du.T @ control_coupling(state.actuators, solved.alpha, turned[None])[0] @ flow

@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, Force
+from onebend.beam.motion.actions import Actions, AppliedForce
 from onebend.beam.motion.dynamics import body
 from onebend.beam.motion.integration import converged
 from onebend.beam.motion.vibration import settle
@@ -101,7 +101,7 @@ def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettin
     damping = Scaled(motive.damping, beam.stiffness)
     moving = body(beam, rotary_inertia=motive.rotary_inertia, damping=damping, resolution=Resolution(ORDER))
     breaks = tuple(sorted({pushing.before, pushing.before + pushing.rise, *pushing.contact}))
-    on_beam = Force(lambda t: pushing.force(np.array([t]))[0], pushing.at_s, breaks)
+    on_beam = AppliedForce(lambda t: pushing.force(np.array([t]))[0], pushing.at_s, breaks)
     actions = Actions(forces=(on_beam,), gravity=motive.gravity)
     start = settle(moving, actions)
     until = float(time[-1])

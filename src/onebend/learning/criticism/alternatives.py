@@ -14,7 +14,8 @@ import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import Change, of_clamp_angle, of_rest_curvature
+from onebend.beam.statics.perturbation import Perturbation
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_rest_curvature
 from onebend.learning.model.fit_data import REST_MODES, FitData
 from onebend.learning.model.forward import Prediction, tag_places, tag_ride
 from onebend.learning.model.parameters import Layout
@@ -109,7 +110,7 @@ def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> 
     return patterns
 
 
-def _entering(recording: FitData, now: Prediction) -> dict[str, Change]:
+def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
     """How the alternatives enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
 
     A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
@@ -130,8 +131,8 @@ def _entering(recording: FitData, now: Prediction) -> dict[str, Change]:
         "push place": push_moment(problem, recording.push_s, float(problem.length) * across),
         "push beside": push_moment(problem, recording.push_s, -along),
         "force direction": _force(turned),
-        "weight": Change(sag, None, None, np.zeros(2)),
-        "viscous": Change(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
+        "weight": Perturbation(sag, None, None, np.zeros(2)),
+        "viscous": Perturbation(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
     }
@@ -203,9 +204,9 @@ def _tangents(solved: Equilibrium) -> tuple[Array, Array]:
     return np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)
 
 
-def _force(force: Array) -> Change:
+def _force(force: Array) -> Perturbation:
     """One parameter that adds the internal force (F, Q, 2)."""
-    return Change(force[..., None], None, None, np.zeros(1))
+    return Perturbation(force[..., None], None, None, np.zeros(1))
 
 
 def _rate(recording: FitData, solved: Equilibrium) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import pose
+from onebend.beam.statics.problem import make_problem
 from onebend.learning.design.identifiability import RESOLUTION, loads_of
 from onebend.learning.design.instruments import Instruments, PlannedPush
 from onebend.records import Array, BoolArray
@@ -78,7 +78,7 @@ def _first_break(
     """Largest force within the limits, the next one, and what that one breaks ("" if none does)."""
     unit = np.array([np.cos(direction), np.sin(direction)])
     forces = np.vstack([sizes[:, None] * unit, np.zeros(2)])
-    solved = follow(pose(beam, loads_of(bench, at_s, forces), RESOLUTION))
+    solved = follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
     broken = _broken(solved, bench, at_s, direction, limits)
     first = {why: int(np.argmax(rows[:-1])) for why, rows in broken.items() if np.any(rows[:-1])}
     if not first:
@@ -114,7 +114,7 @@ def _most_force(bench: Instruments, limits: Limits) -> float:
 
 def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
     unit = np.array([[np.cos(direction), np.sin(direction)]])
-    solved = follow(pose(beam, loads_of(bench, at_s, force * unit), RESOLUTION))
+    solved = follow(make_problem(beam, loads_of(bench, at_s, force * unit), RESOLUTION))
     return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))
 
 

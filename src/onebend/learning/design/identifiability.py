@@ -20,7 +20,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import LogSpline
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import Resolution, pose
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.beam.statics.sensitivity import of_mass
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
@@ -72,7 +72,7 @@ def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equili
     Raises:
         MechanicsError: the beam snaps through or buckles on the way.
     """
-    solved = follow(pose(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
+    solved = follow(make_problem(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
     if not np.all(solved.stable & np.isnan(solved.buckled_at)):
         raise MechanicsError(
             f"pushed at s = {candidate.at_s:.2f} to {candidate.largest:.3g} N the beam buckles or snaps through; "

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness
+from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness, half_width
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.design.candidates import LargestPush, Limits, largest_pushes, same_push
@@ -28,8 +28,6 @@ from onebend.learning.design.instruments import Instruments, PlannedPush
 from onebend.learning.design.proposals import PLACES, Plan, Proposal, Quality
 from onebend.progress import Progress, Silent, track
 from onebend.records import Array
-
-_TWO_SIDED = 2.0 * 1.959964
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ class _Known:
         return np.asarray(np.hypot(self._own_sd(), self.gain_sd))
 
     def quality(self) -> Quality:
-        width, known = _TWO_SIDED * self.sd(), self._own_sd() < IDENTIFIED_SD
+        width, known = 2.0 * half_width(self.sd()), self._own_sd() < IDENTIFIED_SD
         worst = int(np.argmax(width))
         to = 1.0 if np.all(known) else round(float(PLACES[max(int(np.argmin(known)) - 1, 0)]), 2)
         share = float(np.mean(known))

@@ -80,7 +80,7 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
         elif block.name == "force":  # x and y in turn, alike
             error, h = problem.recordings[block.recording].error, hyperparameters
             mean[where] = error.mean.ravel()
-            of_axis = np.linalg.cholesky(error.covariance(h.coloured, h.memory, h.walk, h.load))
+            of_axis = error.root(h.coloured, h.memory, h.walk, h.load)
             for axis in range(2):
                 same_axis = slice(where.start + axis, where.stop, 2)
                 root[same_axis, same_axis] = of_axis

@@ -89,7 +89,7 @@ class Evidence:
             inside, right = information.copy(), b.copy()
             try:
                 for error, where in axes:
-                    root = np.linalg.cholesky(error.covariance(*(getattr(sizes, name) for name in CHOSEN)))
+                    root = error.root(*(getattr(sizes, name) for name in CHOSEN))
                     for axis in where:
                         inside[:, axis] = inside[:, axis] @ root
                         inside[axis] = root.T @ inside[axis]

@@ -9,8 +9,8 @@ from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
+from onebend.beam.statics.perturbation import Perturbation, minus_gradient
 from onebend.beam.statics.problem import Problem
-from onebend.beam.statics.sensitivity import Change, right_side
 from onebend.learning.live.session import LiveSession, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
@@ -82,7 +82,7 @@ def linearise(
     q, converged, factors = _shapes(push_grid, loaded, start)
     bent = _bent(push_grid, loaded, q, converged)
     columns = response_columns(balance_changes(bent))
-    right = right_side(bent.solved, columns.changes)
+    right = minus_gradient(bent.solved, columns.changes)
     pose, by_shape, partials = _tags(session, push_grid, x, q)
     push = right[..., columns.slices["push"]].swapaxes(1, 2)
     both = np.empty((len(q), 3 * m + 2, q.shape[1]))
@@ -226,7 +226,7 @@ def _bent(push_grid: PushGrid, loaded: _LoadedBeam, q: Array, converged: BoolArr
     solved = Equilibrium(_problem(push_grid, loaded), q, converged, converged, reached, reached, ~converged, 0)
     if loaded.masses.shape[1]:
         pull = loaded.gravity[:, None, :, None] * loaded.masses[:, None, :]
-        by_mass = Change(pull, None, None, np.zeros(loaded.masses.shape[1]))
+        by_mass = Perturbation(pull, None, None, np.zeros(loaded.masses.shape[1]))
     return BentBeam(
         solved, push_grid.on_nodes, push_grid.rest_on_nodes, loaded.force, loaded.pushed, push_grid.farther, by_mass
     )

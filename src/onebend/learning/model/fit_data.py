@@ -10,7 +10,7 @@ from onebend.beam.loads import Loads, push, weight
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.problem import Problem, pose
+from onebend.beam.statics.problem import Problem, make_problem
 from onebend.errors import LearningError
 from onebend.learning.model.force_error import ForceError, force_error
 from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical, whitening
@@ -74,7 +74,7 @@ def fit_data(observations: Observations, number: int, frames: BoolArray, spline:
     line = mass_profile(o)
     written = line if weighs and o.stated.mass_along not in POWERS else Uniform(0.0)
     carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
-    problem = pose(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
+    problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     return FitData(

@@ -14,7 +14,8 @@ noise of each frame. In the rests the true force is zero, so there the log shows
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -30,6 +31,9 @@ _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so tha
 _FINE = 4  # steps between knots, where the load's error is filtered
 LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
+# Of the largest force: no log is taken as more exact. The information of the rests grows with the inverse square of the
+# noise, and below a hundredth of this its rounding exceeds the prior's.
+_LEAST = 1e-7
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
@@ -92,21 +96,39 @@ class ForceError:
     def covariance(self, coloured: float, memory: float, walk: float, load: float) -> Array:
         """(K, K) N^2 of one axis: sd of the coloured part, its correlation time, the walk and what comes with the load
         as factors of what was expected."""
+        root = self.root(coloured, memory, walk, load)
+        return np.asarray(root @ root.T)
+
+    def root(self, coloured: float, memory: float, walk: float, load: float) -> Array:
+        """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts: they may differ by many
+        orders, and a factor of their sum would lose the small ones."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
-        since = self.knots - self.knots[0]
-        out = toeplitz(short) + (walk * self.noise.walk) ** 2 * np.minimum(since[:, None], since) + self.level**2
-        out += (load * self.load) ** 2 * (1.0 + self.stages)
-        out[np.diag_indices(len(out))] += _GRAIN * short[0]
-        return np.asarray(out)
+        own = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short)))
+        alike = np.ones((1, len(short)))
+        parts = [own.T, walk * self.noise.walk * self._walk_factor, self.level * alike]
+        parts += [load * self.load * factor for factor in (alike, self._stages_factor)]
+        return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r")).T
+
+    @cached_property
+    def _walk_factor(self) -> Array:
+        """(K - 1, K) of a random walk of one unit per root second from the first knot on."""
+        later = np.arange(len(self.knots)) > np.arange(len(self.knots) - 1)[:, None]
+        return np.asarray(np.sqrt(np.diff(self.knots))[:, None] * later)
+
+    @cached_property
+    def _stages_factor(self) -> Array:
+        """(K, K) of `stages`."""
+        values, vectors = np.linalg.eigh(self.stages)
+        return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
 
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:
     """What the clock search found; a stated share of the largest force where it found nothing."""
     clean = observations.source.clean_force
     if clean is not None and clean.noise is not None:
-        return clean.noise
+        return replace(clean.noise, coloured=max(clean.noise.coloured, _LEAST * largest))
     size = float(np.nanmean(observations.force_sd)) if np.any(np.isfinite(observations.force_sd)) else 0.0
-    size = size if size > 0.0 else _UNKNOWN_NOISE * largest
+    size = max(size, _LEAST * largest) if size > 0.0 else _UNKNOWN_NOISE * largest
     seconds = float(np.ptp(observations.time)) if len(observations.time) > 1 else 1.0
     return ForceNoise(white=0.0, coloured=size, tau=0.2, walk=size / np.sqrt(max(seconds, 1.0)))
 

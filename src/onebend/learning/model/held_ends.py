@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.beam.clamped_ends.end_pose import end_pose
-from onebend.beam.clamped_ends.near_shape import hold_near, under
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.clamped_ends.end_pose import end_pose, with_end_wrench
+from onebend.beam.clamped_ends.near_shape import hold_near
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Problem, Resolution
@@ -111,7 +111,14 @@ def solve(problem: Problem, ends: HeldEnds, away: Array, start: Array | None) ->
     q[ends.frames], well[ends.frames] = one.q, one.converged
     nothing, factor = np.full(count, np.nan), np.where(well, 1.0, np.nan)
     return Equilibrium(
-        under(problem, wrench), q, well, well.copy(), factor, nothing, np.zeros(count, dtype=bool), one.iterations
+        with_end_wrench(problem, wrench),
+        q,
+        well,
+        well.copy(),
+        factor,
+        nothing,
+        np.zeros(count, dtype=bool),
+        one.iterations,
     )
 
 
@@ -171,7 +178,7 @@ def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
     rows = stiffness.basis(s)
     rows = rows[[0, 2]] - rows[1]
     sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
-    ratio, wide = np.exp(rows @ stiffness.mean), np.exp(1.96 * sd)
+    ratio, wide = np.exp(rows @ stiffness.mean), np.exp(half_width(sd))
     said = ", ".join(
         f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
         for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)

@@ -13,8 +13,9 @@ import numpy as np
 
 from onebend.beam.profiles.stiffness import LogSpline, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
-from onebend.beam.statics.sensitivity import Change, of_mass
+from onebend.beam.statics.sensitivity import of_mass
 from onebend.records import Array, Observations
 
 POWERS = {"even": 0.0, "width": 1.0 / 3.0, "thickness": 1.0, "both": 0.5}  # p of `mu ~ k^p`
@@ -35,7 +36,7 @@ class OwnWeight:
             parts = parts + np.eye(len(parts))[0]
         return _beyond(problem, (self._modes(k) @ parts)[..., None], self.gravity)[..., 0]
 
-    def by_mass(self, problem: Problem, k: Array) -> Change:
+    def by_mass(self, problem: Problem, k: Array) -> Perturbation:
         """Derivatives with the four parts."""
         return of_mass(problem, self._modes(k), self.gravity)
 

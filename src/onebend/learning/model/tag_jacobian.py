@@ -18,16 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.perturbation import Perturbation, Perturbations
 from onebend.beam.statics.problem import Problem
-from onebend.beam.statics.sensitivity import (
-    Change,
-    Changes,
-    of_clamp_angle,
-    of_moment,
-    of_rest_curvature,
-    of_stiffness,
-    respond,
-)
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_moment, of_rest_curvature, of_stiffness, respond
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
@@ -42,11 +35,11 @@ class BentBeam:
     push: Array  # (F, 2) N
     beyond: Array  # (F, Q): share of the push that acts beyond the node
     farther: Array  # (Q,) or (F, Q) 1/m: what that share gains for each metre that the push lies farther out
-    by_mass: Change | None = None  # the parts of the mass; None where nothing weighs
+    by_mass: Perturbation | None = None  # the parts of the mass; None where nothing weighs
     weight_by_k: Array | None = None  # (F, Q, 2, p) N: weight beyond the nodes, where the mass follows k(s)
 
 
-def balance_changes(beam: BentBeam) -> dict[str, Change]:
+def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
     """How each group of parameters enters the balance of moments; the groups are in the order of the columns.
 
     "stiffness" (p) coefficients of log k; "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame;
@@ -57,8 +50,8 @@ def balance_changes(beam: BentBeam) -> dict[str, Change]:
         "stiffness": replace(of_stiffness(beam.solved, problem.k[..., None] * beam.on_nodes), force=beam.weight_by_k),
         "curvature": of_rest_curvature(problem, beam.rest_on_nodes),
         "clamp": of_clamp_angle(problem),
-        "push": Change(beam.beyond[..., None, None] * np.eye(2), None, None, np.zeros(2)),
-        "place": Change((beam.farther[..., None] * beam.push[:, None, :])[..., None], None, None, np.zeros(1)),
+        "push": Perturbation(beam.beyond[..., None, None] * np.eye(2), None, None, np.zeros(2)),
+        "place": Perturbation((beam.farther[..., None] * beam.push[:, None, :])[..., None], None, None, np.zeros(1)),
     }
     return changes if beam.by_mass is None else changes | {"mass": beam.by_mass}
 
@@ -67,7 +60,7 @@ def balance_changes(beam: BentBeam) -> dict[str, Change]:
 class ResponseColumns:
     """Where each group of parameters stands among the P columns of a mechanical response."""
 
-    changes: Changes  # of all groups, one after the other
+    changes: Perturbations  # of all groups, one after the other
     slices: dict[str, slice]
 
     def split(self, response: Array) -> dict[str, Array]:
@@ -75,22 +68,22 @@ class ResponseColumns:
         return {name: response[..., columns] for name, columns in self.slices.items()}
 
 
-def response_columns(changes: Mapping[str, Change]) -> ResponseColumns:
+def response_columns(changes: Mapping[str, Perturbation]) -> ResponseColumns:
     """The columns of these groups, in their order."""
     slices, start = {}, 0
     for name, change in changes.items():
         slices[name] = slice(start, start + len(change.clamp))
         start += len(change.clamp)
-    return ResponseColumns(Changes(tuple(changes.values())), slices)
+    return ResponseColumns(Perturbations(tuple(changes.values())), slices)
 
 
-def place_responses(solved: Equilibrium, changes: Mapping[str, Change], s: Array) -> dict[str, Array]:
+def place_responses(solved: Equilibrium, changes: Mapping[str, Perturbation], s: Array) -> dict[str, Array]:
     """(F, S, 3, n) m, m, rad per unit of each group: of the beam's position and angle at places `s` (S,)."""
     columns = response_columns(changes)
     return columns.split(respond(solved, columns.changes).poses(s))
 
 
-def push_moment(problem: Problem, push_s: Array, force: Array) -> Change:
+def push_moment(problem: Problem, push_s: Array, force: Array) -> Perturbation:
     """One parameter: the moment [N m] of a force (F,) [N] across the beam that acts one metre from `push_s`."""
     lever = of_moment(problem, push_s)
     assert lever.moment is not None

@@ -17,11 +17,11 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import make_grid
+from onebend.beam.grid import apply, make_grid
 from onebend.beam.modal import Modes
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Profile, equidistant, gaussian_basis, power_basis
 from onebend.errors import LearningError
-from onebend.learning.model.frames import push_places
+from onebend.learning.model.frames import mass_profile, push_places
 from onebend.learning.model.mass import NEEDS_MASS, weighs
 from onebend.learning.paper.inverse_kinematics import States
 from onebend.records import Array, BoolArray, Observations
@@ -141,9 +141,11 @@ def least_squares(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _weight_beyond(observations: Observations) -> Array:
-    """(T, Q, 2) N: the weight of the beam beyond each node, its mass spread evenly."""
+    """(T, Q, 2) N: the weight of the beam beyond each node, its mass spread as it is written down."""
     if not weighs(observations):
         return np.zeros((len(observations.time), len(_GRID.nodes), 2))
     if not np.isfinite(observations.stated.mass):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    return observations.stated.mass * (1.0 - _GRID.nodes)[None, :, None] * observations.gravity[:, None, :]
+    line = observations.length * np.asarray(mass_profile(observations)(_GRID.nodes))
+    beyond = _GRID.weights @ line - apply(_GRID.integral_to_nodes, line)
+    return np.asarray(beyond[None, :, None] * observations.gravity[:, None, :])

@@ -11,7 +11,7 @@ from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.model.frames import nothing_moves, usable_frames
+from onebend.learning.model.frames import mass_profile, nothing_moves, usable_frames
 from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison, Trial
 from onebend.learning.paper import regression
@@ -154,13 +154,10 @@ def _try(
 
 
 def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:
-    """The learned beam: stiffness, rest curvature and an even mass."""
-    mass = observations.stated.mass if np.isfinite(observations.stated.mass) else 0.0
+    """The learned beam: stiffness, rest curvature and the mass as it is written down."""
     theta0 = states.theta0
     curvature: Profile = Uniform(0.0)
     if np.any(theta0 != 0.0):
         powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
         curvature = Powers(tuple(float(c) for c in powers))
-    return Beam(
-        observations.length, stiffness, rest_curvature=curvature, mass_per_length=Uniform(mass / observations.length)
-    )
+    return Beam(observations.length, stiffness, rest_curvature=curvature, mass_per_length=mass_profile(observations))

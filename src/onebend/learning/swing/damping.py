@@ -167,7 +167,7 @@ def _body(beam: Beam, settings: DampingSettings) -> Body:
 
 
 def _vibration(on: Body, swing: Swing, most: int = 6) -> Vibration:
-    return vibration_of(on, at_rest(on, swing.gravity), Actions(gravity=swing.gravity), most=most)
+    return vibration_of(on, at_rest(on, swing.gravity), Actions(gravity=swing.gravity), count=most)
 
 
 def _model_sd(beam: Beam, uncertain: UncertainStiffness | None, swing: Swing, settings: DampingSettings) -> float:

@@ -9,13 +9,13 @@ import numpy as np
 from onebend.beam.motion.actions import Actions
 from onebend.beam.motion.collocation import Method
 from onebend.beam.motion.dynamics import Body
-from onebend.beam.motion.integration import Options, State, simulate
+from onebend.beam.motion.integration import IntegrationSettings, MotionState, simulate
 from onebend.beam.motion.vibration import Vibration, settle
 from onebend.learning.swing.free_swing import Glance, Swing
 from onebend.records import Array
 
 _STEPS = 40  # a period of the slowest mode
-_METHOD = Options(Method(3, "radau"))  # the fastest modes are over-damped; Gauss would let them ring
+_METHOD = IntegrationSettings(Method(3, "radau"))  # the fastest modes are over-damped; Gauss would let them ring
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def predict(problem: SwingProblem, x: Array) -> Array:
     rest = at_rest(on, swing.gravity)
     shapes = problem.about.shapes[:, :count] * problem.units
     rates = shapes * np.sqrt(np.abs(problem.about.squared[:count]))
-    start = State(rest.theta + shapes @ x[2 : 2 + count], rates @ x[2 + count :])
+    start = MotionState(rest.theta + shapes @ x[2 : 2 + count], rates @ x[2 + count :])
     period = 2.0 * np.pi / np.sqrt(problem.about.squared[0] * factor)
-    motion = simulate(on, start, float(swing.time[-1]), period / _STEPS, actions, options=_METHOD)
+    motion = simulate(on, start, float(swing.time[-1]), period / _STEPS, actions, settings=_METHOD)
     states = motion.states_at(np.minimum(swing.time, motion.time[-1]))
     return _riding(on, states, rest.theta, swing)
 
@@ -92,6 +92,6 @@ def scaled(on: Body, factor: float, loss_time: float, *, mass_known: bool) -> Bo
     )
 
 
-def at_rest(on: Body, gravity: Array) -> State:
+def at_rest(on: Body, gravity: Array) -> MotionState:
     """The body at rest under its weight."""
     return settle(on, Actions(gravity=gravity), load_steps=20 if np.any(gravity) else 1)

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from onebend.beam.profiles.uncertain import half_width
 from onebend.lab.designs import Design
 from onebend.lab.fabrication.mould import PrintedPart
 from onebend.records import Array
@@ -35,7 +36,7 @@ def design_figure(design: Design) -> Figure:
     k = np.asarray(design.along.stiffness(S))
     stiffness.plot(S, k, color=INK)
     if design.modulus_log_sd > 0.0:
-        wide = np.exp(1.96 * design.modulus_log_sd)
+        wide = np.exp(half_width(design.modulus_log_sd))
         stiffness.fill_between(S, k / wide, k * wide, color=INK, alpha=0.15, linewidth=0.0, label="95 %, modulus alone")
         stiffness.legend()
     stiffness.set_xlim(0.0, 1.0)

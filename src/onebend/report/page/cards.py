@@ -73,10 +73,10 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     if not ranges:
         return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
     s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
-    sd = np.hypot(uncertain.log_at(s)[1], uncertain.gain_sd)
+    wide = float(np.median(uncertain.half_width(s)))
     where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
     return {
         "what": what,
-        "value": f"± {significant(100.0 * float(np.expm1(1.96 * np.median(sd))), 2)} %",
+        "value": f"± {significant(100.0 * np.expm1(wide), 2)} %",
         "note": f"95 %, median over the identified s = {where}",
     }
