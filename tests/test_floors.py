@@ -67,9 +67,9 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "lab": (
         ("materials", "pushes", "sensors", "random_beams", "extensible"),
-        ("designs", "tag_errors"),
+        ("designs", "tag_errors", "effects"),
         ("design_file", "expected", "virtual", "fabrication"),
-        ("direct_observation", "filming"),
+        ("direct_observation", "filming", "random_effects"),
         ("film_request",),
         ("random_bench",),
     ),

@@ -17,6 +17,7 @@ from onebend.lab.filming.scene import Backdrop, Scene
 from onebend.lab.filming.viewpoint import Camera
 from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import Kind, force_that_bends, random_stiffness
+from onebend.lab.random_effects import EffectRanges, with_random_effects
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, VirtualTag
 from onebend.records import Array
@@ -37,6 +38,7 @@ class BenchRanges:
     sides: tuple[tuple[int, int], ...] = ((1280, 720), (1280, 720), (1920, 1080))  # px
     fps: tuple[float, ...] = (15.0, 24.0, 30.0)
     calibrated: float = 0.7  # share of films
+    effects: EffectRanges | None = None  # of real benches; None: no effects
 
 
 @one_blas_thread
@@ -62,7 +64,7 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
         declared=DeclaredValues(placement_sd=round(placement, 5), gain_sd=gain_sd),
         name=name,
     )
-    return Filming(
+    filming = Filming(
         bench,
         width=width,
         camera=random_camera(rng, chance),
@@ -75,6 +77,9 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
         mass_told=bool(rng.random() < 0.7),
         lost=float(rng.choice([0.0, 0.0, 0.01, 0.03])),
     )
+    if chance.effects is None:
+        return filming
+    return replace(filming, bench=with_random_effects(bench, rng, chance.effects, tag_size=filming.tag_size))
 
 
 def random_beam(rng: np.random.Generator, chance: BenchRanges) -> tuple[Beam, Table]:

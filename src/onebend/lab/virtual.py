@@ -17,6 +17,9 @@ from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import equilibrium
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError, RecordingError
+from onebend.lab.effects.posture_bias import posture_bias
+from onebend.lab.effects.real_bench import RealBench, instant_stiffness
+from onebend.lab.effects.rod_march import STEP, RodMotion, RodTask, march
 from onebend.lab.extensible import stretched
 from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import RESOLUTION
@@ -80,6 +83,7 @@ class VirtualBench:
     clock: VirtualClock = field(default_factory=VirtualClock)
     declared: DeclaredValues = field(default_factory=DeclaredValues)
     axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the model of the fit does not know
+    effects: RealBench = field(default_factory=RealBench)  # what a real bench does; those of the picture in films alone
     name: str = "virtual"
 
 
@@ -93,6 +97,16 @@ class VirtualRecording:
     log: ForceLog
     force: Array  # (T, 2) N, true, at the frames; clamp's frame
     pose: Array  # (T, m, 3) m, m, rad: the true tags in the clamp's frame
+    motion: RodMotion | None = None  # where the bench has effects that poses and force show
+
+
+@dataclass(frozen=True)
+class TrueStiffness:
+    """k(s) [N m] as a static model finds it at best, before anything relaxes, and without the tags' patches too."""
+
+    k: Array  # secant modulus times `k_instant`
+    k_instant: Array
+    k_bare: Array
 
 
 @one_blas_thread
@@ -108,7 +122,12 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
     camera_rng, sensor_rng = (np.random.default_rng([seed, stream]) for stream in (0, 1))
     time = np.arange(0.0, bench.push.duration, 1.0 / bench.fps)
     force = bench.push.force(time)
-    pose = tag_poses(bench, force)
+    motion = motion_of(bench, time[-1])
+    if motion is None:
+        pose = tag_poses(bench, force)
+    else:
+        seen = motion.poses(time, np.clip(tag_places(bench), 0.0, 1.0))
+        pose = tag_poses_on(bench, seen[..., :2], seen[..., 2])
     poses, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
     markers = Markers(
         time=time,
@@ -121,8 +140,42 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
         view=None,
     )
     dense = np.arange(-LOG_BEFORE, bench.push.duration + LOG_BEFORE, DENSE)
-    log = log_of(bench.sensor, dense, bench.push.force(dense), sensor_rng, offset=bench.clock.offset)
-    return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose)
+    log = log_of(bench.sensor, dense, sensed(bench, dense, motion), sensor_rng, offset=bench.clock.offset)
+    return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose, motion)
+
+
+def motion_of(
+    bench: VirtualBench, until: float, *, at: Array | None = None, gravity: tuple[float, float] = (0.0, 0.0)
+) -> RodMotion | None:
+    """The beam through the push where effects bear on it or on the log; None: it is as `beam.statics` has it.
+
+    Raises:
+        MechanicsError: it snaps through, or weight or inertia are asked for and its mass is not known.
+    """
+    effects = bench.effects
+    if not (effects.moves_otherwise or effects.posture_bias):
+        return None
+    if np.isfinite(bench.axial_stiffness):
+        raise MechanicsError("axial_stiffness does not go with other effects. Give a thickness instead")
+    task = RodTask(bench.beam, effects, tag_places(bench), bench.push.force, bench.push.at_s, until, gravity)
+    parts = int(np.ceil(1.0 / (bench.fps * STEP)))
+    return march(task, 1.0 / (bench.fps * parts), at=at)
+
+
+def sensed(bench: VirtualBench, time: Array, motion: RodMotion | None) -> Array:
+    """(N, 2) N at `time` (N,) [s]: the true force, and what the posture adds to it."""
+    force = bench.push.force(time)
+    if motion is None or not bench.effects.posture_bias:
+        return force
+    error = posture_bias(bench.effects, motion.tool, bench.beam.length, bench.push.peak)
+    return np.asarray(force + np.stack([np.interp(time, motion.time, column) for column in error.T], axis=1))
+
+
+def true_stiffness(bench: VirtualBench, motion: RodMotion | None, s: Array) -> TrueStiffness:
+    """k at `s` (S,)."""
+    bare = np.asarray(bench.beam.stiffness(s))
+    instant = instant_stiffness(bench.beam, bench.effects, tag_places(bench), s)
+    return TrueStiffness((1.0 if motion is None else motion.secant) * instant, instant, bare)
 
 
 @one_blas_thread
@@ -177,10 +230,11 @@ def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
 def declared_recording(bench: VirtualBench) -> Recording:
     """What recording.toml would say."""
     declared, clock, at = bench.declared, bench.clock, Path("virtual") / bench.name
+    length = bench.beam.length if isnan(declared.length) else declared.length
     return Recording(
         folder=at,
         name=bench.name,
-        beam=BeamEntry(length=bench.beam.length if isnan(declared.length) else declared.length, rest=declared.rest),
+        beam=BeamEntry(length=length * (1.0 + bench.effects.length_off), rest=declared.rest),
         tags=TagsEntry(
             size=0.012,
             placement_sd=declared.placement_sd,

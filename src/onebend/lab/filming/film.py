@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 
@@ -11,19 +11,21 @@ import numpy as np
 
 from onebend.blas import one_blas_thread
 from onebend.errors import RecordingError
-from onebend.lab.filming.film_setup import DOWN, Filming, check, frame_times, motive_of
+from onebend.lab.effects.camera_motion import CameraMotion, camera_motion
+from onebend.lab.effects.rod_march import RodMotion
+from onebend.lab.filming.film_setup import DOWN, Filming, check, frame_times
 from onebend.lab.filming.force_log_file import in_log_axes, write_log
-from onebend.lab.filming.movement import PLACES, BeamShapes, shapes_at
-from onebend.lab.filming.moving_scene import BeamPose, MovingScene, clamp_block, moment_of
+from onebend.lab.filming.moments import Moments, followed, moments_at
+from onebend.lab.filming.movement import PLACES, BeamShapes
+from onebend.lab.filming.moving_scene import BeamPose, MovingScene, clamp_block, moment_of, over_rows
 from onebend.lab.filming.printed_tag import as_printed, outlines, placed
 from onebend.lab.filming.recording_toml import recording_toml
 from onebend.lab.filming.render import Drawing, StaticScene, YuvFrame, frame_of, stage
-from onebend.lab.filming.scene import Scene
 from onebend.lab.filming.truth_file import FilmTruth, write_truth
 from onebend.lab.filming.video_file import write_video
 from onebend.lab.filming.viewpoint import calibration, view_from
 from onebend.lab.sensors import log_of
-from onebend.lab.virtual import DENSE, declared_recording, tag_places, tag_poses_on
+from onebend.lab.virtual import DENSE, declared_recording, sensed
 from onebend.progress import Progress, Silent, track
 from onebend.recording.camera.lens import project
 from onebend.recording.folder import FILE_NAME
@@ -37,6 +39,18 @@ INCH = 0.0254  # m
 SHARPEST = 0.8  # half widths a radius
 
 
+@dataclass(frozen=True)
+class Shot:
+    """All that the frames are made of: three moments of each exposure, at its begin, middle and end."""
+
+    staged: StaticScene
+    cast: MovingScene
+    first: Moments  # (3 T,) as the first row of the picture is exposed
+    last: Moments  # as the last one is
+    camera: CameraMotion
+    readout: float  # s, from one to the other
+
+
 @one_blas_thread
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
     """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
@@ -48,16 +62,19 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
     folder, bench = Path(folder), filming.bench
     check(filming, folder)
     time = frame_times(filming, np.random.default_rng([seed, 2]))
-    before, middle, after = (time + part * 0.5 * filming.scene.exposure for part in (-1.0, 0.0, 1.0))
-    shapes = shapes_at(bench.beam, bench.push, np.stack([before, middle, after], axis=1).ravel(), motive_of(filming))
-    refuse_sharp_bends(filming, shapes)
-    tags = in_room(tag_poses(filming, shapes), filming.base_angle)
-    beam = in_room(np.concatenate([shapes.xy, shapes.angle[..., None]], axis=-1), filming.base_angle)
+    exposed = (time[:, None] + 0.5 * filming.scene.exposure * np.array([-1.0, 0.0, 1.0])).ravel()
+    readout = bench.effects.readout
+    motion = followed(filming, float(exposed[-1]) + readout)
+    moments = moments_at(filming, motion, exposed)
+    refuse_sharp_bends(filming, moments.shapes)
+    late = moments_at(filming, motion, exposed + readout) if readout else moments
+    camera_moves = camera_motion(bench.effects, bench.push.duration, np.random.default_rng([seed, 13]))
     cast = cast_of(filming, np.random.default_rng([seed, 12]))
-    view = view_from(filming.camera, to_be_seen(cast, beam, tags))
-    staged = stage_of(filming, cast, view, beam, seed)
+    view = view_from(filming.camera, to_be_seen(cast, moments))
+    staged = stage_of(filming, cast, view, moments.beam, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    frames = pictures(staged, cast, time, beam, tags, np.random.default_rng([seed, 0]))
+    shot = Shot(staged, cast, moments, late, camera_moves, readout)
+    frames = pictures(shot, time, np.random.default_rng([seed, 0]))
     camera = filming.camera
     write_video(
         folder / "video.mp4",
@@ -66,12 +83,12 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
         bench.fps,
         filming.scene.crf,
     )
-    log, clean = force_log(filming, np.random.default_rng([seed, 1]))
+    log, clean = force_log(filming, motion, np.random.default_rng([seed, 1]))
     write_log(folder / "force.csv", log)
     (folder / FILE_NAME).write_text(recording_toml(entries(filming, folder)), encoding="utf-8")
-    inner = slice(1, None, 3)
-    shown = BeamShapes(time, shapes.force[inner], shapes.xy[inner], shapes.angle[inner])
-    write_truth(folder / "truth", FilmTruth(filming, shown, tags[inner], view, log, clean, seed))
+    shown = moments.part(slice(1, None, 3))
+    moved = camera_moves.shift(time)
+    write_truth(folder / "truth", FilmTruth(filming, shown, motion, moved, view, log, clean, seed))
     return folder
 
 
@@ -86,21 +103,6 @@ def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
             f"{peak:.3g} N would bend the beam to a radius of {middle / tightest:.2g} mm, which its width of "
             f"{2.0 * middle:.2g} mm does not allow. Give a smaller force."
         )
-
-
-def tag_poses(filming: Filming, shapes: BeamShapes) -> Array:
-    """(T, m + 1, 3) the base tag and those on the beam, clamp's frame."""
-    bench = filming.bench
-    xy, angle = shapes.at(tag_places(bench))
-    base = np.tile(np.array(bench.base), (len(shapes.time), 1, 1))
-    return np.concatenate([base, tag_poses_on(bench, xy, angle)], axis=1)
-
-
-def in_room(pose: Array, base_angle: float) -> Array:
-    """Poses (..., 3) in the room, from the clamp's frame."""
-    cos, sin = np.cos(base_angle), np.sin(base_angle)
-    xy = pose[..., :2] @ np.array([[cos, sin], [-sin, cos]])
-    return np.concatenate([xy, pose[..., 2:] + base_angle], axis=-1)
 
 
 def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
@@ -118,12 +120,13 @@ def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
     )
 
 
-def to_be_seen(cast: MovingScene, beam: Array, tags: Array) -> Array:
+def to_be_seen(cast: MovingScene, moments: Moments) -> Array:
     """(N, 2) m: the paper of every tag at every time, and the beam."""
+    tags = moments.tags[..., :3]
     corners = [
         placed(tag.paper[0], pose) for i, tag in enumerate(cast.tags) for pose in tags[:: max(1, len(tags) // 200), i]
     ]
-    return np.concatenate([*corners, beam[::5, :, :2].reshape(-1, 2)])
+    return np.concatenate([*corners, moments.beam[::5, :, :2].reshape(-1, 2)])
 
 
 def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed: int) -> StaticScene:
@@ -136,40 +139,52 @@ def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed:
     return stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
 
 
-def pictures(
-    staged: StaticScene, cast: MovingScene, time: Array, beam: Array, tags: Array, rng: np.random.Generator
-) -> Iterator[tuple[float, YuvFrame]]:
-    """Frames in order with their times. `beam` (3 T, S, 3), `tags` (3 T, m, 3): begin, middle, end of exposures."""
+def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, YuvFrame]]:
+    """Frames in order with their times."""
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
-        moments = moments_of(staged, beam[part], tags[part])
-        shown = [drawn(cast, staged.scene, now, u, beam[part], tags[part]) for u in moments]
-        yield now, frame_of(staged, shown, now, rng)
+        first = shot.first.part(part)
+        last = first if shot.last is shot.first else shot.last.part(part)
+        exposure = replace(shot, first=first, last=last)
+        yield now, frame_of(shot.staged, [drawn(exposure, now, u) for u in moments_of(exposure)], now, rng)
 
 
-def moments_of(staged: StaticScene, beam: Array, tags: Array) -> list[float]:
+def moments_of(shot: Shot) -> list[float]:
     """Moments of one exposure that are drawn, -1 at its beginning and 1 at its end."""
-    ends = project(staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
+    tags, beam = shot.first.tags, shot.first.beam
+    ends = project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
     count = int(np.clip(np.ceil(moved / STEPS), 1, MOST_MOMENTS))
     return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]
 
 
-def drawn(cast: MovingScene, scene: Scene, time: float, u: float, beam: Array, tags: Array) -> Drawing:
+def drawn(shot: Shot, time: float, u: float) -> Drawing:
     """All that moves at moment `u` of an exposure, by a parabola through its begin, middle and end."""
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
-    shape, at = np.tensordot(weights, beam, 1), np.tensordot(weights, tags, 1)
-    return moment_of(cast, BeamPose(time + 0.5 * u * scene.exposure, shape[:, :2], shape[:, 2], at))
+    now = time + 0.5 * u * shot.cast.scene.exposure
+
+    def at(moments: Moments, when: float) -> Drawing:
+        beam, tags = np.tensordot(weights, moments.beam, 1), np.tensordot(weights, moments.tags, 1)
+        contact = float(weights @ moments.contact)
+        return moment_of(shot.cast, BeamPose(when, beam[:, :2], beam[:, 2], tags, beam[:, 3], contact))
+
+    first = at(shot.first, now)
+    if shot.last is shot.first and shot.camera.still:
+        return first
+    last = at(shot.last, now + shot.readout)
+    shift = shot.camera.shift(np.array([now, now + shot.readout]))
+    return over_rows(first, last, shift, shot.staged.table.y.shape[0])
 
 
-def force_log(filming: Filming, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
+def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
     """What the sensor logs, and the true force on the log's clock; both in the log's axes and with its sign."""
     bench, margin = filming.bench, filming.log_before
     step = min(DENSE, 0.5 / bench.sensor.rate)
     dense = np.arange(-margin, bench.push.duration + margin, step)
     acts_on = "robot" if filming.log_of_robot else "beam"
     force = in_log_axes(bench.push.force(dense), filming.log_rotation, acts_on)
-    log = log_of(bench.sensor, dense, force, rng, offset=bench.clock.offset)
+    felt = in_log_axes(sensed(bench, dense, motion), filming.log_rotation, acts_on)
+    log = log_of(bench.sensor, dense, felt, rng, offset=bench.clock.offset)
     clean = np.stack([np.interp(log.time - bench.clock.offset, dense, column) for column in force.T], axis=1)
     return log, ForceLog(log.time, clean)
 

@@ -57,7 +57,12 @@ def check(filming: Filming, folder: Path) -> None:
     if not 0.0 <= filming.lost < 0.5:
         raise RecordingError(f"a camera loses a share of its frames in [0, 0.5), got {filming.lost}")
     if np.isfinite(bench.axial_stiffness):
-        raise RecordingError("a beam that stretches is not filmed: leave axial_stiffness infinite")
+        raise RecordingError("axial_stiffness is not filmed: leave it infinite, and give a thickness in `effects`")
+    if filming.swings and (bench.effects.moves_otherwise or bench.effects.posture_bias):
+        raise RecordingError("a beam that swings is filmed without effects on its motion: take a slow push")
+    for given in (bench.effects.tag_heights, bench.effects.tag_tilts):
+        if given and len(given) != len(bench.tags):
+            raise RecordingError("tag_heights and tag_tilts have one value for each tag on the beam, or none")
 
 
 def frame_times(filming: Filming, rng: np.random.Generator) -> Array:

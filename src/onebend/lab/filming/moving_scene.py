@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from onebend.lab.filming.in_space import lifted, placed_in_space
 from onebend.lab.filming.printed_tag import TagOutlines, placed
 from onebend.lab.filming.render import ColourLayer, Drawing, Shadow
 from onebend.lab.filming.scene import Colour, Scene
@@ -40,7 +41,9 @@ class BeamPose:
     time: float  # s
     xy: Array  # (S, 2) m
     angle: Array  # (S,) rad
-    tags: Array  # (m, 3)
+    tags: Array  # (m, 6) x, y, angle, z, tilts
+    height: Array  # (S,) m, of the beam over the table's plane
+    contact: float  # s, where the tool pushes
 
 
 def clamp_block(scene: Scene, base_angle: float) -> Drawing:
@@ -65,14 +68,26 @@ def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
         for part, width in pieces(pose, cast.half_width)
     ]
     for tag, at in zip(cast.tags, pose.tags, strict=True):
-        layers.append(ColourLayer(placed(tag.paper, at), grey(scene.paper)))
-        layers.append(ColourLayer(placed(tag.ink, at), grey(scene.ink)))
+        layers.append(ColourLayer(placed_in_space(tag.paper, at), grey(scene.paper)))
+        layers.append(ColourLayer(placed_in_space(tag.ink, at), grey(scene.ink)))
     if above:
         layers.append(ColourLayer(tool, scene.tool))
     if abs(pose.time - scene.hand_at) < HAND_TIME:
         layers.append(ColourLayer(hand_outline(pose, scene.hand_at), scene.hand))
-    shadows = [Shadow(strip(pose, cast.half_width) + SHADOW), Shadow(tool + SHADOW, density=0.3)]
+    shadows = [Shadow(strip(pose, cast.half_width)[:, :2] + SHADOW), Shadow(tool + SHADOW, density=0.3)]
     return Drawing(shadows, layers)
+
+
+def over_rows(first: Drawing, last: Drawing, shift: Array, rows: int) -> Drawing:
+    """One picture of two drawings of the same things: as the first row is exposed, and as the last one is.
+
+    `shift` (2, 2) px: of the camera's picture at these rows.
+    """
+    if len(first.layers) != len(last.layers):  # a hand that comes or goes
+        return replace(first, shift=shift, rows=rows)
+    layers = [replace(one, late=two.loops) for one, two in zip(first.layers, last.layers, strict=True)]
+    shadows = [replace(one, late=two.loops) for one, two in zip(first.shadows, last.shadows, strict=True)]
+    return Drawing(shadows, layers, shift, rows)
 
 
 def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
@@ -80,7 +95,8 @@ def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
     out = []
     for first in range(0, len(half_width) - 1, PIECE):
         part = slice(first, first + PIECE + 2)
-        out.append((replace(pose, xy=pose.xy[part], angle=pose.angle[part]), half_width[part]))
+        cut = replace(pose, xy=pose.xy[part], angle=pose.angle[part], height=pose.height[part])
+        out.append((cut, half_width[part]))
     return out
 
 
@@ -93,9 +109,10 @@ def dimmed(colour: Colour, share: float) -> Colour:
 
 
 def strip(pose: BeamPose, half_width: Array) -> Array:
-    """Outline (2 S, 2) m of the beam."""
+    """Outline (2 S, 2) m of the beam, or (2 S, 3)."""
     left = half_width[:, None] * np.stack([-np.sin(pose.angle), np.cos(pose.angle)], axis=-1)
-    return np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
+    outline = np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
+    return lifted(outline, np.concatenate([pose.height, pose.height[::-1]]))
 
 
 def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
@@ -103,8 +120,8 @@ def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
     push, places = cast.push, np.linspace(0.0, 1.0, len(pose.xy))
     angle = float(push.angle(np.array([pose.time]))[0]) + cast.base_angle
     along = np.array([np.cos(angle), np.sin(angle)])
-    touch = np.array([np.interp(push.at_s, places, pose.xy[:, i]) for i in range(2)])
-    half = float(np.interp(push.at_s, places, cast.half_width))
+    touch = np.array([np.interp(pose.contact, places, pose.xy[:, i]) for i in range(2)])
+    half = float(np.interp(pose.contact, places, cast.half_width))
     begin, end = push.contact
     away = smooth(np.array([(begin - pose.time) / APPROACH]))[0]
     if push.after > 0.0:

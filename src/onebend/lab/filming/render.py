@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, shift
 
+from onebend.lab.filming.in_space import pixels, rolled
 from onebend.lab.filming.raster import Image, PixelBox, box_around, coverage
 from onebend.lab.filming.scene import Colour, Picture, Scene, backdrop, blend, lamp, light_at, yuv
 from onebend.recording.camera.lens import project
@@ -25,8 +26,9 @@ GRAIN = 96  # px: the field of noise is so much larger than a picture
 class ColourLayer:
     """Polygons of one colour, neighbours on the table: their boxes together are hardly larger than they are."""
 
-    loops: Array  # (..., corners, 2) m
+    loops: Array  # (..., corners, 2) m, or (..., corners, 3)
     colour: Colour
+    late: Array | None = None  # the same as the last row is exposed; None: all rows are at once
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Shadow:
     loops: Array
     density: float = 0.35
     soft: float = 5.0  # px, sd of its edge
+    late: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class Drawing:
 
     shadows: list[Shadow]
     layers: list[ColourLayer]
+    shift: Array = field(default_factory=lambda: np.zeros((2, 2)))  # px, of the picture at its first and last row
+    rows: int = 1  # of the picture
 
 
 @dataclass(frozen=True)
@@ -76,8 +81,8 @@ def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, movin
     width, height = size
     table = backdrop(scene, view, (height, width), np.random.default_rng([seed, 10]))
     full = PixelBox(0, 0, width, height)
-    darken(table, still.shadows, view, full)
-    draw(table, still.layers, view, full)
+    darken(table, still, view, full)
+    draw(table, still, view, full)
     light = lamp(scene, (height, width))
     scope = box_around(project(view, moving), width, height, margin=4.0 * BLURRED)
     rng = np.random.default_rng([seed, 11])
@@ -85,19 +90,28 @@ def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, movin
     return StaticScene(scene, view, table, light, light[::2, ::2], scope, grain)
 
 
-def draw(picture: Picture, layers: list[ColourLayer], view: View, scope: PixelBox) -> None:
+def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
+    """Pixels (..., corners, 2) of a thing in a drawing."""
+    first = pixels(view, thing.loops)
+    if thing.late is None and not np.any(drawing.shift):
+        return first
+    last = first if thing.late is None else pixels(view, thing.late)
+    return rolled(first + drawing.shift[0], last + drawing.shift[1], drawing.rows)
+
+
+def draw(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
     """Draw layers over `picture`, which shows the box `scope` of the whole, in place."""
-    for layer in layers:
-        px = project(view, layer.loops)
+    for layer in drawing.layers:
+        px = seen_at(view, layer, drawing)
         box = clipped(box_around(px, scope.right, scope.bottom), scope)
         if 0 not in box.shape:
             blend(picture, coverage(px, box), yuv(layer.colour), box.within(scope), box.halved.within(scope.halved))
 
 
-def darken(picture: Picture, shadows: list[Shadow], view: View, scope: PixelBox) -> None:
+def darken(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
     """Lay shadows over `picture` in place. They are soft: half the resolution is enough."""
-    for shadow in shadows:
-        px = project(view, shadow.loops)
+    for shadow in drawing.shadows:
+        px = seen_at(view, shadow, drawing)
         box = clipped(box_around(px, scope.right, scope.bottom, margin=3.0 * shadow.soft), scope)
         if 0 in box.shape:
             continue
@@ -122,13 +136,14 @@ def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.r
     """
     scope = staged.scope
     full, half = scope.slices, scope.halved.slices
-    seen = Picture(staged.table.y.copy(), staged.table.u.copy(), staged.table.v.copy())
+    middle = moments[len(moments) // 2]
+    seen = shifted(staged.table, middle.shift.mean(axis=0))
     under = Picture(seen.y[full], seen.u[half], seen.v[half])
-    darken(under, moments[len(moments) // 2].shadows, staged.view, scope)
+    darken(under, middle, staged.view, scope)
     mean = Picture(np.zeros_like(under.y), np.zeros_like(under.u), np.zeros_like(under.v))
     for moment in moments:
         now = Picture(under.y.copy(), under.u.copy(), under.v.copy())
-        draw(now, moment.layers, staged.view, scope)
+        draw(now, moment, staged.view, scope)
         mean.y[:] += now.y
         mean.u[:] += now.u
         mean.v[:] += now.v
@@ -137,6 +152,17 @@ def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.r
     under.y[rows, columns] = gaussian_filter(mean.y * share, staged.scene.blur, truncate=3.5)[rows, columns]
     under.u[:], under.v[:] = mean.u * share, mean.v * share
     return exposed(staged, seen, np.float32(light_at(staged.scene, time)), rng)
+
+
+def shifted(table: Picture, by: Array) -> Picture:
+    """A copy of a picture, moved by (2,) px to the right and down."""
+    if not np.any(by):
+        return Picture(table.y.copy(), table.u.copy(), table.v.copy())
+    y, u, v = (
+        shift(plane, share * by[::-1], order=1, mode="nearest", prefilter=False)
+        for plane, share in ((table.y, 1.0), (table.u, 0.5), (table.v, 0.5))
+    )
+    return Picture(y, u, v)
 
 
 def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> YuvFrame:

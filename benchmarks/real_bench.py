@@ -1,0 +1,185 @@
+"""k(s) from pushes of real benches: virtual recordings with effects drawn at random, learned by the fit.
+
+Beams, tags, pushes and clocks are those of `onebend.lab.random_bench`, effects those of `onebend.lab.random_effects`
+that poses and force show; the rod that is pushed is `onebend.lab.effects.rod_march`, which shares nothing with the
+fit's statics. Shares are of places s from 0.05 to 0.9 of the push's place; k is the truth of `true_stiffness`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from onebend.errors import LearningError, MechanicsError, ObservationError
+from onebend.lab.random_bench import BenchRanges, random_bench
+from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, EffectRanges, only
+from onebend.lab.tag_errors import TagNoise
+from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
+from onebend.learning.posterior import Posterior, fit, stiffness_of
+from onebend.records import Array
+
+IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
+CELLS = ("all", *(f"only {name}" for name in IN_POSES), "none")
+SENSORS = ("wrist", "ideal")  # as large as a robot's own errors are, they hide the effects
+CAMERA = TagNoise(white_xy=1e-5, white_angle=4e-4, slow_xy=1e-5, slow_angle=4e-4, slow_time=0.2)
+LEVELS = (0.5, 0.8, 0.95)
+PLACES = 60
+LOST = 0.7  # a run of which less is inside the 95 % band and that is trusted is counted
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One fit against its truth."""
+
+    cell: str
+    seed: int
+    failure: str = ""
+    smooth: bool = True  # neither steps nor a joint
+    inside: tuple[float, ...] = ()  # share of places inside the bands of LEVELS
+    identified: float = float("nan")  # share of places
+    error: float = float("nan")  # RMS of k / truth - 1
+    width: float = float("nan")  # mean sd of log k
+    converged: bool = False
+    trusted: bool = False
+    seconds: float = float("nan")  # of the fit
+    frames: int = 0
+    causes: tuple[str, ...] = ()
+
+
+def ranges_of(cell: str) -> EffectRanges:
+    """The effects of a cell; of those of the picture none."""
+    if cell == "all":
+        chance = {name: replace(getattr(LABORATORY, name), probability=0.0) for name in OF_THE_PICTURE}
+        return replace(LABORATORY, **chance)
+    return only(*(cell.split()[1:] if cell != "none" else ()))
+
+
+def bench_of(cell: str, seed: int) -> tuple[VirtualBench, bool]:
+    """A bench that stands its push, and whether its beam is smooth; those of one seed differ in their effects alone."""
+    rng = np.random.default_rng([seed, 31])
+    kind = ("smooth", "smooth", "smooth", "stepped", "joint")[seed % 5]
+    chance = BenchRanges(kinds=(kind,), sensors=SENSORS, effects=ranges_of(cell))  # type: ignore[arg-type]
+    bench = random_bench(rng, chance, name=f"{cell} {seed}").bench
+    return replace(bench, camera=CAMERA), kind == "smooth"
+
+
+def run(cell: str, seed: int) -> Outcome:
+    """Make, observe, fit, compare."""
+    smooth = True
+    try:
+        bench, smooth = bench_of(cell, seed)
+        made = virtual_recording(bench, seed=seed)
+        seen = observe_virtual(made)
+        began = time.perf_counter()
+        found = fit([seen], gain_sd=bench.declared.gain_sd)
+        seconds = time.perf_counter() - began
+    except (LearningError, MechanicsError, ObservationError) as wrong:
+        return Outcome(cell, seed, failure=f"{type(wrong).__name__}: {wrong}", smooth=smooth)
+    s = np.linspace(0.05, 0.9 * bench.push.at_s, PLACES)
+    truth = true_stiffness(bench, made.motion, s).k
+    outcome = compared(found, s, truth, Outcome(cell, seed, smooth=smooth))
+    return replace(outcome, seconds=seconds, frames=len(seen.time))
+
+
+def compared(found: Posterior, s: Array, truth: Array, outcome: Outcome) -> Outcome:
+    """`outcome` with a fit against k (S,) at `s`: its band as it is, whatever the verdict."""
+    stiffness = stiffness_of(found.layout, found.optimum, found.gain_sd)
+    bands = [stiffness.band(s, level) for level in LEVELS]
+    told = found.band(s)
+    return replace(
+        outcome,
+        inside=tuple(float(np.mean((truth > b.low) & (truth < b.high))) for b in bands),
+        identified=float(np.mean(told.identified)),
+        error=float(np.sqrt(np.mean((told.k / truth - 1.0) ** 2))),
+        width=float(np.mean(np.log(bands[-1].high / bands[-1].low)) / (2.0 * 1.96)),
+        converged=found.optimum.converged,
+        trusted=found.criticism.trusted,
+        causes=tuple(one.score.suspect.name for one in found.criticism.causes),
+    )
+
+
+def kept() -> Path:
+    """The file that runs of this very code are added to."""
+    digest = hashlib.sha256()
+    for source in sorted([*(ROOT / "src").rglob("*.py"), Path(__file__)]):
+        digest.update(source.read_bytes())
+    return ROOT / "out" / "benchmarks" / f"real-bench-{digest.hexdigest()[:12]}.jsonl"
+
+
+def study(wanted: Sequence[tuple[str, int]], jobs: int, path: Path) -> dict[tuple[str, int], Outcome]:
+    """Do what `path` does not hold yet, and add it there."""
+    done: dict[tuple[str, int], Outcome] = {}
+    if path.is_file():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            data = json.loads(line)
+            one = Outcome(**(data | {"causes": tuple(data["causes"]), "inside": tuple(data["inside"])}))
+            done[one.cell, one.seed] = one
+    path.parent.mkdir(parents=True, exist_ok=True)
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    with path.open("a", encoding="utf-8") as lines, ProcessPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(run, *one) for one in wanted if one not in done]
+        for count, job in enumerate(as_completed(waiting), 1):
+            one = job.result()
+            done[one.cell, one.seed] = one
+            lines.write(json.dumps(asdict(one)) + "\n")
+            lines.flush()
+            print(f"\r{count}/{len(waiting)} {one.cell} ", end="", file=sys.stderr, flush=True)
+    return {one: done[one] for one in wanted}
+
+
+def row(name: str, runs: Sequence[Outcome]) -> str:
+    """The table's row of one cell."""
+    good = [r for r in runs if not r.failure]
+    if not good:
+        return f"| {name} | {len(runs)} ({len(runs)}) |" + " - |" * 8
+    inside = 100.0 * np.mean([r.inside for r in good], axis=0)
+    known = 100.0 * float(np.mean([r.identified for r in good]))
+    error = 100.0 * float(np.median([r.error for r in good]))
+    smooth = [r.error for r in good if r.smooth]
+    even = f"{100.0 * float(np.median(smooth)):.1f}" if smooth else "-"
+    width = 100.0 * float(np.median([r.width for r in good]))
+    wrong = sum(r.trusted and r.inside[-1] < LOST for r in good)
+    seconds = float(np.median([r.seconds for r in good]))
+    return (
+        f"| {name} | {len(runs)} ({len(runs) - len(good)}) | {' / '.join(f'{share:.0f}' for share in inside)} "
+        f"| {known:.0f} | {error:.1f} | {even} | {width:.1f} | {sum(r.converged for r in good)} "
+        f"| {sum(r.trusted for r in good)} ({wrong}) | {seconds:.1f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=40, help="with all effects")
+    parser.add_argument("--each", type=int, default=8, help="with one effect at a time, and with none")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first run")
+    parser.add_argument("--cells", nargs="*", metavar="CELL", help=f"parts of their names; of {', '.join(CELLS)}")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--kept", type=Path, help="file that the runs are added to; default: one a version of the code")
+    asked = parser.parse_args()
+    cells = [cell for cell in CELLS if not asked.cells or any(part in cell for part in asked.cells)]
+    count = {cell: asked.runs if cell == "all" else asked.each for cell in cells}
+    wanted = [(cell, asked.first + i) for cell in cells for i in range(count[cell])]
+    done = study(wanted, asked.jobs, asked.kept or kept())
+    print(
+        f"| effects | runs (failed) | truth inside {' / '.join(f'{100 * level:.0f}' for level in LEVELS)} % band [%] "
+        "| identified [%] | k off, RMS, median [%] | smooth beams [%] | sd of log k, median [%] | converged "
+        f"| trusted (with < {100 * LOST:.0f} % inside) | fit [s] |"
+    )
+    print("| --- " * 10 + "|")
+    for cell in cells:
+        print(row(cell, [one for (name, _), one in done.items() if name == cell]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What real benches do beyond the ideal beam, sensor and camera."""
