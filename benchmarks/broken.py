@@ -21,7 +21,8 @@ from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.direct_observation import observe_from_truth
 from onebend.lab.random_beams import RESOLUTION
 from onebend.lab.virtual import VirtualBench, VirtualRecording, from_base, observe_virtual, tag_poses, virtual_recording
-from onebend.learning.posterior import Posterior, stiffness_of
+from onebend.learning.posterior import Posterior
+from onebend.learning.stiffness_band import stiffness_of
 from onebend.records import Array, ForceNoise, Observations
 
 CLEAN = ("correlated", "bias", "clock", "tags", "everything")  # kinds of errors that the fit allows for
@@ -167,7 +168,7 @@ def run(cell: str, seed: int) -> Outcome:
 
 def compared(found: Posterior, truth: Array, cell: str, seed: int) -> Outcome:
     """A fit against k (35,) at S, and what its criticism says."""
-    band = stiffness_of(found.layout, found.optimum, found.gain_sd).band(S)  # whatever the verdict
+    band = stiffness_of(found.problem, found.optimum, found.gain_sd).band(S)  # whatever the verdict
     critic = found.criticism
     known, sd = band.identified, np.log(band.high / band.low) / (2.0 * half_width(1.0))
     inside = (truth > band.low) & (truth < band.high)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.studies import KINDS as BEAM_KINDS
-from benchmarks.studies import PLACEMENT, PUSHED, bench_of, fit_from_nothing
+from benchmarks.studies import PLACEMENT, PUSHED, PUSHED_SD, bench_of, fit_from_nothing
 from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
@@ -22,7 +22,7 @@ from onebend.learning.paper.learn import regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.observe import observe
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.records import DIRECTION_SD, Array, Observations
 
 BEAMS = ("linear", "quadratic", "cubic")
 OTHERS = ("s08", "s06")
@@ -110,7 +110,7 @@ def _anew(bench: VirtualBench, push: PlannedPush, seed: int, number: int) -> Vir
     """The bench for one more push: clamped anew, place and axes of the push off anew, by what is stated of them."""
     rng = np.random.default_rng([seed, number, 31])
     x, y, turn = np.array([PLACEMENT, PLACEMENT, MOUNTING_SD]) * rng.standard_normal(3)
-    off, axes = np.array([PLACE_SD / bench.beam.length, DIRECTION_SD]) * rng.standard_normal(2)
+    off, axes = np.array([PUSHED_SD / bench.beam.length, DIRECTION_SD]) * rng.standard_normal(2)
     return replace(
         bench,
         push=PushProfile(push.largest, direction=push.direction, turn=0.0, at_s=push.at_s + float(off)),

@@ -25,7 +25,8 @@ from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, EffectRanges, only
 from onebend.lab.tag_errors import TagNoise
 from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
-from onebend.learning.posterior import Posterior, fit, stiffness_of
+from onebend.learning.posterior import Posterior, fit
+from onebend.learning.stiffness_band import stiffness_of
 from onebend.records import Array
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
@@ -94,7 +95,7 @@ def run(cell: str, seed: int) -> Outcome:
 
 def compared(found: Posterior, s: Array, truth: Array, outcome: Outcome) -> Outcome:
     """`outcome` with a fit against k (S,) at `s`: its band as it is, whatever the verdict."""
-    stiffness = stiffness_of(found.layout, found.optimum, found.gain_sd)
+    stiffness = stiffness_of(found.problem, found.optimum, found.gain_sd)
     bands = [stiffness.band(s, level) for level in LEVELS]
     told = found.band(s)
     return replace(

@@ -33,7 +33,7 @@ from onebend.learning.model.fit_data import REST_MODES
 from onebend.learning.posterior import FitSettings, Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD as HELD_SD
-from onebend.records import CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
+from onebend.records import CURVATURE_SD, DIRECTION_SD, TURN_SD, Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything", "stages", "franka")
@@ -43,6 +43,7 @@ PLACEMENT = 5e-4  # m, one sd, as stated
 PLACED = 2e-5  # m, one sd as stated where the tags sit in their places: a jig's, not an exact zero
 MOUNTING = TURN_SD  # rad, one sd of a tag's turn
 CLAMP_SD = float(np.hypot(HELD_SD, MOUNTING_SD))  # rad, of the clamp's direction where the rest is unknown
+PUSHED_SD = 5e-4  # m, of a push at a mark, as it is stated
 PUSHED = 0.98  # where the push is said to act: off it either way there is beam
 STRAIGHT = Powers((0.0,))
 GAIN = 0.05  # one sd, as stated
@@ -112,7 +113,7 @@ def bench_of(kind: Kind, errors: str, seed: int) -> VirtualBench:
     placement = PLACEMENT if has("tags") else PLACED
     beam = Beam(LENGTH, random_stiffness(kind, rng), rest_curvature=rest_curvature(rng) if everything else STRAIGHT)
     direction, turn = rng.uniform(1.4, 2.1), rng.uniform(0.2, 0.8)
-    at_s = PUSHED + PLACE_SD / LENGTH * float(rng.standard_normal())
+    at_s = PUSHED + PUSHED_SD / LENGTH * float(rng.standard_normal())
     peak = force_that_bends(beam, rng.uniform(0.7, 1.3), direction, at_s)
     off = rng.standard_normal((3, 3)) * np.array([placement, placement, MOUNTING])
     base = rng.standard_normal(3) * np.array([placement, placement, MOUNTING_SD])
@@ -132,6 +133,7 @@ def bench_of(kind: Kind, errors: str, seed: int) -> VirtualBench:
         declared=DeclaredValues(
             push_s=PUSHED,
             placement_sd=placement,
+            place_sd=PUSHED_SD,
             axes=DIRECTION_SD * float(rng.standard_normal()),
             rest="unknown" if everything else "straight",
             gain_sd=gain,

@@ -117,10 +117,11 @@ GIVEN = {
     "damping.md": damping,
     "export.md": nothing,
     "plan.md": plan,
+    "real-lab.md": plan,
     "rehearse.md": nothing,
     "sklearn.md": sklearn,
 }
-SLOW = ("plan.md", "sklearn.md")  # which learn from pushes
+SLOW = ("plan.md", "real-lab.md", "sklearn.md")  # which learn from pushes
 
 
 @pytest.mark.parametrize("page", [pytest.param(p, marks=pytest.mark.slow) if p in SLOW else p for p in GIVEN])
@@ -150,6 +151,9 @@ def assert_sound(page: str, there: dict[str, Any]) -> None:
         assert there["fit"].damping.loss_time > 0.0
     elif page == "export.md":
         assert "<mujoco" in Path("beam.xml").read_text(encoding="utf-8")
+    elif page == "real-lab.md":
+        assert there["found"].grade != "not to be trusted"
+        assert "stiff tags" not in {share.name for share in there["found"].attributions}
     elif page == "sklearn.md":
         assert np.all(there["k"] > there["sd"])
         assert np.all(there["error_m"] < 0.05)

@@ -51,10 +51,10 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("observe",),
     ),
     "learning": (
-        ("outcome",),
+        ("outcome", "allowances"),
         ("model",),
         ("validation", "start", "inference", "swing", "learned_mass"),
-        ("criticism", "paper"),
+        ("criticism", "paper", "attribution", "stiffness_band"),
         ("posterior",),
         ("criticism_messages", "tradeoffs", "live", "design"),
         ("verdict", "replay"),

@@ -22,7 +22,8 @@ Rest = Literal["straight", "unknown"]
 MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
 StiffnessAlong = Literal["unknown", "even"]
 
-PLACE_SD = 5e-4  # m, along the beam, of a push placed by hand
+PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
+GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
 TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
 CLAMP_SD = 3e-3  # rad, of the clamp's direction against the beam's own at rest
@@ -196,7 +197,9 @@ class Stated:
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction (static: against x)
     curvature_sd: float = CURVATURE_SD  # rad, one sd of the Legendre states of q0; only where rest is "unknown"
     scale_sd: float = math.nan  # one sd of lengths in the picture
-    gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %); 0 where it is not stated, or without a force
+    gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %); 0 without a force
+    thickness: float = math.nan  # m, of the section in the plane of bending, mean along the beam
+    tag_size: float = math.nan  # m, side of a tag's black square; NaN for markers that are no tags
     load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
 
 

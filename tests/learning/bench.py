@@ -9,11 +9,14 @@ from onebend.beam.modal import Modes, angles, places, positions
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
 from onebend.beam.statics.problem import make_problem
+from onebend.learning.posterior import FitSettings
 from onebend.records import Array, Observations, Source, Stated
 from tests.beam.modal import modal_equilibrium
 
 MARKERS = np.array([1.0 / 3.0, 2.0 / 3.0, 1.0])
 SOFT = Beam(0.15, Gaussians(equidistant(3), 0.5, (0.02, 0.03, 0.015)))
+
+IDEAL = FitSettings(allowances=frozenset())  # an ideal beam on an ideal bench, which is what `observed` makes
 
 
 def forces(count: int = 80, most: float = 0.35) -> Array:
@@ -52,6 +55,7 @@ def observed(
             rest="straight",
             mass=np.nan,
             placement_sd=5e-4,
+            place_sd=5e-4,
         ),
         length=beam.length,
         time=np.arange(count) / 30.0,

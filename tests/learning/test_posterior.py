@@ -16,9 +16,9 @@ from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
-from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 
 S = np.linspace(0.05, 0.9, 60)
@@ -94,7 +94,7 @@ def wrong_force(made: Observations, seed: int, sd: float) -> Observations:
 def fits() -> list[Posterior]:
     """Eight seeds of noisy tags and a wandering force log."""
     made = [wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=s), s, 0.005) for s in range(8)]
-    return [fit([one], 0.03, settings=FitSettings(functions=12)) for one in made]
+    return [fit([one], 0.03, settings=replace(IDEAL, functions=12)) for one in made]
 
 
 def test_stiffness_comes_back_and_the_band_holds_it(fits: list[Posterior]) -> None:
@@ -120,12 +120,12 @@ def test_nuisances_are_reported_with_their_sd_before_and_after(fits: list[Poster
 
 def test_poor_starts_lead_to_the_same_optimum() -> None:
     made = observed(SOFT, forces(40), noise=NOISE, seed=3)
-    ends = [fit([made], start, settings=FitSettings(functions=10)).band(S).k for start in (0.01, 0.3)]
+    ends = [fit([made], start, settings=replace(IDEAL, functions=10)).band(S).k for start in (0.01, 0.3)]
     np.testing.assert_allclose(ends[0], ends[1], rtol=5e-3)
 
 
 def test_the_band_opens_where_a_push_at_mid_span_says_nothing() -> None:
-    one = fit([observed(SOFT, forces(40, most=0.6), at_s=0.6, noise=NOISE)], 0.02)
+    one = fit([observed(SOFT, forces(40, most=0.6), at_s=0.6, noise=NOISE)], 0.02, settings=IDEAL)
     band = one.band(np.array([0.3, 0.95]))
     assert band.identified.tolist() == [True, False]
     ratio = band.high / band.low
@@ -134,7 +134,7 @@ def test_the_band_opens_where_a_push_at_mid_span_says_nothing() -> None:
 
 def test_declared_gain_widens_the_whole_band_alike() -> None:
     made = observed(SOFT, forces(30), noise=NOISE)
-    plain, wide = (fit([made], 0.02, gain_sd=g, settings=FitSettings(functions=8)).band(S) for g in (0.0, 0.1))
+    plain, wide = (fit([made], 0.02, gain_sd=g, settings=replace(IDEAL, functions=8)).band(S) for g in (0.0, 0.1))
     np.testing.assert_allclose(plain.k, wide.k)
     half = np.log(wide.high / wide.k) / 1.959964
     np.testing.assert_allclose(half**2 - (np.log(plain.high / plain.k) / 1.959964) ** 2, 0.01, rtol=1e-4)
@@ -143,13 +143,13 @@ def test_declared_gain_widens_the_whole_band_alike() -> None:
 def test_several_recordings_in_one_fit_tell_more_than_one() -> None:
     tip = wrong_force(observed(SOFT, forces(40), noise=NOISE, seed=1), 1, 0.005)
     side = with_source(wrong_force(observed(SOFT, forces(40), at_s=0.7, noise=NOISE, seed=2), 2, 0.005), name="side")
-    alone, both = fit([tip], 0.02), fit([tip, side], 0.02)
+    alone, both = fit([tip], 0.02, settings=IDEAL), fit([tip, side], 0.02, settings=IDEAL)
     assert np.mean(both.stiffness.log_at(S)[1]) < np.mean(alone.stiffness.log_at(S)[1])
 
 
 def test_stiffness_is_positive_for_a_step_that_defeats_the_regression() -> None:
     stepped = Beam(0.15, Steps((0.0, 0.4, 1.0), (0.03, 0.012)))
-    k = fit([observed(stepped, forces(40), noise=NOISE)], 0.02).band(S).k
+    k = fit([observed(stepped, forces(40), noise=NOISE)], 0.02, settings=IDEAL).band(S).k
     assert np.all(k > 0.0)
     np.testing.assert_allclose(k[(S < 0.25) | (S > 0.55)], stepped.stiffness(S[(S < 0.25) | (S > 0.55)]), rtol=0.25)
 
@@ -180,10 +180,10 @@ def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
     made = observed(beam, force, xy=shape.xy(MARKERS), angle=shape.angle(MARKERS), noise=NOISE)
     unknown = np.full((3, 2), np.nan)
     made = with_stated(replace(made, gravity=gravity, rest_xy=unknown, rest_angle=unknown[:, 0]), mass=mass)
-    band = fit([made], 0.03, settings=FitSettings(functions=12)).band(S)
+    band = fit([made], 0.03, settings=replace(IDEAL, functions=12)).band(S)
     assert np.max(np.abs(np.log(band.k / beam.stiffness(S)))) < 0.1
     stubborn = replace(Priors(), mass_spread=1e-6)
-    even = fit([made], 0.03, settings=FitSettings(functions=12, priors=stubborn)).band(S)
+    even = fit([made], 0.03, settings=replace(IDEAL, functions=12, priors=stubborn)).band(S)
     error, worse = (np.mean(np.abs(np.log(k / beam.stiffness(S)))) for k in (band.k, even.k))
     assert worse > 1.5 * error  # the clamp's own freedom takes part of the rest
 
@@ -191,7 +191,7 @@ def test_an_uneven_mass_is_not_taken_for_stiffness() -> None:
 def test_weight_without_a_mass_is_refused(curved: Observations) -> None:
     hung = replace(curved, gravity=np.tile([0.0, -9.81], (len(curved.time), 1)))
     with pytest.raises(LearningError, match=r"mass_kg in \[beam\]"):
-        fit([hung], 0.03)
+        fit([hung], 0.03, settings=IDEAL)
 
 
 def test_a_film_without_a_force_log_has_no_force_error(curved: Observations) -> None:

@@ -18,7 +18,7 @@ from onebend.recording.observe import ObserveSettings, assemble
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.records import ForceLog, Observations, View
+from onebend.records import GAIN_SD, ForceLog, Observations, View
 from tests.made_up import LENGTH, MARKER_S, TAGS
 from tests.recording.pushed import Pushed
 
@@ -117,7 +117,7 @@ def test_robot_and_rotation_are_undone() -> None:
     )
     found = observed(replace(log, force=-log.force @ axes.T), recording(force=entry))
     assert found.force == pytest.approx(plain().force, abs=0.003)
-    assert (found.stated.gain_sd, plain().stated.gain_sd) == (0.03, 0.0)  # 0 where it is not declared
+    assert (found.stated.gain_sd, plain().stated.gain_sd) == (0.03, GAIN_SD)  # 2 % where it is not declared
 
 
 def test_no_overlap_names_both_spans() -> None:

@@ -60,8 +60,8 @@ def test_the_card_has_the_width_of_the_band_that_is_drawn() -> None:
 def test_the_gain_is_in_the_card_and_said_apart() -> None:
     assert band_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
     assert band_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
-    assert "declared to 5 %" in gain_words(0.05)
-    assert "No scale error" in gain_words(0.0)
+    assert "known to 5 %" in gain_words(0.05)
+    assert "taken as exact" in gain_words(0.0)
     assert "weight" in gain_words(0.0, forced=False)
 
 

@@ -55,6 +55,8 @@ def full() -> Observations:
         curvature_sd=0.4,
         scale_sd=0.5,
         gain_sd=0.02,
+        thickness=0.025,
+        tag_size=0.012,
         load_error_sd=0.6,
     )
     known = KnownLoads(

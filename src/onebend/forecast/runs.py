@@ -100,7 +100,9 @@ def simulate_run(setup: Setup, seed: int) -> SimulatedRun:
     began = time.perf_counter()
     try:
         recordings = [_observed(setup, bench, seed * 100 + i) for i, bench in enumerate(benches(setup, seed))]
-        settings = FitSettings(functions=FUNCTIONS, most_frames=MOST_FRAMES)
+        settings = FitSettings(
+            functions=FUNCTIONS, most_frames=MOST_FRAMES, allowances=frozenset()
+        )  # the bench is ideal
         posterior = fit(recordings, start_of(recordings, None), settings=settings, gain_sd=setup.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return SimulatedRun(seed, failure=str(wrong), seconds=time.perf_counter() - began)

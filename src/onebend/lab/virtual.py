@@ -247,7 +247,7 @@ def declared_recording(bench: VirtualBench) -> Recording:
             file=at / "force.csv",
             rotation=declared.axes,
             rotation_sd=declared.axes_sd,
-            gain_sd=declared.gain_sd,
+            gain_sd=bench.sensor.gain_sd if isnan(declared.gain_sd) else declared.gain_sd,
         ),
         push=PushEntry(at=bench.push.at_s if isnan(declared.push_s) else declared.push_s, at_sd=declared.place_sd),
         gravity=None,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from onebend.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from onebend.learning.allowances.allowance import Allowance as Allowance
+    from onebend.learning.attribution import Attribution as Attribution
     from onebend.learning.criticism.alternatives import Suspect as Suspect
     from onebend.learning.criticism.criticism import Criticism as Criticism
     from onebend.learning.criticism.criticism import Finding as Finding
@@ -47,6 +49,8 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
+            "onebend.learning.allowances.allowance": "Allowance",
+            "onebend.learning.attribution": "Attribution",
             "onebend.learning.criticism.alternatives": "Suspect",
             "onebend.learning.criticism.criticism": "Criticism Finding",
             "onebend.learning.criticism.score_tests": "Score",

@@ -33,7 +33,9 @@ def criticism_remarks(posterior: Posterior) -> tuple[Remark, ...]:
 
 def _verdict(posterior: Posterior) -> Remark:
     critic = posterior.criticism
-    parts = ["the band of k(s) is not to be trusted: the recording contradicts the model"]
+    rest = any(a.name == "discrepancy" for recording in posterior.recordings for a in recording.allowances)
+    more = "there is more in the recording than the fit allows for"
+    parts = [f"{more} by a cause; its discrepancy allows for the rest" if rest else more]
     if critic.symptoms:
         parts.append("What does not fit: " + "; ".join(symptom_words(f, posterior) for f in critic.symptoms))
     if critic.causes:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, AllowanceName
+from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
@@ -33,6 +36,7 @@ from onebend.learning.inference.optimizer import (
     laplace_posterior,
 )
 from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
+from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.frames import check_same_beam, chosen_frames
@@ -40,9 +44,11 @@ from onebend.learning.model.mass import LearnedMass
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import RHO, TAU, Spline
 from onebend.learning.start import start_of
+from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations
 
+Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 CONTRADICTED = "the force contradicts the bending"
 
 
@@ -56,6 +62,7 @@ class FitSettings:
     priors: Priors = field(default_factory=Priors)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     last_rounds: int = 6  # at most, with all frames
+    allowances: frozenset[AllowanceName] = USUAL_ALLOWANCES  # what a real beam and bench may also do
 
 
 @dataclass(frozen=True)
@@ -116,17 +123,35 @@ class Posterior:
         doubts = [f"{miss.name}: {miss.words}" if several else miss.words for miss in self.misses]
         if not self.optimum.converged:
             doubts.append("the fit did not converge")
-        if not self.criticism.trusted:
-            doubts.append("the recording contradicts the model of the fit")
         for o in (recording.observations for recording in self.recordings):
             if any(remark.doubt for remark in o.source.remarks):
                 doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
         return tuple(doubts)
 
+    @cached_property
+    def attributions(self) -> tuple[Attribution, ...]:
+        """What everything that the fit allows for does to k(s), where that is known; the largest effect first."""
+        s = np.linspace(0.0, 1.0, 101)
+        known = stiffness_of(self.problem, self.optimum, self.gain_sd).band(s).identified
+        return attributions(self.problem, self.optimum, s[known] if np.any(known) else s)
+
+    @property
+    def grade(self) -> Grade:
+        """Whether k(s) may be relied on: only gross faults cost that."""
+        if self.doubts:
+            return "not to be trusted"
+        return "holds with allowances" if any(a.matters for a in self.attributions) else "holds"
+
+    @property
+    def secant_shares(self) -> tuple[float, ...]:
+        """Of each recording: k(s), the secant stiffness of its push, over the instantaneous stiffness; 1 where the
+        material does not relax."""
+        return tuple(secant_of(p.recording, p.layout, p.x, p.solved) for p in self.optimum.predictions)
+
     @property
     def stiffness(self) -> UncertainStiffness:
         """k(s), its band, and the doubts about both; the force's declared gain widens all of it alike."""
-        return replace(stiffness_of(self.layout, self.optimum, self.gain_sd), doubts=self.doubts)
+        return replace(stiffness_of(self.problem, self.optimum, self.gain_sd), doubts=self.doubts)
 
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) with its band."""
@@ -143,10 +168,14 @@ class Posterior:
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
 
     def nuisances(self) -> list[Nuisance]:
-        """Every parameter but k's, before and after the data; of the force's slow error its mean and drift."""
+        """Every parameter but k's and the discrepancy's, before and after the data; of the force's slow error its mean
+        and drift."""
         out = []
+        left_out = {"stiffness"} | {
+            a.name for recording in self.recordings for a in recording.allowances if a.enters == "poses" and a.sized
+        }
         for block in self.layout.blocks:
-            if block.start < 0 or block.name == "stiffness":
+            if block.start < 0 or block.name in left_out:
                 continue
             these, where = quantities(block, self.recordings), block.where
             after = np.sqrt(np.diag(these.weights @ self.covariance[where, where] @ these.weights.T))
@@ -169,15 +198,6 @@ class Posterior:
     def mass(self) -> LearnedMass | None:
         """The beam's mass; None where nothing weighs or it was held as written."""
         return learned_mass(self.recordings, self.layout, self.mean, self.covariance, self.stiffness, self.gain_sd)
-
-
-def stiffness_of(layout: Layout, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
-    """k(s) and its band at an optimum, the unknown place of a step between two knots of the spline included."""
-    where, fine, onto = layout.index["stiffness", -1].where, layout.spline.finer, layout.spline.on_finer
-    covariance = onto @ optimum.covariance[where, where] @ onto.T
-    covariance += np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
-    covariance = 0.5 * (covariance + covariance.T)
-    return UncertainStiffness(fine.knots, onto @ optimum.x[where], covariance, gain_sd, shape=optimum.shape)
 
 
 @one_blas_thread
@@ -225,11 +245,13 @@ def _fit(
     near = find_maximum(problem, estimate_at(problem, x), early, progress)
     recordings, near = _with_mass_found(recordings, problem, near)
 
-    whole = replace(problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline))
+    whole = replace(
+        problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline, settings.allowances)
+    )
     estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
-    return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole.layout, optimum, gain_sd)))
+    return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
 
 
 def _problem(
@@ -237,15 +259,18 @@ def _problem(
 ) -> tuple[FitProblem, Array]:
     """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
-    data = _data(recordings, settings.first_frames, spline)
-    layout = make_layout(spline, list(recordings), [len(d.error.knots) for d in data], settings.priors)
+    data = _data(recordings, settings.first_frames, spline, settings.allowances)
+    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
+    layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
     return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
 
 
-def _data(recordings: Sequence[Observations], most: int, spline: Spline) -> tuple[FitData, ...]:
-    return tuple(fit_data(o, i, chosen_frames(o, most), spline) for i, o in enumerate(recordings))
+def _data(
+    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
+) -> tuple[FitData, ...]:
+    return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances) for i, o in enumerate(recordings))
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:

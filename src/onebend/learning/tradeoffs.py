@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.learning.inference.fit_problem import log_k_map
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.model.parameters import Block
 from onebend.learning.posterior import Posterior
@@ -58,8 +59,11 @@ def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tu
 def correlations(posterior: Posterior) -> tuple[list[str], Array]:
     """Names (N,) and correlations (N, N) of the quantities; the level of k(s) comes first."""
     names, rows = [LEVEL], [_level(posterior)]
+    left_out = {"stiffness"} | {
+        a.name for one in posterior.recordings for a in one.allowances if a.enters == "poses" and a.sized
+    }
     for block in posterior.layout.blocks:
-        if block.start < 0 or block.name == "stiffness":
+        if block.start < 0 or block.name in left_out:
             continue
         these = quantities(block, posterior.recordings)
         names += these.labels
@@ -74,9 +78,10 @@ def _level(posterior: Posterior) -> Array:
     """(P,) weights of the mean of log k, over the identified places if there are any."""
     s = np.linspace(0.0, 1.0, _PLACES)
     identified = posterior.band(s).identified
-    basis = posterior.layout.spline.basis(s[identified] if np.any(identified) else s)
+    index, onto = log_k_map(posterior.problem)
+    basis = posterior.layout.spline.finer.basis(s[identified] if np.any(identified) else s) @ onto
     out = np.zeros(posterior.layout.size)
-    out[posterior.layout.index["stiffness", -1].where] = np.mean(basis, axis=0)
+    out[index] = np.mean(basis, axis=0)
     return out
 
 

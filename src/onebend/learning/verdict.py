@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from onebend.learning.attribution import Attribution
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
@@ -14,6 +15,9 @@ from onebend.records import Array, Observations, Remark
 
 _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
+_ANOTHER = 1.0  # change of log k, to first order: beyond, its size says nothing
+_MOST_NAMED = 4  # allowances in one sentence
+_SURE_SDS = 2.0  # from nothing: what an allowance is then worth is named
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -27,6 +31,26 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     )
 
 
+def grade_words(posterior: Posterior) -> str:
+    """The verdict on k(s) in a sentence: what it allows for, and what that costs."""
+    if posterior.grade == "not to be trusted":
+        return f"k(s) is not to be trusted: {'; '.join(posterior.doubts)}"
+    matter = [a for a in posterior.attributions if a.matters]
+    if not matter:
+        return "k(s) holds: the beam and the bench are as the model has them"
+    return "k(s) holds with allowances: " + "; ".join(_share_words(a) for a in matter[:_MOST_NAMED])
+
+
+def _share_words(share: Attribution) -> str:
+    """One allowance and its share."""
+    parts = []
+    if share.sds > _SURE_SDS:
+        off = f"{100.0 * np.expm1(share.shift):.2g} % off" if share.shift < _ANOTHER else "another altogether"
+        parts.append(f"without it k(s) would be {off}")
+    parts.append(f"it widens the band by a factor of {share.widening:.2f}")
+    return f"{share.name} ({', '.join(parts)})"
+
+
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     """Warnings and notes on the fit itself. Where it misses hopelessly, only that: no value that came out counts."""
     wrong = [
@@ -36,7 +60,9 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
     told = criticism_remarks(posterior)
-    return (*wrong, *_search(posterior), *told, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+    allows = any(recording.allowances for recording in posterior.recordings)
+    grade = [Remark("note", grade_words(posterior))] if allows and not posterior.doubts else []
+    return (*wrong, *grade, *_search(posterior), *told, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
 
 
 def _search(posterior: Posterior) -> list[Remark]:
@@ -67,9 +93,12 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
     """Those far from their priors that the tests of the model, which know what data must do to them, let pass."""
     told = {(f.score.suspect.name, f.score.suspect.tag) for f in posterior.criticism.striking}
     ids = posterior.recordings[0].observations.tag_id.tolist()
+    sized = {
+        a.name for recording in posterior.recordings for a in recording.allowances if a.enters == "poses" and a.sized
+    }
     out = []
     for block in posterior.layout.blocks:
-        if block.start < 0 or block.name in ("stiffness", "force"):
+        if block.start < 0 or block.name in {"stiffness", "force"} | sized:
             continue
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
         for i in np.flatnonzero(away > _FAR):

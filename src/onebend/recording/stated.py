@@ -33,7 +33,9 @@ def stated_in(recording: Recording) -> Stated:
         clamp_sd=recording.clamp_sd,
         curvature_sd=beam.curvature_sd,
         scale_sd=recording.scale_sd,
-        gain_sd=0.0 if force is None else float(np.nan_to_num(force.gain_sd)),
+        gain_sd=0.0 if force is None else force.gain_sd,
+        thickness=beam.width,
+        tag_size=tags.size,
         load_error_sd=math.nan if force is None else force.bias_sd,
     )
 

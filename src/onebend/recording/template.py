@@ -18,7 +18,7 @@ INTRODUCTION = f"""\
 format = {FORMAT}
 """
 # Written out though they are optional:
-WRITTEN = {"start_s", "start_uncertainty_s", "family", "turn_deg", "rotation_deg", "acts_on", "at_s", "size_m"}
+WRITTEN = {"start_s", "start_uncertainty_s", "rest", "family", "turn_deg", "rotation_deg", "acts_on", "at_s", "size_m"}
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 MARKERS = "In place of [video]: tracks from a motion capture or any tracker."
 POSES = "In place of [video], [force] and [push]: static poses measured by hand, with weighed loads."

@@ -19,9 +19,11 @@ from onebend.report.wording import millimetres, significant
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
 _PLACES = 401
+_LINEAR = 1.0  # change of log k: what is known of it is to first order, and nothing beyond
 _SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
+    "m/rad": (1e3, "mm/rad"),
     "s": (1e3, "ms"),
     "1": (1e2, "%"),
     "N": (1e3, "mN"),
@@ -75,12 +77,12 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
         return "No force was logged: the scale of k(s) is that of the beam's weight, m g."
     if gain_sd > 0.0:
         return (
-            f"The force's scale is declared to {100 * gain_sd:.3g} % (sd): it moves all of k(s) alike, by as much, "
-            "and is in the band."
+            f"The force's scale is taken as known to {100 * gain_sd:.3g} % (sd; gain_sd in [force]): an error of it "
+            "moves all of k(s) alike, by as much, and is in the band."
         )
     return (
-        "No scale error of the force is declared (gain_sd in [force]), and none is in the band: a sensor that reads "
-        "1 % too much makes all of k(s) 1 % too stiff."
+        "The force's scale is taken as exact (gain_sd in [force]), and no error of it is in the band: a sensor that "
+        "reads 1 % too much makes all of k(s) 1 % too stiff."
     )
 
 
@@ -119,6 +121,31 @@ def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
             )
         )
     return rows
+
+
+@dataclass(frozen=True)
+class AllowanceRow:
+    """One thing that the fit allows for, as shown."""
+
+    name: str
+    widening: str  # of the band, as a factor
+    change: str  # % of k(s), were it left out; "another" k(s) where it is more than first order tells
+    sds: str  # from the ideal bench
+    matters: bool
+
+
+def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
+    """What the fit allows for and what it costs, the largest change of k(s) first."""
+    return [
+        AllowanceRow(
+            name=share.name,
+            widening=f"{share.widening:.2f}",
+            change=f"{100.0 * np.expm1(share.shift):.2g} %" if share.shift < _LINEAR else "another",
+            sds=f"{share.sds:.1f}",
+            matters=share.matters,
+        )
+        for share in posterior.attributions
+    ]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.records import CleanForce, ClockOffset, Observations
 from onebend.report.findings import Findings
@@ -129,13 +130,24 @@ def assumptions(findings: Findings) -> list[str]:
         "gravity acts across the plane of bending, so its weight does not bend it"
     )  # fmt: skip
     return [
-        f"The beam is planar, neither stretches nor shears, is clamped at s = 0, and is {rest}; {weight}.",
+        f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.",
+        _allowed(findings),
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
         f"Each tag sits at its written s to {millimetres(recording.stated.placement_sd)} mm (sd).",
         "The force sensor's reading at rest is subtracted. Its scale error shows only under load; it is not seen, and "
         "goes into k.",
     ]
+
+
+def _allowed(findings: Findings) -> str:
+    """What else beam and bench may do."""
+    none = "It neither stretches nor shears, and the material does not relax."
+    if findings.posterior is None:
+        return none
+    inside = {one.name for recording in findings.posterior.recordings for one in recording.allowances}
+    names = [name for name, blocks in GROUPS.items() if inside & set(blocks)]
+    return f"The fit also allows for {', '.join(names)}." if names else none
 
 
 def files_described(findings: Findings) -> list[tuple[str, str]]:

@@ -106,6 +106,9 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
     optimum, uncertain = posterior.optimum, posterior.stiffness
     return {
         "trusted": not uncertain.doubts,
+        "grade": posterior.grade,
+        "secant_shares": posterior.secant_shares,
+        "allowances": [asdict(share) | {"matters": share.matters} for share in posterior.attributions],
         "doubts": uncertain.doubts,
         "identified": identified_ranges(uncertain),
         "gain_sd": uncertain.gain_sd,

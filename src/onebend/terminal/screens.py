@@ -13,7 +13,7 @@ from rich.text import Text
 
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms
+from onebend.learning.verdict import fitted_rms, grade_words
 from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
@@ -24,6 +24,7 @@ from onebend.terminal.damping import damping_words
 from onebend.terminal.parts import remarks_list
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
+    allowance_table,
     comparison_table,
     estimate_table,
     nuisance_table,
@@ -42,6 +43,7 @@ def headline(run: Findings) -> Panel:
             lines.append(f"[bold red]{card['value']}[/]: {escape(card['note'])} (see above)")
         else:
             lines[0] += f", known to {card['value']} ({card['note']})"
+            lines.append(f"[bold]verdict[/] {escape(grade_words(run.posterior))}")
         lines.append(f"[bold]fit[/] {stop_words(run.posterior)}")
     elif run.learned is not None:
         trial = run.learned.trials[run.learned.chosen]
@@ -81,6 +83,8 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     found: list[RenderableType] = [band_plot(uncertain), estimate_table(uncertain, run.learned)]
     force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
     found.append(_sentences([*blind, *force]))
+    if posterior.attributions:
+        found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
     words = tradeoff_words(posterior)
     return [*found, _sentences(["Hardly told apart:", *words])] if words else found

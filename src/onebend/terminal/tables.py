@@ -10,8 +10,8 @@ from rich.table import Table
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.posterior import Nuisance
-from onebend.report.confidence import nuisance_rows
+from onebend.learning.posterior import Nuisance, Posterior
+from onebend.report.confidence import allowance_rows, nuisance_rows
 from onebend.report.wording import bic_words, millimetres, percent, significant, stage_rows
 
 
@@ -77,6 +77,17 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
     for row in nuisance_rows(nuisances):
         style = "yellow" if row.moved > 2.0 else ""
         table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
+    return table
+
+
+def allowance_table(posterior: Posterior) -> Table:
+    """What the fit allows for, and what each costs; what matters stands out."""
+    table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("", overflow="fold")
+    for name in ("widens the band by", "k(s) without it", "sd from nothing"):
+        table.add_column(name, justify="right")
+    for row in allowance_rows(posterior):
+        table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
     return table
 
 

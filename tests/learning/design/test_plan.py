@@ -14,9 +14,9 @@ from onebend import cli
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ResultsError
 from onebend.learning.design.instruments import instruments_of
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.results.model import read_model, save_model
-from tests.learning.bench import SOFT, forces, observed
+from tests.learning.bench import IDEAL, SOFT, forces, observed
 
 
 def run(*arguments: object) -> Result:
@@ -26,7 +26,7 @@ def run(*arguments: object) -> Result:
 @pytest.fixture(scope="module")
 def known() -> Posterior:
     made = observed(SOFT, forces(30, most=0.5), at_s=0.6, noise=(2e-5, 1e-3))
-    return fit([made], 0.02, settings=FitSettings(functions=8))
+    return fit([made], 0.02, settings=replace(IDEAL, functions=8))
 
 
 @pytest.fixture

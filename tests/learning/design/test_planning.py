@@ -15,13 +15,14 @@ from onebend.learning.design.candidates import Limits
 from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import PLACES, Plan, direction_words, width_words
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.inference.fit_problem import log_k_map
+from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
-from tests.learning.bench import SOFT, observed
+from tests.learning.bench import IDEAL, SOFT, observed
 from tests.made_up import with_source
 
 NOISE = (2e-5, 1e-3)
-FUNCTIONS = FitSettings(functions=10)
+FUNCTIONS = replace(IDEAL, functions=10)
 MIDDLE = PlannedPush(0.6, 1.9, 0.5)
 TIP = PlannedPush(1.0, 1.9, 0.25)
 
@@ -57,6 +58,17 @@ def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middl
     assert made.pushes[0].at_s == 0.6
     assert made.pushes[0].direction == pytest.approx(1.9, abs=0.05)
     assert made.frames == 60
+
+
+def test_what_stiffens_the_beam_under_its_tags_is_planned_with() -> None:
+    one = fit([ramp(MIDDLE, 1)], 0.02, settings=replace(FUNCTIONS, allowances=frozenset({"patches"})))
+    joint, f = instruments_of(one).joint(one.stiffness.covariance), one.layout.spline.finer.count
+    shared = (one.layout.index[name, -1].where for name in ("along", "across", "turn"))
+    tags = np.concatenate([np.arange(where.start, where.stop) for where in shared])
+    index, onto = log_k_map(one.problem)
+    assert len(index) == one.layout.spline.count + 1
+    across = one.covariance[np.ix_(tags, index)] @ onto.T
+    np.testing.assert_allclose(joint[f:, :f], across, rtol=1e-4, atol=1e-6 * np.abs(across).max())
 
 
 def test_a_fit_without_a_force_log_tells_no_instruments(middle: Posterior) -> None:

@@ -6,14 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
-from onebend.learning.inference.hyperparameters import Evidence
-from onebend.learning.inference.linear_gaussian import data_information, residual_rows
+from onebend.learning.inference.hyperparameters import (
+    CHOSEN,
+    Evidence,
+    expected_recording_noise,
+    new_noise,
+)
+from onebend.learning.inference.linear_gaussian import (
+    ResidualRows,
+    data_information,
+    residual_rows,
+    rest_information,
+    unweighted_rows,
+)
 from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import predict
+from onebend.learning.model.forward import Slopes, predict
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.records import Array
 from tests.learning.bench import SOFT, forces, observed
 from tests.made_up import with_source
 
@@ -46,3 +59,61 @@ def test_what_is_integrated_out_once_leaves_the_evidence_as_it_is(count: int) ->
     for z in np.random.default_rng(count).standard_normal((6, 4)):
         whole = 0.5 * float(z @ z) - evidence.posterior(evidence.hyperparameters_at(expected, z)).log_evidence
         assert cost(z) == pytest.approx(whole, rel=1e-8, abs=1e-5)
+
+
+def test_sizes_of_the_force_error_are_known_to_factors_of_two_to_three() -> None:
+    evidence, expected = evidence_of(1)
+    sizes = evidence.hyperparameters_at(expected, np.ones(4))
+    factors = [getattr(sizes, name) / getattr(expected, name) for name in CHOSEN]
+    np.testing.assert_allclose(factors, [2.0, 2.5, 3.0, 3.3], rtol=0.05)
+    np.testing.assert_allclose(evidence.place(sizes), 1.0)
+    far = evidence.hyperparameters_at(expected, np.full(4, 9.0))
+    np.testing.assert_allclose(evidence.place(far), 4.0)
+
+
+def test_before_any_residual_half_the_coloured_force_error_is_each_frames_own() -> None:
+    recording = evidence_of(1)[0].problem.recordings[0]
+    assert expected_recording_noise(recording) == RecordingNoise(1.5, 0.5 * recording.error.size)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_the_noise_of_a_few_points_is_partly_a_guess(known: bool) -> None:
+    recording = evidence_of(1)[0].problem.recordings[0]
+    static = replace(recording.observations, static=True, sd_known=known)
+    r = np.full((4, 9), 0.5)
+    slopes = Slopes(np.zeros((4, 9, 0)), np.zeros((4, 9, 2)), np.eye(2), np.zeros((4, 0)))
+    rows = ResidualRows(r, slopes, np.ones_like(r), np.ones_like(r))
+    noise = new_noise(replace(recording, observations=static), rows, RecordingNoise(1.0, 0.01), 6.0)
+    exact = np.sqrt((36 * 0.25 + 3.0) / (30.0 + 3.0))  # a guess of 1 counts for three numbers
+    assert noise.marker == pytest.approx(1.0 if known else exact, rel=1e-9)
+    assert noise.force == pytest.approx(0.005)
+
+
+def test_the_effect_of_a_frames_own_force_is_part_of_its_residuals() -> None:
+    problem = evidence_of(1)[0].problem
+    recording, x = problem.recordings[0], np.zeros(problem.layout.size)
+    x[:8] = LEVEL
+    own = 1e-4 * np.stack([np.ones(len(recording.force)), -np.ones(len(recording.force))], axis=1)
+    with_own, without = (unweighted_rows(predict(recording, problem.layout, x, None, f)) for f in (own, 0.0 * own))
+    effect = np.max(np.abs(without.a @ own[..., None]))
+    np.testing.assert_allclose(with_own.r, without.r, atol=0.02 * effect)
+
+
+def test_the_log_in_the_rests_shows_the_slow_error_but_for_a_tenth_of_the_coloured_noise() -> None:
+    problem = evidence_of(1)[0].problem
+    recording, rng = problem.recordings[0], np.random.default_rng(0)
+    knots = len(recording.error.knots)
+    weights, values = rng.random((6, knots)), 0.01 * rng.standard_normal((6, 2))
+    error = replace(recording.error, rest_weights=weights, rest_values=values)
+    told = rest_information(replace(problem, recordings=(replace(recording, error=error),)))
+    where = problem.layout.index["force", 0].where
+
+    def minus_two_log(x: Array) -> float:
+        slow = weights @ x[where].reshape(-1, 2)
+        return -2.0 * float(np.sum(norm(scale=0.1 * error.size).logpdf(values - slow)))
+
+    one, other = 0.01 * rng.standard_normal((2, problem.layout.size))
+    form = [x @ told.matrix @ x - 2.0 * told.vector @ x for x in (one, other)]
+    assert form[0] - form[1] == pytest.approx(minus_two_log(one) - minus_two_log(other), rel=1e-9)
+    whole = told.constant + 2.0 * told.log_noise + values.size * np.log(2.0 * np.pi)
+    assert whole == pytest.approx(minus_two_log(np.zeros_like(one)), rel=1e-9)

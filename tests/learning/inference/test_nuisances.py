@@ -12,10 +12,10 @@ from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.parameters import Block, Layout, Priors, make_layout
 from onebend.learning.model.rest import at_rest, beam_points
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.learning.tradeoffs import correlations
 from onebend.records import Observations
-from tests.learning.bench import SOFT, forces, observed
+from tests.learning.bench import IDEAL, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 
 SPLINE = Spline(8)
@@ -57,7 +57,10 @@ def test_a_bias_that_no_rest_shows_is_found_with_its_doubt(made: Observations) -
     biased = with_source(
         replace(made, force=made.force + np.array([0.0, 0.04]), force_sd=np.full(2, 0.02)), clean_force=None
     )
-    found = {one.name.partition(": ")[2]: one for one in fit([biased], 0.02, settings=FitSettings(8)).nuisances()}
+    found = {
+        one.name.partition(": ")[2]: one
+        for one in fit([biased], 0.02, settings=replace(IDEAL, functions=8)).nuisances()
+    }
     bias = found["mean force error y"]
     assert bias.sd < 0.5 * bias.prior_sd
     assert abs(bias.value - 0.04) < 3.0 * bias.sd
@@ -73,7 +76,7 @@ def test_an_error_under_load_declared_to_be_none_is_none(made: Observations) -> 
 
 
 def test_what_trades_off_is_what_is_reported(made: Observations) -> None:
-    posterior = fit([made], 0.02, settings=FitSettings(8))
+    posterior = fit([made], 0.02, settings=replace(IDEAL, functions=8))
     names, _ = correlations(posterior)
     assert names[1:] == [one.name for one in posterior.nuisances()]
 

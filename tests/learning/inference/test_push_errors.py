@@ -15,10 +15,10 @@ from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.verdict import fit_remarks
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
-from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated
 
 FREE = Priors(mounting=0.0, placement=0.0, clamp=0.0, origin=0.0)
@@ -96,7 +96,7 @@ def learned(
     cos, sin = np.cos(turn), np.sin(turn)
     log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))
     seen = with_stated(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
-    return fit([seen], 0.02, settings=FitSettings(functions=16, most_frames=80, first_frames=40))
+    return fit([seen], 0.02, settings=replace(IDEAL, functions=16, most_frames=80, first_frames=40))
 
 
 def found(one: Posterior, name: str) -> tuple[float, float]:

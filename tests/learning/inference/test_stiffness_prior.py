@@ -8,7 +8,17 @@ from scipy.special import ndtri
 
 from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
+from onebend.learning.inference.stiffness_prior import (
+    JUMP,
+    RHO,
+    SPREAD,
+    TAU,
+    Draws,
+    _Target,
+    drawn_sizes,
+    part_variances,
+    stiffness_mixture,
+)
 from onebend.learning.model.spline import LEVEL_SD, SLOPE_SD, Spline
 
 S = np.linspace(0.0, 1.0, 101)
@@ -132,3 +142,41 @@ def test_one_step_among_even_pieces_is_found_and_the_rest_kept_even() -> None:
     assert 5 <= int(np.argmax(steps)) <= 9
     even = np.linalg.inv(rows.T @ rows + spline.precision(8.0, 0.3))
     assert found.covariance[3, 3] < even[3, 3]
+
+
+def test_steps_and_bumps_before_the_data_are_cauchy() -> None:
+    spline, rng = Spline(8), np.random.default_rng(0)
+    logs = np.tile(np.log([2.0, 0.2]), (3000, 1))
+    scale, local = 0.2 * spline.share, np.zeros((3000, 15))
+    for _ in range(30):  # in turn from sizes given steps, and steps given sizes
+        local = scale * np.sqrt(drawn_sizes(spline, logs, local, rng)) * rng.standard_normal(local.shape)
+    np.testing.assert_allclose(np.median(np.abs(local), axis=0), scale, rtol=0.1)
+    np.testing.assert_allclose(np.quantile(np.abs(local) / scale, 0.9), np.tan(0.45 * np.pi), rtol=0.1)
+
+
+def test_no_step_is_expected_to_be_much_larger_than_one_of_log_k() -> None:
+    spline = Spline(8)
+    variances, _ = part_variances(spline, np.log([[2.0, 0.2]]), np.full((1, 15), 1e12))
+    np.testing.assert_allclose(variances[0, 8:], 1.0, rtol=1e-6)
+    usual, over = part_variances(spline, np.log([[2.0, 0.2]]), np.full((1, 15), 1e-6))
+    np.testing.assert_allclose(usual[0, 8:], 1e-6 * (0.2 * spline.share) ** 2, rtol=1e-4)
+    np.testing.assert_allclose(over[0], usual[0, 8:], rtol=1e-4)
+
+
+def test_steps_given_their_sizes_are_drawn_from_their_normal_posterior() -> None:
+    spline, rng, count = Spline(6), np.random.default_rng(0), 20000
+    root = rng.standard_normal((6, 6))
+    target = _Target(spline, [InformationForm(100.0 * root @ root.T, rng.standard_normal(6))], -4.0, 1)
+    now = target.at(np.log([[2.0, 3.0]]), np.ones((1, 11)))
+    variance, on = now.variance[0], target.on_parts[0]
+    gain = np.linalg.solve(on * variance @ on.T + np.eye(6), on * variance)  # (r, n)
+    mean, covariance = gain.T @ target.seen[0], np.diag(variance) - (variance[:, None] * on.T) @ gain
+    target.seen, target.on_parts = np.repeat(target.seen, count, axis=0), np.repeat(target.on_parts, count, axis=0)
+    target.on_local = np.repeat(target.on_local, count, axis=0)
+    drawn = target._drawn(np.repeat(now.variance, count, axis=0), np.repeat(now.root, count, axis=0), rng)
+    local = slice(6, 17)
+    sd = np.sqrt(np.diag(covariance)[local])
+    np.testing.assert_allclose((np.mean(drawn, axis=0) - mean[local]) / sd, 0.0, atol=0.04)
+    np.testing.assert_allclose(
+        np.cov(drawn.T) / np.outer(sd, sd), covariance[local, local] / np.outer(sd, sd), atol=0.05
+    )

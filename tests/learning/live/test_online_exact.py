@@ -20,7 +20,7 @@ from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.parameters import Layout, Priors, clamp_sd
 from onebend.learning.model.spline import Spline
 from onebend.learning.replay import replay
-from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Array, Observations
+from onebend.records import DIRECTION_SD, TURN_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.streamed import PLAIN, tags_of
 
@@ -86,7 +86,7 @@ def textbook(made: Observations, settings: OnlineSettings, at_rest: Array, v: Ar
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     tags = np.einsum("tmab,tmb->tma", np.linalg.inv(np.linalg.cholesky(o.covariance)), seen - pose).ravel()
     log = ((o.force - error)[at_rest] / (0.05 * noise)).ravel()
-    last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, PLACE_SD, DIRECTION_SD]
+    last = [clamp_sd(o, settings.priors), 5e-4, 5e-4, o.stated.place_sd, DIRECTION_SD]
     sd = np.concatenate([np.full(6, 5e-4), np.full(3, TURN_SD), last])
     return np.concatenate([tags, log, smoothness @ (v[:p] - np.log(0.03)), v[p : p + 14] / sd, (half @ error).ravel()])
 

@@ -10,6 +10,7 @@ import pytest
 
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
+from onebend.learning.model.parameters import Priors
 from tests.learning.bench import MARKERS, SOFT
 from tests.learning.streamed import S, learned, many_pushes, shown
 
@@ -36,7 +37,8 @@ def test_memory_does_not_grow_and_the_past_is_kept() -> None:
 @pytest.mark.parametrize(("keys", "start"), [(8, 0.03), (5, 0.008)])
 def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float) -> None:
     """Exact data, sizes that stay: against a learner with room for every frame. A poor start does not stay in it."""
-    made, settings = many_pushes(12, 15, (0.0, 0.0), 0.0), OnlineSettings(functions=10, adapt=False)
+    made = many_pushes(12, 15, (0.0, 0.0), 0.0)
+    settings = OnlineSettings(functions=10, adapt=False, priors=Priors(place=made.stated.place_sd))
     whole = learned(made, 0.03, replace(settings, key_frames=300)).stiffness.log_at(S)
     folded = learned(made, start, replace(settings, key_frames=keys))
     mean, sd = folded.stiffness.log_at(S)

@@ -15,10 +15,10 @@ from onebend.errors import LearningError
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.learning.replay import replay
 from onebend.records import Array, Observations
-from tests.learning.bench import MARKERS, SOFT, forces, observed
+from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.learning.streamed import NOISE, PLAIN, S, any_beam, drawn, smooth_beam
 from tests.learning.test_posterior import wrong_force
 
@@ -28,7 +28,7 @@ SIZES = {"force_noise": 0.003, "force_white": 0.001, "force_walk": 1e-6, "force_
 @pytest.mark.parametrize("seed", range(3))
 def test_live_and_batch_agree(seed: int) -> None:
     made = wrong_force(observed(SOFT, forces(120), noise=NOISE, seed=seed), seed, 0.005)
-    batch = fit([made], 0.03, settings=FitSettings(functions=12)).stiffness.log_at(S)
+    batch = fit([made], 0.03, settings=replace(IDEAL, functions=12)).stiffness.log_at(S)
     learner = replay(made, 0.06, settings=OnlineSettings(functions=12))
     live = learner.stiffness.log_at(S)
     assert np.sqrt(np.mean(((live[0] - batch[0]) / batch[1]) ** 2)) < 1.0
@@ -101,7 +101,7 @@ def test_a_missing_tag_is_as_one_of_no_weight_and_whole_turns_do_not_matter() ->
 
 def test_learning_goes_on_from_what_a_fit_has_found() -> None:
     made = wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=6), 6, 0.004)
-    found = fit([made], 0.03, settings=FitSettings(functions=10)).stiffness
+    found = fit([made], 0.03, settings=replace(IDEAL, functions=10)).stiffness
     learner = OnlineLearner(made.length, MARKERS, found, settings=OnlineSettings(functions=10))
     np.testing.assert_allclose(learner.stiffness.log_at(S)[0], found.log_at(S)[0], rtol=1e-6)
     np.testing.assert_allclose(learner.stiffness.log_at(S)[1], found.log_at(S)[1], rtol=0.15)  # less where a step lies
@@ -112,7 +112,7 @@ def test_learning_goes_on_from_what_a_fit_has_found() -> None:
 
 def test_a_fit_of_more_functions_is_gone_on_from_as_it_stands() -> None:
     o = observed(SOFT, forces(30), noise=NOISE, seed=3)
-    found = fit([o], 0.02).stiffness
+    found = fit([o], 0.02, settings=IDEAL).stiffness
     learner = OnlineLearner(o.length, MARKERS, found)
     (mean, sd), (began, spread) = (one.log_at(S) for one in (found, learner.stiffness))
     known = found.band(S).identified
@@ -120,7 +120,7 @@ def test_a_fit_of_more_functions_is_gone_on_from_as_it_stands() -> None:
     np.testing.assert_allclose(began[known], mean[known], atol=0.3 * float(np.min(sd)))
     np.testing.assert_allclose(spread[known], sd[known], rtol=0.3)
     with pytest.raises(LearningError, match="fewer than the 45"):
-        OnlineLearner(o.length, MARKERS, fit([o], 0.02, settings=FitSettings(functions=8)).stiffness)
+        OnlineLearner(o.length, MARKERS, fit([o], 0.02, settings=replace(IDEAL, functions=8)).stiffness)
 
 
 def test_results_speak_of_the_beam_and_of_what_else_was_learned() -> None:

@@ -16,6 +16,7 @@ from onebend.lab.virtual import VirtualBench, VirtualRecording, virtual_recordin
 from onebend.learning.model.force_error import force_error
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
+from tests.learning.bench import IDEAL
 from tests.made_up import with_source, with_stated
 
 PEAK = 0.4
@@ -50,7 +51,7 @@ def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:
 
 @pytest.fixture(scope="module")
 def found() -> Posterior:
-    return fit([seen(stepped(STEPS))], 0.02)
+    return fit([seen(stepped(STEPS))], 0.02, settings=IDEAL)
 
 
 def test_steps_of_the_load_do_not_move_k(found: Posterior) -> None:
@@ -77,7 +78,7 @@ def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
 
 
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
-    clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02)
+    clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02, settings=IDEAL)
     assert clean.optimum.hyperparameters.load * clean.recordings[0].error.load < 0.01 * PEAK
     middle = S < 0.6
     wide, sharp = (one.stiffness.log_at(S[middle])[1] for one in (found, clean))
@@ -87,7 +88,7 @@ def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
 def test_two_pushes_with_steps_of_their_own() -> None:
     other = replace(BENCH, push=replace(BENCH.push, direction=1.4), name="other")
     pushes = [seen(stepped(STEPS)), seen(stepped(-STEPS[::-1], after=0.0, bench=other, seed=1))]
-    both = fit(pushes, 0.02)
+    both = fit(pushes, 0.02, settings=IDEAL)
     error = np.log(both.band(S).k / np.asarray(STIFFNESS(S)))
     assert np.sqrt(np.mean(error**2)) < 0.03
     assert np.all((both.band(S).low < STIFFNESS(S)) & (both.band(S).high > STIFFNESS(S)))

@@ -14,8 +14,9 @@ from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.model.frames import learnable_frames, usable_frames
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.records import Observations
+from tests.learning.bench import IDEAL
 from tests.made_up import with_source
 
 SOFT = Beam(0.15, Powers((0.02, 0.03)))
@@ -57,7 +58,7 @@ def test_without_a_filter_or_where_little_would_be_left_all_are_used() -> None:
 
 @pytest.mark.parametrize("fall", [0.03, 0.3])
 def test_a_beam_that_is_let_go_is_learned_as_well_as_one_led_back(fall: float) -> None:
-    found = fit([pushed(fall)], 0.03, settings=FitSettings(functions=16, most_frames=120))
+    found = fit([pushed(fall)], 0.03, settings=replace(IDEAL, functions=16, most_frames=120))
     s = np.linspace(0.1, 0.8, 15)
     band, true = found.band(s), SOFT.stiffness(s)
     assert np.max(np.abs(np.log(band.k / true))) < 0.1

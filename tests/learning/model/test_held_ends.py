@@ -21,12 +21,13 @@ from onebend.learning.model.forward import predict
 from onebend.learning.model.held_ends import HELD_RESOLUTION, stated_remarks
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 from onebend.results.observations_file import load_observations, save_observations
+from tests.learning.bench import IDEAL
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
 G = 9.81
@@ -34,7 +35,7 @@ DOWN = np.array([0.0, -1.0])
 ENDS = np.array([[0.38, -0.05, -0.4], [0.30, 0.1, 0.3], [0.25, -0.1, -1.5], [0.42, 0.02, 0.6]])
 HELD = "pose,s,fx_N,fy_N,moment_N_m\n"
 UNKNOWN = ",1,unknown,unknown,unknown\n"
-FEW = FitSettings(functions=8)
+FEW = replace(IDEAL, functions=8)
 LEVEL = "[gravity]\ndirection_deg = -90\nbase_angle_deg = 0\n"
 HEAVY = replace(ROD, mass_per_length=Scaled(40.0, ROD.mass_per_length))  # so that its weight tells of k
 

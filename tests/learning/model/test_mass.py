@@ -20,10 +20,11 @@ from onebend.learning.model.mass import mass_remarks, shared_mass
 from onebend.learning.model.own_weight import POWERS
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe
 from onebend.records import Array, MassAlong, Observations
+from tests.learning.bench import IDEAL
 from tests.made_up import with_stated
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
@@ -44,7 +45,7 @@ def bench(folder: Path, beam: Beam, along: str, *, entry: str = "", sd: float = 
     there = follow(make_problem(beam, push(HUNG[:, None] * DOWN) + weight(G * DOWN))).xy(ROD_S)
     shown: Array = there + sd * np.random.default_rng(0).normal(size=there.shape)
     loads = "pose,s,weight_N\n" + "".join(f"{i},1,{w}\n" for i, w in enumerate(HUNG))
-    stated = f'{entry}mass_along = "{along}"\n'
+    stated = f'{entry}mass_along = "{along}"\nrest = "straight"\n'
     poses = f'axes = "room"\nsd_m = {sd}\n'
     return observe(pose_folder(folder, loads=loads, shown=shown, beam=stated, poses=poses))
 
@@ -69,7 +70,7 @@ def test_the_weight_follows_k_with_exact_derivatives(tmp_path: Path, along: Mass
 @pytest.mark.parametrize(("along", "power"), POWERS.items())
 def test_one_number_is_learned_where_the_spread_is_stated(tmp_path: Path, along: str, power: float) -> None:
     ready = with_mass([bench(tmp_path, rod(power), along)])
-    posterior = fit(ready, start_of(ready, None), settings=FitSettings(functions=10))
+    posterior = fit(ready, start_of(ready, None), settings=replace(IDEAL, functions=10))
     mass = posterior.mass
     assert mass is not None
     assert mass.identified
@@ -86,7 +87,7 @@ def test_a_stated_table_is_only_scaled(tmp_path: Path) -> None:
     line = Table((0.0, 0.5, 1.0), (0.1, 0.05, 0.02))
     heavier = replace(ROD, mass_per_length=Scaled(1.5, line))
     o = bench(tmp_path, heavier, "table", entry='mass_file = "mass.csv"\n')
-    posterior = fit([o], start_of([o], None), settings=FitSettings(functions=10))
+    posterior = fit([o], start_of([o], None), settings=replace(IDEAL, functions=10))
     shape = posterior.beam.mass_per_length(S) / line(S)
     np.testing.assert_allclose(shape, shape[0], rtol=1e-9)
     assert 1.005 < shape[0] < 1.5  # between what was weighed and what the data say

@@ -13,13 +13,13 @@ from onebend.learning.live.session import session_layout
 from onebend.learning.model.parameters import Block, Priors, clamp_sd, make_layout
 from onebend.learning.model.rest import at_rest
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, Nuisance, Posterior, fit
+from onebend.learning.posterior import Nuisance, Posterior, fit
 from onebend.learning.replay import replay, settings_for
 from onebend.learning.verdict import fit_remarks
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
 from onebend.results.observations_file import load_observations, save_observations
-from tests.learning.bench import SOFT, forces, observed
+from tests.learning.bench import IDEAL, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 
 SPLINE = Spline(8)
@@ -49,7 +49,7 @@ def block(one: Observations, name: str, priors: Priors = Priors()) -> Block:
 
 @cache
 def learned(name: str, sd: float) -> Posterior:
-    return fit([stated(name, sd)], 0.02, settings=FitSettings(functions=8))
+    return fit([stated(name, sd)], 0.02, settings=replace(IDEAL, functions=8))
 
 
 def reported(posterior: Posterior, name: str) -> list[Nuisance]:

@@ -1,14 +1,20 @@
-"""The fit's and the live learner's derivatives of the tags: the same numbers, and those of central differences."""
+"""The fit's and the live learner's derivatives of the tags: the same numbers, and those of central differences.
+
+Both on the live learner's grid: the fit's own is finer.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from onebend.beam.statics.problem import Resolution
 from onebend.learning.live.forward import FrameInputs, LinearisedTags, linearise
-from onebend.learning.live.session import LiveSession, push_grid_at, session_layout
+from onebend.learning.live.session import ORDER, WIDEST, LiveSession, push_grid_at, session_layout
+from onebend.learning.model import held_ends
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.parameters import Layout, Priors, make_layout
@@ -98,8 +104,10 @@ def _block(where: Layout, name: str, recording: int) -> slice:
 
 
 @pytest.fixture(scope="module")
-def point() -> Point:
-    return Point()
+def point() -> Iterator[Point]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(held_ends, "RESOLUTION", Resolution(ORDER, WIDEST))
+        yield Point()
 
 
 def test_the_grids_are_the_same(point: Point) -> None:

@@ -12,7 +12,7 @@ from onebend.beam.profiles.stiffness import Uniform
 from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
-from onebend.recording.force.load_stages import displacement, load_changes, turning_points
+from onebend.recording.force.load_stages import LoadChange, displacement, load_changes, turning_points
 
 TIME = np.linspace(0.0, 10.0, 501)
 
@@ -67,3 +67,26 @@ def test_the_clock_is_found_though_the_logs_error_changes_with_the_load() -> Non
     assert clean is not None
     assert clean.found
     assert clean.sd < 0.02  # no step is claimed where there is none
+
+
+def changes_of(dip: float) -> list[LoadChange]:
+    """Of a load that grows evenly to its largest in 10 s, comes back by `dip`, grows again, and is let go."""
+    time = np.arange(0.0, 30.0, 0.01)
+    size = np.interp(time, [2.0, 12.0, 14.0, 16.0, 26.0], [0.0, 1.0, 1.0 - dip, 1.0, 0.0])
+    return load_changes(time, size, (time >= 2.0) & (time <= 26.0))
+
+
+def test_a_load_that_comes_back_by_more_than_a_twentieth_has_reversed() -> None:
+    assert len(changes_of(0.04)) == 3
+    assert len(changes_of(0.06)) == 5
+
+
+def test_spans_of_the_changes_of_a_load() -> None:
+    begin, first, second, third, end = changes_of(0.5)
+    assert (begin.begin, begin.end) == pytest.approx((2.0 - 0.1, 3.0), abs=0.02)  # until a tenth of the largest
+    # from 3 % of the largest before a turning point to a tenth of it behind
+    assert (first.begin, first.end) == pytest.approx((12.0 - 0.3, 12.0 + 0.4), abs=0.03)
+    assert (second.begin, second.end) == pytest.approx((14.0 - 0.12, 14.0 + 0.4), abs=0.03)
+    assert (third.begin, third.end) == pytest.approx((16.0 - 0.12, 16.0 + 1.0), abs=0.03)
+    assert (end.begin, end.end) == pytest.approx((25.0, 26.0 + 0.1), abs=0.03)
+    assert [change.release for change in (begin, first, second, third, end)] == [False] * 4 + [True]

@@ -12,7 +12,7 @@ import pytest
 
 from onebend.learning.model.fit_data import FitData
 from onebend.records import ClockOffset, Remark
-from onebend.report.confidence import alarm_words, tradeoff_words, unidentified_words
+from onebend.report.confidence import alarm_words, allowance_rows, tradeoff_words, unidentified_words
 from onebend.report.figures.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
 from onebend.report.page.cards import cards, stiffness_range
@@ -241,16 +241,21 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     clean = Links(page(found, {}, version="1")).text
     assert "this band is not to be trusted" not in clean
     assert "would be noticed only if" in clean
+    assert "Verdict: k(s) holds" in clean
     critic = found.posterior.criticism
     worst = critic.findings[0]
     score = replace(worst.score, log10_p=-30.0)
     doubted = replace(critic, findings=(replace(worst, score=score, sds=9.0), *critic.findings[1:]))
-    wrong = replace(found, posterior=replace(found.posterior, criticism=doubted))
-    text = Links(page(wrong, {}, version="1")).text
-    assert "this band is not to be trusted" in text
-    assert "NOT TO BE TRUSTED" in text
+    tested = replace(found, posterior=replace(found.posterior, criticism=doubted))
+    text = Links(page(tested, {}, version="1")).text
     assert "1 in 1 000 000 000 or less" in text
-    assert "the recording contradicts the model of the fit" in text
+    assert "stand out from what clean recordings show" in text
+    assert "this band is not to be trusted" not in text  # the fit allows for what a test shows: it is marked, no more
+    stopped = replace(found.posterior, optimum=replace(found.posterior.optimum, converged=False))
+    text = Links(page(replace(found, posterior=stopped), {}, version="1")).text
+    assert "this band is not to be trusted: the fit did not converge" in text
+    assert "NOT TO BE TRUSTED" in text
+    assert "Verdict: k(s) holds" not in text
     problem = found.posterior.problem
     moved = replace(problem, recordings=tuple(_moved(recording, 1.0) for recording in problem.recordings))
     far = replace(found.posterior, problem=moved)
@@ -258,6 +263,19 @@ def test_a_band_that_is_not_to_be_trusted_is_marked() -> None:
     assert "the fit misses tag" in text
     assert "these tests say nothing" in text
     assert "known to±" not in text.replace(" ", "")
+
+
+def test_what_is_allowed_for_stands_with_its_share() -> None:
+    found = made_up.findings(0)
+    assert found.posterior is not None
+    text = Links(page(found, {}, version="1")).text
+    for row in allowance_rows(found.posterior):
+        assert f"{row.name}{row.widening}{row.change}{row.sds}" in text
+    assert any(share.name == "stretch and shear" for share in found.posterior.attributions)
+    [card] = [card for card in cards(found) if card["what"] == "verdict"]
+    assert card["value"] == found.posterior.grade
+    assert any("stretch and shear" in line for line in assumptions(found))
+    assert any("neither stretches nor shears" in line for line in assumptions(replace(found, posterior=None)))
 
 
 def _moved(film: FitData, away: float) -> FitData:

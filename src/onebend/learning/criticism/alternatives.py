@@ -36,6 +36,12 @@ UNITS = {  # of what the beam and the push may do otherwise
     "clamp gives": "rad/(N m)",
     "rest shape": "rad",
 }
+_ALLOWED = {  # what the fit may allow for, and what need not be tested then
+    "section": ("stretch", "shear"),
+    "length": ("length",),
+    "relaxation": ("viscous",),
+    "clamp gives": ("clamp gives",),
+}
 AXES = ("x", "y", "angle")
 
 
@@ -90,8 +96,12 @@ def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) 
     wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
     if layout.index["curvature", -1].start >= 0:
         del wanted["rest shape"]
+    for allowed, names in _ALLOWED.items():
+        if any(a.name == allowed for a in recording.allowances):
+            for name in names:
+                wanted.pop(name, None)
     if recording.observations.static:  # poses have no order in time
-        del wanted["viscous"]
+        wanted.pop("viscous", None)
         return [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
     stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
     return [*stiff, *_changes(recording, run, patterns), *_trends(recording, run)]

@@ -82,9 +82,11 @@ def pulls(fit: LinearisedFit) -> list[Score]:
     Directions without information from the data are left out. Place and direction of the push are among the
     alternatives.
     """
+    untested = {"stiffness", "force", "place", "direction", "end", "end turn"}
+    untested |= {a.name for recording in fit.problem.recordings for a in recording.allowances}
     out = []
     for block in fit.problem.layout.blocks:
-        if block.start < 0 or block.name in ("stiffness", "force", "place", "direction", "end", "end turn"):
+        if block.start < 0 or block.name in untested:
             continue
         whose = "" if block.recording < 0 else fit.problem.recordings[block.recording].observations.source.name
         tags = (

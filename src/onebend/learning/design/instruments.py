@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.inference.fit_problem import Hyperparameters
+from onebend.learning.inference.fit_problem import Hyperparameters, log_k_map
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import expected_noise, filtered
 from onebend.learning.model.frames import typical
@@ -192,10 +192,10 @@ def push_of(observations: Observations) -> PlannedPush:
 def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Slope (N, f) and left covariance (N, N) of the shared nuisances, given the f coefficients of log k's band."""
     index = posterior.layout.index
-    first = np.arange(posterior.layout.size)[index["stiffness", -1].where]
+    first, onto = log_k_map(posterior.problem)
     rest = [np.arange(posterior.layout.size)[index[name, -1].where] for name in names]
     others = np.concatenate([np.zeros(0, dtype=np.int64), *rest])
-    across = posterior.covariance[np.ix_(others, first)] @ posterior.layout.spline.on_finer.T
+    across = posterior.covariance[np.ix_(others, first)] @ onto.T
     slope = across @ np.linalg.pinv(posterior.stiffness.covariance, rcond=1e-11, hermitian=True)
     left = posterior.covariance[np.ix_(others, others)] - slope @ across.T
     return slope, np.asarray(0.5 * (left + left.T))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from onebend.learning.allowances.allowance import Sizes
+from onebend.learning.allowances.patches import patch_function
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Hyperparameters:
     walk: float  # the random walk of the force error, likewise
     load: float  # sd of the force error that comes with the load, likewise
     noise: tuple[RecordingNoise, ...]
+    sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
     chains: Array | None = None  # where the sampler's chains stand, see `stiffness_prior.mean_part_variances`
 
 
@@ -85,7 +88,7 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
                 same_axis = slice(where.start + axis, where.stop, 2)
                 root[same_axis, same_axis] = of_axis
         else:
-            root[where, where] = np.diag(block.prior_sd)
+            root[where, where] = np.diag(block.prior_sd * hyperparameters.sizes.get(block.name, 1.0))
     return Prior(mean, root)
 
 
@@ -97,3 +100,19 @@ def _stiffness_root(layout: Layout, variances: Array) -> Array:
     differences = layout.differences @ root
     factor = np.linalg.qr(np.concatenate([np.eye(len(root)), differences]), mode="r")
     return np.asarray(np.linalg.qr(solve_triangular(factor, root.T, trans="T"), mode="r")).T
+
+
+def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
+    """Indices (n,) of the parameters that log k is made of, and (f, n) how the finer spline's coefficients follow from
+    them."""
+    layout = problem.layout
+    where, fine = layout.index["stiffness", -1].where, layout.spline.finer
+    index: list[IntArray] = [np.arange(where.start, where.stop)]
+    onto: list[Array] = [layout.spline.on_finer]
+    under_tags = layout.index.get(("patches", -1))
+    if under_tags is not None and under_tags.start >= 0:
+        s = np.linspace(0.0, 1.0, 8 * fine.count)
+        values = patch_function(problem.recordings[0].observations, s)
+        index.append(np.array([under_tags.start]))
+        onto.append(np.asarray(np.linalg.lstsq(fine.basis(s), values[:, None], rcond=None)[0]))
+    return np.concatenate(index), np.concatenate(onto, axis=1)

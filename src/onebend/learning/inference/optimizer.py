@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from onebend.errors import LearningError
+from onebend.learning.inference.allowance_sizes import choose_sizes
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise, prior
 from onebend.learning.inference.hyperparameters import (
     Evidence,
@@ -34,7 +35,9 @@ from onebend.records import Array
 _HELD_SD = 1e-5  # of log k where it is held in its place
 _STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
 _STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
-_LARGEST_DAMPING = 1e9
+_FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
+_ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
+_LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
 
 
 @dataclass(frozen=True)
@@ -181,8 +184,9 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     spent = [float(np.sum(covariance * one.matrix)) for one in tags]  # parameters that each recording settled
     noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
     hyperparameters = replace(hyperparameters, noise=noise)
-    data = data_information(problem, rows, estimate.x, hyperparameters)
-    return choose_hyperparameters(Evidence(problem, data), hyperparameters)
+    evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
+    hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
+    return choose_hyperparameters(evidence, hyperparameters)
 
 
 def _rows(estimate: MapEstimate) -> list[ResidualRows]:
@@ -194,35 +198,41 @@ def _rows(estimate: MapEstimate) -> list[ResidualRows]:
 def _descend(
     problem: FitProblem, estimate: MapEstimate, before: Prior, most_steps: int, tolerance: float
 ) -> MapEstimate:
-    """Levenberg-Marquardt at fixed hyperparameters; weights and frames' covariances are renewed at every step."""
-    noise, damping, rests = estimate.hyperparameters.noise, 1e-4, rest_information(problem)
+    """Levenberg-Marquardt at fixed hyperparameters; weights and frames' covariances are renewed at every step.
+
+    Damped in z, in which the prior has covariance one: what the data hardly tell is held back, and what they fix well
+    is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
+    of its length. It ends where an undamped step would gain next to nothing.
+    """
+    noise, damping, rests = estimate.hyperparameters.noise, _FIRST_DAMPING, rest_information(problem)
     identity = np.eye(len(estimate.x))
     for _ in range(most_steps):
         rows = _rows(estimate)
         data = data_information(problem, rows, estimate.x, estimate.hyperparameters)
         hessian = before.root.T @ data.matrix @ before.root + identity  # of z, see `Prior`
         slope = before.root.T @ (data.vector - data.matrix @ estimate.x) - before.whiten(estimate.x)
-        diagonal = np.diag(data.matrix) + before.precisions  # damped in the parameters' own units (Marquardt)
-        damped, cost = (before.root.T * diagonal) @ before.root, _cost(before, rests, rows, estimate)
+        gain = float(slope @ cho_solve(cho_factor(hessian), slope))  # of an undamped step, in sd squared
+        if gain < tolerance**2:
+            return replace(estimate, converged=True)
+        cost = _cost(before, rests, rows, estimate)
         estimate = replace(estimate, steps=estimate.steps + 1)
         while True:
-            in_z = cho_solve(cho_factor(hessian + damping * damped), slope)
-            step = before.root @ in_z
+            step = before.root @ cho_solve(cho_factor(hessian + damping * identity), slope)
             longest = float(np.max(np.abs(step[: problem.layout.spline.count])))
             x = estimate.x + step * min(1.0, 1.5 / max(longest, 1e-300))
             every = zip(rows, estimate.predictions, noise, strict=True)
-            forces = [_own_force(r, now, n, x - estimate.x, damping) for r, now, n in every]
+            forces = [_own_force(r, now, n, x - estimate.x) for r, now, n in every]
             pairs = zip(problem.recordings, estimate.predictions, forces, strict=True)
             moved = tuple(predict(r, problem.layout, x, now.solved.q, own) for r, now, own in pairs)
             tried = replace(estimate, x=x, predictions=moved)
-            if _cost(before, rests, rows, tried) <= cost + 1e-6:
+            reached = _cost(before, rests, rows, tried)
+            if reached <= cost + 1e-6:
                 break
             damping *= 8.0
             if damping > _LARGEST_DAMPING:
-                return replace(estimate, converged=False)
-        decrease = float(in_z @ slope)  # twice the cost's expected decrease, in units of one sd squared
+                return replace(estimate, converged=gain < _ROUNDING)  # no step lowers the cost any more
         estimate, damping = tried, max(damping / 16.0, 1e-12)
-        if decrease < tolerance**2:
+        if gain < _ROUNDING and cost - reached < max(_LITTLE, tolerance**2):
             return replace(estimate, converged=True)
     return replace(estimate, converged=False)
 
@@ -243,8 +253,7 @@ def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
     return float(np.sum(residual**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
 
 
-def _own_force(rows: ResidualRows, now: Prediction, noise: RecordingNoise, step: Array, damping: float) -> Array:
+def _own_force(rows: ResidualRows, now: Prediction, noise: RecordingNoise, step: Array) -> Array:
     """(F, 2) N: each frame's own force after a step of the parameters, to first order the most probable one."""
     mine = now.layout.known_to(now.recording.number)
-    best = split_off_force(rows, rows.r - rows.slopes.times(step[mine]), noise)[1]
-    return np.asarray(now.own + (best - now.own) / (1.0 + damping))
+    return split_off_force(rows, rows.r - rows.slopes.times(step[mine]), noise)[1]

@@ -12,6 +12,9 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.problem import Problem, make_problem
 from onebend.errors import LearningError
+from onebend.learning.allowances.allowance import Allowance
+from onebend.learning.allowances.chosen import AllowanceName, allowances_of
+from onebend.learning.allowances.inertia import inertial_force
 from onebend.learning.model.force_error import ForceError, force_error
 from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical, whitening
 from onebend.learning.model.held_ends import HeldEnds, held_ends, resolution_of
@@ -48,10 +51,17 @@ class FitData:
     mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
+    allowances: tuple[Allowance, ...] = ()
 
 
-def fit_data(observations: Observations, number: int, frames: BoolArray, spline: Spline) -> FitData:
-    """Prepare a recording: everything that does not depend on the parameters."""
+def fit_data(
+    observations: Observations,
+    number: int,
+    frames: BoolArray,
+    spline: Spline,
+    allowances: frozenset[AllowanceName] = frozenset(),
+) -> FitData:
+    """Prepare a recording: everything that does not depend on the parameters; `allowances` by name."""
     o = observations
     time = o.time[frames]
     error = force_error(o, time)
@@ -77,6 +87,7 @@ def fit_data(observations: Observations, number: int, frames: BoolArray, spline:
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
+    inertia = inertial_force(o, frames, problem, line, len(force)) if allowances else np.zeros(1)
     return FitData(
         observations=o,
         number=number,
@@ -91,11 +102,12 @@ def fit_data(observations: Observations, number: int, frames: BoolArray, spline:
         problem=problem,
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
         farther=_farther(problem, push_s),
-        weight=problem.dead_force,
+        weight=problem.dead_force + inertia,
         ends=ends,
         mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
+        allowances=allowances_of(o, frames, measured, push_s, force, nodes, allowances),
     )
 
 

@@ -8,18 +8,32 @@ from functools import cached_property
 import numpy as np
 
 from onebend.beam.grid import apply
-from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.sensitivity import of_force, of_moment, respond
+from onebend.learning.model.allowed import (
+    allowance_changes,
+    allowed,
+    allowed_length,
+    allowed_section,
+    clamp_blocks,
+    equilibria,
+    log_k_functions,
+    relaxation_derivatives,
+    relaxation_values,
+    with_memory,
+)
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
+    ResponseColumns,
+    TagMotion,
     TagRide,
     balance_changes,
     free_columns,
-    push_blocks,
+    push_forces,
+    pushed_by,
     put_blocks,
     put_tags,
     response_columns,
@@ -78,49 +92,80 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
     own = np.zeros_like(recording.force) if own is None else own
     slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
     force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ _axes(layout, x, r).T + own
-    k = np.exp(recording.on_nodes @ layout.get(x, "stiffness"))
+    force = force + allowed(recording, layout, x, "force")
+    k = np.exp(recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k"))
     weight_beyond = recording.weight
     if recording.mass is not None:
         weight_beyond = weight_beyond + recording.mass.force(recording.problem, k, layout.get(x, "mass"))
     problem = replace(
         recording.problem,
         k=k,
+        length=allowed_length(recording, layout, x),
+        section=allowed_section(recording, layout, x),
         q0=recording.rest_on_nodes @ layout.get(x, "curvature"),
-        alpha0=np.asarray(layout.get(x, "clamp", r)[0]),
+        alpha0=_clamp_angle(recording, layout, x),
         dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
     )
     if recording.ends is not None:
         solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start)
     else:
-        solved = follow(problem) if start is None else refine(problem, start)
+        solved = equilibria(recording, layout, x, problem, start)
     s, _ = tag_places(recording, layout, x)
     ride = tag_ride(recording, layout, x, solved)
     xy = ride.scale * (solved.xy(s) + ride.offset) + layout.get(x, "origin", r)
     pose = np.concatenate([xy, (ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
-    return Prediction(recording, layout, x, solved, pose, force, own)
+    return Prediction(recording, layout, x, solved, pose + allowed(recording, layout, x, "poses"), force, own)
 
 
 def _slopes(now: Prediction) -> Slopes:
     recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
     s, _ = tag_places(recording, layout, x)
-    changes = balance_changes(_bent(now))
+    bent, axes = _bent(now), _axes(layout, x, r)
+    logged = now.force - now.own - allowed(recording, layout, x, "force")
+    pushes = {name: pushed_by(bent, f) for name, f in push_forces(logged, axes, recording.rate).items()}
+    changes = balance_changes(bent) | pushes | allowance_changes(recording, bent)
     columns, ride = response_columns(changes), tag_ride(recording, layout, x, solved)
     free, error = free_columns(layout, r), layout.columns("force", r)
     out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
     if recording.ends is None:
-        response = respond(solved, columns.changes).poses(s)
+        response = _free_response(now, columns, s)
+        if "length" in columns.slices:
+            response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
     else:
         wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
         poses = respond(solved, columns.changes + wrench).poses(np.append(s, 1.0))
         response, by_end = with_ends_held(poses, recording.ends)
         held = replace(ride, angle=ride.angle[recording.ends.frames])
         put_ends(out, recording.ends, layout, r, held.carry(by_end))
-    blocks, axes = columns.split(ride.carry(response)), _axes(layout, x, r)
-    put_blocks(out, free, blocks | push_blocks(blocks["push"], now.force, axes, recording.rate))
-    bend = apply(solved.problem.grid.value_at(s), solved.q) / recording.observations.length
-    xy = (now.pose[..., :2] - layout.get(x, "origin", r)) / ride.scale
-    put_tags(out, free, ride.motion(xy, np.where(ride.over > 0.0, 0.0, bend)))
+    blocks = columns.split(ride.carry(response))
+    put_blocks(out, free, blocks | clamp_blocks(recording, blocks["clamp"]))
+    put_tags(out, free, _tag_motion(now, ride, s))
     return Slopes(out, blocks["push"], axes, recording.error_weights)
+
+
+def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
+    """How the tags at places `s` (S,) move with what holds them; a metre along is one of the length as written."""
+    recording, layout, x, solved = now.recording, now.layout, now.x, now.solved
+    seen = now.pose - allowed(recording, layout, x, "poses")
+    xy = (seen[..., :2] - layout.get(x, "origin", recording.number)) / ride.scale
+    written, on_beam = recording.observations.length, ride.over <= 0.0
+    bend = np.where(on_beam, apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
+    if not recording.allowances:
+        return ride.motion(xy, bend)
+    tangent = np.stack([np.cos(ride.angle), np.sin(ride.angle)], axis=-1)
+    return ride.motion(xy, bend, np.where(on_beam[:, None], solved.xy_by_s(s) / written, tangent))
+
+
+def _free_response(now: Prediction, columns: ResponseColumns, s: Array) -> Array:
+    """(F, S, 3, P) derivatives of the poses at places `s` (S,) of a beam whose end is free."""
+    response = respond(now.solved, columns.changes)
+    if relaxation_values(now.recording, now.layout, now.x) is None:
+        return response.poses(s)
+    _ = response.q  # the memory needs it: the poses come from it too
+    poses = response.poses(s)
+    out = with_memory(now.recording, now.layout, now.x, response, poses, s, columns.slices["curvature"])
+    out[..., columns.slices["push"]] = poses[..., columns.slices["push"]]  # each frame's own: no later one hangs on it
+    return out
 
 
 def _bent(now: Prediction) -> BentBeam:
@@ -140,6 +185,9 @@ def _bent(now: Prediction) -> BentBeam:
         recording.farther,
         by_mass,
         weight_by_k,
+        log_k_functions(recording),
+        relaxation_derivatives(recording, layout, x, solved),
+        lengthens="length" in free_columns(layout, recording.number),
     )
 
 
@@ -160,7 +208,14 @@ def tag_ride(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) 
 
 def _pushed(recording: FitData, layout: Layout, x: Array) -> Array:
     """(F, Q) share of the push that acts beyond the node."""
-    return np.asarray(recording.beyond + layout.get(x, "place", recording.number)[0] * recording.farther)
+    place = layout.get(x, "place", recording.number) + allowed(recording, layout, x, "place")  # (1,) or (F,) m
+    return np.asarray(recording.beyond + place[:, None] * recording.farther)
+
+
+def _clamp_angle(recording: FitData, layout: Layout, x: Array) -> Array:
+    """() or (F, 1) rad."""
+    angle, gives = layout.get(x, "clamp", recording.number)[0], allowed(recording, layout, x, "clamp")
+    return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
 
 
 def _axes(layout: Layout, x: Array, r: int) -> Array:

@@ -24,7 +24,7 @@ from onebend.learning.model.mass import forced, weighs
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
-RESOLUTION = Resolution(order=12, widest=0.5)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
+RESOLUTION = Resolution(order=6, widest=0.125)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
 HELD_RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
 _REACH = 0.999  # of the length: an end that was read as farther away is put where the way to it ends
 _SETTLE = 3  # steps of the ends towards the points

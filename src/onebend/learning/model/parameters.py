@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.model.mass import weighs
 from onebend.learning.model.spline import Spline
 from onebend.recording.beam_frame import MOUNTING_SD
@@ -96,8 +98,16 @@ class Layout:
         return (own[0].start, own[-1].where.stop) if own else (self.shared, self.shared)
 
 
-def make_layout(spline: Spline, recordings: list[Observations], knots: list[int], priors: Priors) -> Layout:
-    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each."""
+def make_layout(
+    spline: Spline,
+    recordings: list[Observations],
+    knots: list[int],
+    priors: Priors,
+    allowances: Sequence[Sequence[Allowance]] = (),
+) -> Layout:
+    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each, `allowances` are
+    those of each."""
+    shared = {a.name: a for own in allowances for a in own if a.shared}
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]
     placement = first.stated.placement_sd if priors.placement is None else priors.placement
@@ -105,16 +115,18 @@ def make_layout(spline: Spline, recordings: list[Observations], knots: list[int]
     curvature = max(curvature_sd(r, priors) for r in recordings)
     heavy = any(weighs(r) for r in recordings)
     mass = max((r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)), default=priors.mass)
-    wanted: list[tuple[str, int, str, float, tuple[str, ...]]] = [
+    wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
         ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
         ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),
+        *((a.name, -1, a.unit, a.prior_sd, a.labels) for a in shared.values()),
     ]
     for r, one in enumerate(recordings):
         name = one.source.name
+        own = [a for a in allowances[r] if not a.shared] if allowances else []
         origin = one.stated.placement_sd if priors.origin is None else priors.origin
         wanted += [
             ("clamp", r, "rad", clamp_sd(one, priors), (f"{name}: clamp angle",)),
@@ -123,14 +135,15 @@ def make_layout(spline: Spline, recordings: list[Observations], knots: list[int]
             ("clock", r, "s", _clock_sd(one, priors), (f"{name}: clock offset",)),
             ("place", r, "m", _pushed(one, one.stated.place_sd, priors.place), (f"{name}: push place",)),
             ("direction", r, "rad", _pushed(one, one.stated.direction_sd, priors.direction), (f"{name}: force axes",)),
+            *((a.name, r, a.unit, a.prior_sd, tuple(f"{name}: {label}" for label in a.labels)) for a in own),
             ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
             ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
             ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:
-        free = sd > 0.0 and len(labels) > 0
         sds = np.full(len(labels), sd)
+        free = len(labels) > 0 and bool(np.all(sds > 0.0))
         if name == "mass":
             sds[1:] = _mass_spread(recordings, priors)
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))

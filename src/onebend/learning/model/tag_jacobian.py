@@ -13,14 +13,21 @@ The way from a parameter to a tag has three parts, and each stands here once.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.perturbation import Perturbation, Perturbations
 from onebend.beam.statics.problem import Problem
-from onebend.beam.statics.sensitivity import of_clamp_angle, of_moment, of_rest_curvature, of_stiffness, respond
+from onebend.beam.statics.sensitivity import (
+    of_clamp_angle,
+    of_moment,
+    of_rest_curvature,
+    of_section_thickness,
+    of_stiffness,
+    respond,
+)
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
@@ -37,13 +44,18 @@ class BentBeam:
     farther: Array  # (Q,) or (F, Q) 1/m: what that share gains for each metre that the push lies farther out
     by_mass: Perturbation | None = None  # the parts of the mass; None where nothing weighs
     weight_by_k: Array | None = None  # (F, Q, 2, p) N: weight beyond the nodes, where the mass follows k(s)
+    log_k: Mapping[str, Array] = field(default_factory=dict)  # (Q, n) or (F, Q, n): further functions of log k, by name
+    rest_shift: Array | None = None  # (F, Q, n): of the curvature at rest, with the parameters of relaxation
+    lengthens: bool = False  # the length is a parameter
 
 
 def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
     """How each group of parameters enters the balance of moments; the groups are in the order of the columns.
 
     "stiffness" (p) coefficients of log k; "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame;
-    "place" (1) m, of the push along the beam; "mass" (4), its parts over all of it, where something weighs.
+    "place" (1) m, of the push along the beam; "mass" (4), its parts over all of it, where something weighs; what else
+    enters log k, by name; "relaxation" (2); "length" (1) its log; "section" (1) log of its thickness, where the beam
+    stretches and shears.
     """
     problem = beam.solved.problem
     changes = {
@@ -53,7 +65,31 @@ def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
         "push": Perturbation(beam.beyond[..., None, None] * np.eye(2), None, None, np.zeros(2)),
         "place": Perturbation((beam.farther[..., None] * beam.push[:, None, :])[..., None], None, None, np.zeros(1)),
     }
-    return changes if beam.by_mass is None else changes | {"mass": beam.by_mass}
+    if beam.by_mass is not None:
+        changes["mass"] = beam.by_mass
+    for name, functions in beam.log_k.items():
+        changes[name] = of_stiffness(beam.solved, problem.k[..., None] * functions)
+    if beam.rest_shift is not None:
+        changes["relaxation"] = of_rest_curvature(problem, beam.rest_shift)
+    if beam.lengthens:
+        changes["length"] = _of_length(beam.solved)
+    if problem.section is not None:
+        changes["section"] = of_section_thickness(problem)
+    return changes
+
+
+def _of_length(solved: Equilibrium) -> Perturbation:
+    """One parameter: the log of the length, k [N m] and the loads staying as they are; without point moments.
+
+    The levers of all forces grow with the length. In equilibrium they balance k (q - q0), so that the balance changes
+    as if k were smaller by as much; 1/EA and 1/kGA go with 1 / (k L).
+    """
+    problem = solved.problem
+    elastic = solved.q - problem.q0, -problem.k[..., None]
+    compliance = None
+    if problem.section is not None and problem.compliance is not None:
+        compliance = problem.compliance, np.full((problem.to_nodes.shape[-1], 1), -1.0)
+    return Perturbation(None, None, elastic, np.zeros(1), compliance)
 
 
 @dataclass(frozen=True)
@@ -96,17 +132,33 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
     return force[:, 0] * cos + force[:, 1] * sin, force[:, 1] * cos - force[:, 0] * sin
 
 
+def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
+    """(F, 2, 1) N per unit of the push, with the "direction" of the force log's axes [rad] and its "clock" [s]; see
+    `push_blocks`."""
+    turned = np.stack([-push[:, 1], push[:, 0]], axis=-1)
+    return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
+
+
 def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, m, 3, 1) with the "direction" of the force log's axes [rad] and its "clock" [s].
 
     `by_push` (F, m, 3, 2) per N, `push` (F, 2) N, `log_axes` (2, 2) by which the logged force is turned, `rate` (F, 2)
     N/s of the logged force.
     """
-    turned = np.stack([-push[:, 1], push[:, 0]], axis=-1)
-    return {
-        "direction": np.einsum("fmad,fd->fma", by_push, turned)[..., None],
-        "clock": np.einsum("fmad,fd->fma", by_push, rate @ log_axes.T)[..., None],
-    }
+    forces = push_forces(push, log_axes, rate)
+    return {name: np.einsum("fmad,fdn->fman", by_push, force) for name, force in forces.items()}
+
+
+def pushed_by(beam: BentBeam, force: Array) -> Perturbation:
+    """n parameters that add to the push: `force` (F, 2, n) N per unit in each frame."""
+    added = beam.beyond[..., None, None] * force[:, None]
+    return Perturbation(added, None, None, np.zeros(force.shape[-1]))
+
+
+def placed_by(beam: BentBeam, basis: Array) -> Perturbation:
+    """n parameters that move the push: `basis` (F, n) m per unit in each frame."""
+    added = (beam.farther[..., None] * beam.push[:, None, :])[..., None] * basis[:, None, None, :]
+    return Perturbation(added, None, None, np.zeros(basis.shape[-1]))
 
 
 @dataclass(frozen=True)
@@ -141,12 +193,14 @@ class TagRide:
         xy = response[:, :, :2] + lever[..., None] * turn
         return np.concatenate([self.scale * xy, turn], axis=2)
 
-    def motion(self, xy: Array, bend: Array) -> TagMotion:
+    def motion(self, xy: Array, bend: Array, onward: Array | None = None) -> TagMotion:
         """Of tags at `xy` (F, m, 2) m in the beam's frame, where the beam's curvature is `bend` (F, m) 1/m; zero beyond
-        the tip."""
+        the tip. `onward` (F, m, 2): m per m along the beam of its places; None: along the tangent, as it does not
+        stretch."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        stride = (1.0 - self.across * bend) * self.scale
-        along = np.stack([stride * cos, stride * sin], axis=-1)
+        tangent = np.stack([cos, sin], axis=-1)
+        turning = (self.across * bend)[..., None] * tangent
+        along = self.scale * ((tangent if onward is None else onward) - turning)
         return TagMotion(along, bend, self.scale * np.stack([-sin, cos], axis=-1), xy)
 
 

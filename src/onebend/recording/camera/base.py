@@ -12,6 +12,7 @@ from onebend.records import Array, Remark
 
 MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
 RUNNING = 5  # frames of that running median
+SHAKES = 2.0  # sd: places that scatter by more show a camera that shakes
 
 
 def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
@@ -19,22 +20,34 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
 
     The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
     all frames with the covariance of one frame: the detector's error at one place of the pixel grid is the same in
-    every frame and does not average out.
+    every frame and does not average out. Place and angle are judged apart: a camera that shakes or drifts on its tripod
+    shifts the picture, and an angle that is followed without need would carry its noise out to the tip.
     """
     pose = together(poses, [tag.s * length for tag in tags])
     state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
     known = np.isfinite(state).all(axis=1)
     middle, typical = np.median(state[known], axis=0), np.median(pose.covariance[known, 0], axis=0)
-    deviation = running_median(state[known], RUNNING) - middle
-    chi2 = np.einsum("ti,ij,tj->t", deviation, np.linalg.inv(typical), deviation)
-    if (chi2 > MOVED**2).any():
+    turns = _moves(state[known, 2:], middle[2:], typical[2:, 2:])
+    if turns:
         return pose, True
+    shifts = _moves(state[known, :2], middle[:2], typical[:2, :2])
+    shakes = bool(np.any(np.std(state[known, :2], axis=0) > SHAKES * np.sqrt(np.diag(typical)[:2])))
     frames = len(state)
+    xy = (
+        np.where(known[:, None], state[:, :2], np.nan) if shifts or shakes else np.broadcast_to(middle[:2], (frames, 2))
+    )
     return Poses(
-        np.broadcast_to(middle[:2], (frames, 1, 2)),
+        xy[:, None],
         np.broadcast_to(middle[2:], (frames, 1)),
         np.broadcast_to(typical, (frames, 1, 3, 3)),
-    ), False
+    ), shifts
+
+
+def _moves(state: Array, middle: Array, covariance: Array) -> bool:
+    """Whether places or angles (T, n) leave their median (n,) by more than their covariance (n, n) explains."""
+    deviation = running_median(state, RUNNING) - middle
+    chi2 = np.einsum("ti,ij,tj->t", deviation, np.linalg.inv(covariance), deviation)
+    return bool((chi2 > MOVED**2).any())
 
 
 def together(poses: Poses, places: Sequence[float]) -> Poses:

@@ -40,7 +40,11 @@ class BeamEntry:
         default="unknown",
     )
     width: float = key(
-        "width_m", number(above=0), "the beam's size across the bending axis, m", example="0.02", default=math.nan
+        "width_m",
+        number(above=0),
+        "the beam's size across the bending axis (in the plane of bending), m",
+        example="0.02",
+        default=math.nan,
     )
     thickness: float = key(
         "thickness_m", number(above=0), "the beam's size along the bending axis, m", example="0.03", default=math.nan
@@ -48,9 +52,9 @@ class BeamEntry:
     rest: Rest = key(
         "rest",
         one_of("straight", "unknown"),
-        'its shape with no force on it: "straight", or "unknown" if it may be curved',
-        example='"straight"',
-        default="straight",
+        'its shape with no force on it: "unknown" where it may be curved; "straight" states that it is not',
+        example='"unknown"',
+        default="unknown",
     )
     curvature_sd: float = key(
         "rest_curvature_sd_deg",

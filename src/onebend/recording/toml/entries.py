@@ -23,7 +23,7 @@ from onebend.recording.toml.source_entries import (
     damaged_bag,
     message_definitions,
 )
-from onebend.records import DIRECTION_SD, PLACE_SD, TURN_SD, Remark
+from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, TURN_SD, Remark
 
 FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
@@ -128,7 +128,11 @@ class ForceEntry:
     sensor: str = key("sensor", text, "the sensor's name", example='"franka-estimate"', default="")
     zeroed: bool = key("zeroed", flag, "whether it was zeroed just before the push", example="false", default=False)
     gain_sd: float = key(
-        "gain_sd", number(least=0), "the sensor's scale error (one sd, 0.02 = 2 %)", example="0.02", default=math.nan
+        "gain_sd",
+        number(least=0),
+        "the sensor's scale error (one sd, 0.02 = 2 %); 0: exact",
+        example="0.02",
+        default=GAIN_SD,
     )
     white_sd: float = key(
         "white_sd_N", number(least=0), "the sensor's noise of one sample (one sd), N", example="0.03", default=math.nan
@@ -160,7 +164,7 @@ class PushEntry:
         "at_sd_m",
         number(least=0),
         "how far off that place the force may act along the beam (one standard deviation), m; 0: exact",
-        example="0.0005",
+        example="0.0025",
         default=PLACE_SD,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings
@@ -16,7 +17,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     recording = findings.recordings[0]
     rows = [_stiffness_card(findings)]
     if findings.posterior is not None:
-        rows.append(band_card(findings.posterior.stiffness))
+        rows += [band_card(findings.posterior.stiffness), verdict_card(findings.posterior)]
     rows.append(_training_card(findings))
     if findings.validations:
         worst = max(findings.validations, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
@@ -30,6 +31,13 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         note = f"noise left in it: {significant(noise, 2)} mN (sd)"
         rows.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
     return rows
+
+
+def verdict_card(posterior: Posterior) -> dict[str, str]:
+    """The grade, and what k(s) rests on."""
+    named = ", ".join(share.name for share in posterior.attributions if share.matters)
+    note = "; ".join(posterior.doubts) or named or "the beam and the bench are as the model has them"
+    return {"what": "verdict", "value": posterior.grade, "note": note}
 
 
 def _training_card(findings: Findings) -> dict[str, str]:

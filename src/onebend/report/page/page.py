@@ -10,10 +10,11 @@ import numpy as np
 from onebend.learning.criticism_messages import unseen_words
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms
+from onebend.learning.verdict import fitted_rms, grade_words
 from onebend.records import Observations
 from onebend.report.confidence import (
     alarm_words,
+    allowance_rows,
     gain_words,
     load_error_words,
     model_test_rows,
@@ -86,6 +87,8 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     return {
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
+        "grade": grade_words(posterior),
+        "allowances": allowance_rows(posterior),
         "tests": model_test_rows(posterior),
         "alarm": alarm_words(posterior),
         "unseen": unseen_words(posterior),

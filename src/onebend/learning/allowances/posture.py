@@ -1,0 +1,21 @@
+"""A robot's force estimate is off by what depends on where its arm stands: smooth in the place of the tool."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.learning.allowances.allowance import Allowance
+from onebend.learning.allowances.course import PushCourse, with_rest
+from onebend.records import Array
+
+POSTURE_SD = 0.01  # of the largest force, for each term and axis; the linear term is a gain: no evidence tells its size
+DEGREE = 2  # of the polynomial in the tool's displacement
+
+
+def posture_bias(run: PushCourse, force: Array) -> Allowance:
+    """A polynomial of second degree in the displacement, zero at rest, for each axis of the force (F, 2) [N]."""
+    largest = float(np.max(np.linalg.norm(force, axis=1)))
+    powers = with_rest(np.stack([run.bend**i for i in range(1, DEGREE + 1)], axis=1), len(force))
+    basis = np.einsum("fi,cd->fcdi", powers, np.eye(2)).reshape(len(force), 2, 2 * DEGREE)
+    labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
+    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis)

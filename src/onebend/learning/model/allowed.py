@@ -1,0 +1,138 @@
+"""What a recording's allowances do to the fit's model at given parameters, and its derivatives with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.beam.profiles.rectangular import RectangularSection
+from onebend.beam.statics.continuation import follow, refine
+from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.perturbation import Perturbation
+from onebend.beam.statics.problem import Problem
+from onebend.beam.statics.sensitivity import Response, of_rest_curvature, respond
+from onebend.learning.allowances.allowance import Allowance, Entry
+from onebend.learning.allowances.relaxation import remembered, rest_shift, secant_share, shift_derivatives
+from onebend.learning.allowances.section import USUAL_THICKNESS
+from onebend.learning.model.fit_data import FitData
+from onebend.learning.model.parameters import Layout
+from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
+from onebend.records import Array
+
+_SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
+_MOST_PASSES = 12
+
+
+def allowed(recording: FitData, layout: Layout, x: Array, enters: Entry) -> Array | float:
+    """The sum of the allowances that enter here, at parameters x (P,); 0 where there are none. Shapes: see `Entry`."""
+    here = [a for a in recording.allowances if a.enters == enters]
+    return sum((a.basis @ _values(recording, layout, x, a) for a in here), start=0.0)
+
+
+def allowed_length(recording: FitData, layout: Layout, x: Array) -> Array:
+    """() m, the beam's length."""
+    change = [_values(recording, layout, x, a)[0] for a in recording.allowances if a.enters == "length"]
+    return np.asarray(recording.observations.length * np.exp(sum(change)))
+
+
+def allowed_section(recording: FitData, layout: Layout, x: Array) -> RectangularSection | None:
+    """By which the beam stretches and shears; None where it does neither."""
+    for a in recording.allowances:
+        if a.enters == "section":
+            stated, log = recording.observations.stated.thickness, _values(recording, layout, x, a)[0]
+            usual = stated if np.isfinite(stated) else USUAL_THICKNESS * recording.observations.length
+            return RectangularSection(float(usual * np.exp(log)))
+    return None
+
+
+def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, start: Array | None) -> Equilibrium:
+    """Of a free end; where the material relaxes, each shape hangs on those before it, and all are found in turn.
+
+    `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q), where shapes are known about.
+    """
+    values = relaxation_values(recording, layout, x)
+    if values is None or values[0] == 0.0:
+        return follow(problem) if start is None else refine(problem, start)
+    q = follow(problem).q if start is None else start
+    time, rest = relaxation_time(recording), problem.q0
+    for _ in range(_MOST_PASSES):
+        shift = rest_shift(values, time, q - rest, problem.weights)
+        solved = refine(replace(problem, q0=rest + shift), q)
+        moved, q = float(np.max(np.abs(solved.q - q))), solved.q
+        if not moved > _SETTLED:
+            break
+    return solved
+
+
+def relaxation_values(recording: FitData, layout: Layout, x: Array) -> Array | None:
+    """(2,) of the material; None where it does not relax."""
+    every = [_values(recording, layout, x, a) for a in recording.allowances if a.enters == "relaxation"]
+    return every[0] if every else None
+
+
+def relaxation_time(recording: FitData) -> Array:
+    """(T,) s of the frames whose shapes relaxation remembers."""
+    return next(a.basis for a in recording.allowances if a.enters == "relaxation")
+
+
+def relaxation_derivatives(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array | None:
+    """(F, Q, 2) of the curvature at rest, shapes held; None where the material does not relax."""
+    values = relaxation_values(recording, layout, x)
+    if values is None:
+        return None
+    rest = recording.rest_on_nodes @ layout.get(x, "curvature")
+    return shift_derivatives(values, relaxation_time(recording), solved.q - rest, solved.problem.weights)
+
+
+def with_memory(
+    recording: FitData, layout: Layout, x: Array, response: Response, poses: Array, s: Array, at_rest: slice
+) -> Array:
+    """(F, S, 3, P) derivatives of poses at places `s` (S,), from those (F, S, 3, P) without the material's memory.
+
+    A change of what the shapes are bent by over the rest curvature, whose own columns are `at_rest`, shifts the
+    curvature at rest of all later ones. To first order in the share that relaxes.
+    """
+    values = relaxation_values(recording, layout, x)
+    if values is None or values[0] == 0.0:
+        return poses
+    solved, rest = response.solved, recording.rest_on_nodes @ layout.get(x, "curvature")
+    change = response.q.copy()
+    change[..., at_rest] -= recording.rest_on_nodes
+    shift = remembered(values, relaxation_time(recording), solved.q - rest, solved.problem.weights, change)
+    return np.asarray(poses + respond(solved, of_rest_curvature(solved.problem, shift)).poses(s))
+
+
+def secant_of(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> float:
+    """The secant stiffness over the instantaneous one; 1 where the material does not relax."""
+    values = relaxation_values(recording, layout, x)
+    if values is None:
+        return 1.0
+    rest = recording.rest_on_nodes @ layout.get(x, "curvature")
+    return secant_share(values, relaxation_time(recording), solved.q - rest, solved.problem.weights)
+
+
+def log_k_functions(recording: FitData) -> dict[str, Array]:
+    """Functions of log k at the nodes, by the allowance's name."""
+    return {a.name: a.basis for a in recording.allowances if a.enters == "log k"}
+
+
+def allowance_changes(recording: FitData, beam: BentBeam) -> dict[str, Perturbation]:
+    """How the allowances of the push and of the clamp enter the balance, by name."""
+    changes: dict[str, Perturbation] = {}
+    for a in recording.allowances:
+        if a.enters == "force":
+            changes[a.name] = pushed_by(beam, a.basis)
+        elif a.enters == "place":
+            changes[a.name] = placed_by(beam, a.basis)
+    return changes
+
+
+def clamp_blocks(recording: FitData, by_clamp: Array) -> dict[str, Array]:
+    """(F, m, 3, n) of the allowances that turn the clamp or move the tags, by name; `by_clamp` (F, m, 3, 1) per rad."""
+    out = {a.name: by_clamp * a.basis[:, None, None, :] for a in recording.allowances if a.enters == "clamp"}
+    return out | {a.name: a.basis for a in recording.allowances if a.enters == "poses"}
+
+
+def _values(recording: FitData, layout: Layout, x: Array, allowance: Allowance) -> Array:
+    return layout.get(x, allowance.name, -1 if allowance.shared else recording.number)

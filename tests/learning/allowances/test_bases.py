@@ -1,0 +1,126 @@
+"""What the small allowances put into the model: sliding contact, posture, clamp, length, section, discrepancy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName, allowances_of
+from onebend.learning.allowances.clamp import giving
+from onebend.learning.allowances.contact import sliding
+from onebend.learning.allowances.course import course
+from onebend.learning.allowances.discrepancy import discrepancy
+from onebend.learning.allowances.posture import POSTURE_SD, posture_bias
+from onebend.learning.allowances.section import KNOWN_SD, UNKNOWN_SD, USUAL_THICKNESS, section
+from onebend.learning.model.allowed import allowed, allowed_length, allowed_section
+from onebend.learning.model.forward import predict
+from onebend.records import Array
+from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, filmed, with_everything
+from tests.learning.bench import forces
+
+MADE = filmed()
+RUN = course(MADE, np.ones(20, dtype=bool))
+
+
+def test_the_contact_slides_by_the_turn_of_the_beam_there() -> None:
+    basis = sliding(MADE, RUN, np.full(21, PUSH_S)).basis
+    here = (PUSH_S - TAGS[1]) / (TAGS[2] - TAGS[1])
+    turn = MADE.angle - MADE.rest_angle
+    np.testing.assert_allclose(basis[:20, 0], (1.0 - here) * turn[:, 1] + here * turn[:, 2], atol=1e-12)
+    assert basis[20, 0] == 0.0
+
+
+def test_below_the_first_tag_it_slides_by_a_share_of_its_turn() -> None:
+    basis = sliding(MADE, RUN, np.full(21, 0.5 * TAGS[0])).basis
+    np.testing.assert_allclose(basis[:20, 0], 0.5 * (MADE.angle - MADE.rest_angle)[:, 0], atol=1e-12)
+
+
+def test_the_clamp_turns_with_the_tag_next_to_it() -> None:
+    one = giving(RUN, 21)
+    np.testing.assert_allclose(one.basis[:20, 0], (MADE.angle - MADE.rest_angle)[:, 0], atol=1e-12)
+    assert one.basis[20, 0] == 0.0
+
+
+def test_a_posture_bias_is_quadratic_in_the_displacement_and_nothing_at_rest() -> None:
+    force = np.vstack([forces(20), np.zeros(2)])
+    one = posture_bias(RUN, force)
+    values = np.array([1.0, -2.0, 3.0, 0.5])  # x, x2, y, y2 in the order of the labels
+    assert one.labels == ("posture bias x1", "posture bias x2", "posture bias y1", "posture bias y2")
+    bend = RUN.bend
+    np.testing.assert_allclose((one.basis @ values)[:20, 0], bend - 2.0 * bend**2, atol=1e-12)
+    np.testing.assert_allclose((one.basis @ values)[:20, 1], 3.0 * bend + 0.5 * bend**2, atol=1e-12)
+    assert np.all(one.basis[20] == 0.0)
+    np.testing.assert_allclose(one.prior_sd, POSTURE_SD * np.max(np.linalg.norm(force, axis=1)))
+
+
+def test_each_discrepancy_moves_one_coordinate_of_one_tag_smoothly() -> None:
+    places, angles = discrepancy(RUN, ("tag 1", "tag 2", "tag 3"), MADE.length, 21)
+    assert len(places.labels) == places.basis.shape[-1] == 2 * 3 * 5
+    assert len(angles.labels) == angles.basis.shape[-1] == 3 * 5
+    for one, axes in ((places, "xy"), (angles, "angle")):
+        for label, basis in zip(one.labels, np.moveaxis(one.basis, -1, 0), strict=True):
+            _, _, tag, what = label.split()
+            axis = 2 if axes == "angle" else "xy".index(what[0])
+            moved = np.flatnonzero(np.any(basis != 0.0, axis=0).ravel())
+            assert moved.tolist() == [3 * (int(tag) - 1) + axis], label
+            assert np.all(basis[20] == 0.0)
+    np.testing.assert_allclose(places.basis[:20, 1, 0, places.labels.index("discrepancy tag 2 x1")], RUN.bend**2)
+
+
+def test_a_section_is_as_thick_as_stated_or_as_usual() -> None:
+    assert section(known=True).prior_sd[0] == KNOWN_SD
+    assert section(known=False).prior_sd[0] == UNKNOWN_SD
+    one, layout, x = with_everything(share=0.0)
+    log = x[layout.index["section", -1].start]
+    made = allowed_section(one, layout, x)
+    assert made is not None
+    assert made.thickness == pytest.approx(USUAL_THICKNESS * 0.15 * np.exp(log))
+    stated = replace(one.observations.stated, thickness=0.02)
+    known = allowed_section(replace(one, observations=replace(one.observations, stated=stated)), layout, x)
+    assert known is not None
+    assert known.thickness == pytest.approx(0.02 * np.exp(log))
+
+
+def test_a_longer_beam_puts_its_tags_farther_out() -> None:
+    one, layout, _ = with_everything(share=0.0)
+    x = np.zeros(layout.size)
+    x[layout.index["stiffness", -1].where] = 5.0  # hardly bends
+    x[layout.index["length", -1].start] = 0.01
+    assert allowed_length(one, layout, x) == pytest.approx(0.15 * np.exp(0.01))
+    np.testing.assert_allclose(predict(one, layout, x, None).pose[0, :, 0], 0.15 * np.exp(0.01) * TAGS, rtol=1e-3)
+
+
+def test_allowances_of_one_kind_add_up() -> None:
+    one, layout, x = with_everything(share=0.0)
+    assert isinstance(allowed(replace(one, allowances=()), layout, x, "poses"), float)
+    parts = [a for a in one.allowances if a.enters == "poses"]
+    own = [a.basis @ layout.get(x, a.name, -1 if a.shared else 0) for a in parts]
+    np.testing.assert_allclose(allowed(one, layout, x, "poses"), np.sum(own, axis=0), atol=1e-15)
+
+
+def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **changed: object) -> set[str]:
+    o = replace(MADE, **changed)  # type: ignore[arg-type]
+    one, nodes = np.ones(20, dtype=bool), np.linspace(0.1, 0.9, 5)
+    measured = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
+    return {a.name for a in allowances_of(o, one, measured, np.full(20, PUSH_S), made, nodes, wanted)}
+
+
+def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:
+    assert chosen(forces(20)) == EVERY_ALLOWANCE
+
+
+def test_only_what_is_wanted_is_allowed_for() -> None:
+    assert chosen(forces(20), frozenset({"length", "slide"})) == {"length", "slide"}
+    assert chosen(forces(20), frozenset()) == set()
+
+
+def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
+    assert EVERY_ALLOWANCE - chosen(np.zeros((20, 2))) == {"slide", "posture"}
+    assert chosen(forces(20), static=True) == set()
+
+
+def test_tracks_have_no_allowances_of_a_camera() -> None:
+    tracked = replace(MADE.source, view=None)
+    assert EVERY_ALLOWANCE - chosen(forces(20), source=tracked) == {"heights", "tilt", "lens", "rolling shutter"}

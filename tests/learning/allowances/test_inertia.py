@@ -1,0 +1,69 @@
+"""Accelerations that the tags show, and the force that the beam's mass then needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.beam.loads import push
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.statics.problem import make_problem
+from onebend.learning.allowances.inertia import inertial_force, tag_accelerations
+from onebend.records import Observations
+from tests.learning.bench import SOFT, observed
+from tests.made_up import with_stated
+
+FRAMES, MASS = 30, 0.02
+PULL = np.array([0.4, -3.0])  # m/s^2, of the tip
+INNER = slice(3, -3)  # frames with a whole window
+
+
+def falling(last: float = 1.0) -> Observations:
+    """Tags at 1/3, 2/3 and `last`, accelerated in proportion to their place."""
+    o = with_stated(observed(SOFT, np.zeros((FRAMES, 2))), mass=MASS)
+    o = replace(o, marker_s=np.array([1.0 / 3.0, 2.0 / 3.0, last]))
+    t = o.time[:, None, None]
+    return replace(o, xy=0.1 + 0.3 * t + 0.5 * t**2 * o.marker_s[:, None] * PULL)
+
+
+def test_accelerations_of_parabolas_are_exact() -> None:
+    o = falling()
+    found = tag_accelerations(o)
+    assert found is not None
+    expected = np.broadcast_to(o.marker_s[:, None] * PULL, found[INNER].shape)
+    np.testing.assert_allclose(found[INNER], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_hidden_frame_is_bridged_and_a_short_film_tells_nothing() -> None:
+    o = falling()
+    xy = o.xy.copy()
+    xy[10, 1] = np.nan
+    found = tag_accelerations(replace(o, xy=xy))
+    assert found is not None
+    np.testing.assert_allclose(found[20, 1], 2.0 / 3.0 * PULL, rtol=1e-6)
+    few = replace(o, time=o.time[:13], xy=o.xy[:13])
+    assert tag_accelerations(few) is None
+
+
+@pytest.mark.parametrize("last", [1.0, 0.8])
+def test_the_force_beyond_a_place_is_that_of_the_mass_beyond_it(last: float) -> None:
+    o, count = falling(last), FRAMES + 1
+    line = Uniform(MASS / o.length)
+    beam = Beam(o.length, Uniform(1.0))
+    problem = make_problem(beam, push(np.zeros((count, 2)), np.ones(count)))
+    force = inertial_force(o, np.ones(FRAMES, dtype=bool), problem, line, count)
+    s = problem.grid.nodes
+    inside = 0.5 * (last**2 - np.minimum(s, last) ** 2)  # int of the acceleration over the tip's
+    beyond = last * (1.0 - np.maximum(s, last))
+    expected = -MASS * (inside + beyond)[:, None] * PULL
+    np.testing.assert_allclose(force[15], expected, atol=2e-3 * np.max(np.abs(expected)))
+    assert np.all(force[-1] == 0.0)
+
+
+def test_without_a_mass_nothing_is_added() -> None:
+    o = with_stated(falling(), mass=np.nan)
+    problem = make_problem(Beam(o.length, Uniform(1.0)), push(np.zeros((FRAMES, 2)), np.ones(FRAMES)))
+    assert not np.any(inertial_force(o, np.ones(FRAMES, dtype=bool), problem, Uniform(1.0), FRAMES))

@@ -1,0 +1,149 @@
+"""Heights, tilt, lens and rolling shutter, against a camera that projects point by point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.learning.allowances.picture import camera_place, heights, lens, rolling_shutter, tilt
+from onebend.records import Array, Observations, View
+from tests.learning.allowances.allowed_bench import CAMERA, filmed
+from tests.made_up import with_source
+
+ABOVE = replace(CAMERA, rotation=np.diag([1.0, -1.0, -1.0]), calibrated=True)
+CAMERAS = pytest.mark.parametrize("camera", [CAMERA, ABOVE], ids=["oblique", "above"])
+
+
+def pixels(view: View, points: Array, k1: float = 0.0) -> Array:
+    """(..., 2) px of points (..., 3) m, through a lens of one radial term."""
+    x = points @ view.rotation.T + view.translation
+    n = x[..., :2] / x[..., 2:]
+    n = n * (1.0 + k1 * np.sum(n**2, axis=-1, keepdims=True))
+    return np.asarray(n @ view.matrix[:2, :2].T + view.matrix[:2, 2])
+
+
+def on_plane(view: View, seen: Array) -> Array:
+    """(..., 2) m where the rays of pixels (..., 2) meet the plane z = 0, taking the lens to have no such term."""
+    rays = (
+        np.concatenate([seen, np.ones((*seen.shape[:-1], 1))], axis=-1) @ np.linalg.inv(view.matrix).T @ view.rotation
+    )
+    place = -view.rotation.T @ view.translation
+    return np.asarray(place[:2] - rays[..., :2] * (place[2] / rays[..., 2:]))
+
+
+def poses_of(made: Observations) -> Array:
+    return np.concatenate([made.xy, made.angle[..., None]], axis=-1)
+
+
+def seen_by(view: View, poses: Array, height: Callable[[Array], Array], k1: float = 0.0) -> Array:
+    """(..., 3) poses as they seem to be, of tags at these heights [m] towards the camera at (..., 2)."""
+    side = np.sign((-view.rotation.T @ view.translation)[2])
+
+    def seem(xy: Array) -> Array:
+        points = np.concatenate([xy, side * np.broadcast_to(height(xy), xy.shape[:-1])[..., None]], axis=-1)
+        return on_plane(view, pixels(view, points, k1))
+
+    ahead = 1e-4 * np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
+    onward = seem(poses[..., :2] + ahead) - seem(poses[..., :2] - ahead)
+    angle = np.unwrap(np.arctan2(onward[..., 1], onward[..., 0]), axis=0)
+    return np.concatenate([seem(poses[..., :2]), angle[..., None]], axis=-1)
+
+
+def in_beam_frame(poses: Array, base: Array, rest: Array) -> Array:
+    """Poses (..., 3) in the frame of the base tag's place `base` (3,) whose x axis lies along the tags at rest."""
+    away = rest[:, :2] - base[:2]
+    turn = np.arctan2(np.sum(away[:, 0] * away[:, 1]), np.sum(away[:, 0] ** 2))
+    cos, sin = np.cos(turn), np.sin(turn)
+    xy = (poses[..., :2] - base[:2]) @ np.array([[cos, -sin], [sin, cos]])
+    return np.concatenate([xy, (poses[..., 2] - turn)[..., None]], axis=-1)
+
+
+def of_frame(view: View, made: Observations, height: Callable[[Array], Array], k1: float = 0.0) -> Array:
+    """What a recording measures: poses in the beam's frame as the camera sees it."""
+    rest = np.concatenate([made.rest_xy, made.rest_angle[:, None]], axis=1)
+    base, there, poses = (seen_by(view, x, height, k1) for x in (np.zeros((1, 3)), rest, poses_of(made)))
+    return in_beam_frame(poses, base[0], there)
+
+
+def flat(xy: Array) -> Array:
+    return np.zeros(xy.shape[:-1])
+
+
+def test_the_camera_stands_where_it_was_put() -> None:
+    foot, distance = camera_place(ABOVE)
+    np.testing.assert_allclose(foot, [0.05, 0.02])
+    assert distance == pytest.approx(0.45)
+    np.testing.assert_allclose(on_plane(CAMERA, pixels(CAMERA, np.array([0.1, 0.03, 0.0]))), [0.1, 0.03], atol=1e-12)
+
+
+@CAMERAS
+def test_a_tag_over_the_plane_seems_farther_from_the_cameras_foot(camera: View) -> None:
+    made = with_source(filmed(), view=camera)
+    poses, basis, h = poses_of(made), heights(made, poses_of(made)).basis, 1e-4
+    for tag in range(3):
+        moved = seen_by(camera, poses[:, tag], lambda xy: np.full(xy.shape[:-1], h)) - poses[:, tag]
+        np.testing.assert_allclose(h * basis[:, tag, :, tag], moved, atol=1e-3 * np.max(np.abs(moved)))
+        assert np.all(basis[:, tag, :, np.arange(3) != tag] == 0.0)
+
+
+@CAMERAS
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_tilted_plane_is_seen_as_one_that_rises(camera: View, axis: int) -> None:
+    made, turn = with_source(filmed(), view=camera), 1e-4
+    moved = of_frame(camera, made, lambda xy: turn * xy[..., axis]) - of_frame(camera, made, flat)
+    found = turn * tilt(made, poses_of(made)).basis[..., axis]
+    np.testing.assert_allclose(found[..., :2], moved[..., :2], atol=2e-3 * np.max(np.abs(moved[..., :2])))
+    np.testing.assert_allclose(found[..., 2], moved[..., 2], atol=2e-3 * np.max(np.abs(moved[..., 2])))
+
+
+@CAMERAS
+def test_a_lens_that_bends_rays_otherwise(camera: View) -> None:
+    made, k1 = with_source(filmed(), view=camera), 1e-4
+    moved = of_frame(camera, made, flat, k1) - of_frame(camera, made, flat)
+    found = k1 * lens(made, poses_of(made)).basis[..., 0]
+    np.testing.assert_allclose(found[..., :2], moved[..., :2], atol=2e-3 * np.max(np.abs(moved[..., :2])))
+    np.testing.assert_allclose(found[..., 2], moved[..., 2], atol=2e-3 * np.max(np.abs(moved[..., 2])))
+
+
+@CAMERAS
+def test_where_rest_was_not_seen_the_base_tag_gives_the_axis(camera: View) -> None:
+    made = replace(with_source(filmed(), view=camera), rest_xy=np.full((3, 2), np.nan))
+    poses, turn = poses_of(made), 1e-4
+    base, seen = (seen_by(camera, x, lambda xy: turn * xy[..., 1]) for x in (np.zeros((1, 3)), poses))
+    moved = in_beam_frame(seen, base[0], np.array([[np.cos(base[0, 2]), np.sin(base[0, 2]), 0.0]])) - poses
+    found = turn * tilt(made, poses).basis[..., 1]
+    np.testing.assert_allclose(found, moved, atol=2e-3 * np.max(np.abs(moved)))
+
+
+def test_a_tag_that_was_not_seen_is_not_moved() -> None:
+    made = filmed()
+    poses = poses_of(made)
+    poses[3, 1], poses[4, 2, 2] = np.nan, np.nan
+    for one in (heights(made, poses), tilt(made, poses), lens(made, poses)):
+        assert np.all(np.isfinite(one.basis))
+        assert np.all(one.basis[3, 1] == 0.0)
+
+
+@CAMERAS
+def test_a_rolling_shutter_sees_the_last_row_one_read_out_time_after_the_first(camera: View) -> None:
+    made = filmed(40)
+    rate = np.array([0.02, -0.05, 0.3])  # m/s, m/s, rad/s
+    start = np.stack([0.15 * made.marker_s, 0.01 * np.arange(3), np.zeros(3)], axis=-1)
+    poses = start + rate * made.time[:, None, None]
+    made = with_source(replace(made, xy=poses[..., :2], angle=poses[..., 2]), view=camera)
+    frames = np.arange(40) % 2 == 0
+    basis = rolling_shutter(made, frames, 21).basis[..., 0]
+    points = np.concatenate([made.xy, np.zeros((40, 3, 1))], axis=-1)[frames]
+    share = pixels(camera, points)[..., 1] / 720.0 - 0.5  # of the picture, from its middle
+    np.testing.assert_allclose(basis[:20], share[..., None] * rate, atol=1e-9)
+    assert np.all(basis[20] == 0.0)
+
+
+def test_a_camera_that_is_calibrated_is_doubted_less() -> None:
+    poses = poses_of(filmed())
+    for of in (tilt, lens):
+        known, guessed = (of(with_source(filmed(), view=v), poses).prior_sd[0] for v in (ABOVE, CAMERA))
+        assert known < guessed
