@@ -78,7 +78,7 @@ def test_widening_and_shift_are_those_of_the_conditional_gaussian(name: str) -> 
     shift = basis[:, rest] @ moved - basis[:, known] @ away
     assert found.shift == pytest.approx(np.sqrt(np.mean(shift**2)), rel=1e-6)
     inside = optimum.covariance[np.ix_(known, known)]
-    chi_squared = away @ np.linalg.solve(inside, away)
+    chi_squared = float(away @ np.linalg.solve(inside, away))
     assert found.sds == pytest.approx(np.sqrt(max(chi_squared - (len(away) - 1), 0.0)), rel=1e-6)
 
 
