@@ -15,6 +15,7 @@ import numpy as np
 
 from onebend.learning.inference.fit_problem import FitProblem, log_k_map
 from onebend.learning.inference.optimizer import Optimum
+from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.parameters import Block
 from onebend.records import Array
 
@@ -98,7 +99,7 @@ def attributions(problem: FitProblem, optimum: Optimum, s: Array) -> tuple[Attri
             Attribution(
                 name=name,
                 widening=float(np.median(np.sqrt(variance / known))),
-                shift=float(np.sqrt(np.mean((regression @ values) ** 2))),
+                shift=float(np.hypot(np.sqrt(np.mean((regression @ values) ** 2)), _to_instantaneous(name, optimum))),
                 sds=float(np.sqrt(max(float(values @ inverse @ values) - (len(values) - 1), 0.0))),
             )
         )
@@ -115,6 +116,14 @@ def _inverse(covariance: Array) -> Array:
 
 def _by_worth(attribution: Attribution) -> float:
     return -attribution.worth
+
+
+def _to_instantaneous(name: str, optimum: Optimum) -> float:
+    """Log of the instantaneous stiffness over k(s), the secant stiffness: what relaxation itself makes of k(s)."""
+    if name != "relaxation" or not optimum.predictions:
+        return 0.0
+    shares = [secant_of(p.recording, p.layout, p.x, p.solved) for p in optimum.predictions]
+    return float(-np.mean(np.log(shares)))
 
 
 def _ideal(problem: FitProblem, block: Block) -> Array:
