@@ -7,7 +7,7 @@ import numpy as np
 from onebend.learning.allowances.allowance import Allowance
 from onebend.records import Array, Observations
 
-PATCH_SD = 0.4  # of the log of the factor on k under a tag: printed paper to stiff plastic
+PATCH_SD = 0.4  # of the log of the factor on k under a tag, before the evidence has chosen: paper to stiff plastic
 RIM = 1.25  # a printed tag over its black square
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _SOFT = 0.08  # of a tag: its edge in s
