@@ -123,6 +123,9 @@ class Posterior:
         doubts = [f"{miss.name}: {miss.words}" if several else miss.words for miss in self.misses]
         if not self.optimum.converged:
             doubts.append("the fit did not converge")
+        ideal = not any(recording.allowances for recording in self.recordings)
+        if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
+            doubts.append("the recording contradicts the ideal model")
         for o in (recording.observations for recording in self.recordings):
             if any(remark.doubt for remark in o.source.remarks):
                 doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
