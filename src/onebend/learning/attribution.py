@@ -72,9 +72,14 @@ class Attribution:
         return self.name not in _OF_EVERY_BENCH and (self.widening > _WIDENS or self.worth > _SHIFTS)
 
     @property
+    def sure(self) -> bool:
+        """Whether the data show it clearly."""
+        return self.sds > _SURE
+
+    @property
     def worth(self) -> float:
         """What it changes of log k, or of its band, as far as the data are sure of it."""
-        return max(self.shift if self.sds > _SURE else 0.0, 0.1 * (self.widening - 1.0))
+        return max(self.shift if self.sure else 0.0, 0.1 * (self.widening - 1.0))
 
 
 def attributions(problem: FitProblem, optimum: Optimum, s: Array) -> tuple[Attribution, ...]:

@@ -17,7 +17,6 @@ _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
 _ANOTHER = 1.0  # change of log k, to first order: beyond, its size says nothing
 _MOST_NAMED = 4  # allowances in one sentence
-_SURE_SDS = 2.0  # from nothing: what an allowance is then worth is named
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -44,7 +43,7 @@ def grade_words(posterior: Posterior) -> str:
 def _share_words(share: Attribution) -> str:
     """One allowance and its share."""
     parts = []
-    if share.sds > _SURE_SDS:
+    if share.sure:
         off = f"{100.0 * np.expm1(share.shift):.2g} % off" if share.shift < _ANOTHER else "another altogether"
         parts.append(f"without it k(s) would be {off}")
     parts.append(f"it widens the band by a factor of {share.widening:.2f}")

@@ -81,8 +81,9 @@ def relaxation_derivatives(recording: FitData, layout: Layout, x: Array, solved:
     values = relaxation_values(recording, layout, x)
     if values is None:
         return None
-    rest = recording.rest_on_nodes @ layout.get(x, "curvature")
-    return shift_derivatives(values, relaxation_time(recording), solved.q - rest, solved.problem.weights)
+    return shift_derivatives(
+        values, relaxation_time(recording), _bending(recording, layout, x, solved), solved.problem.weights
+    )
 
 
 def with_memory(
@@ -96,10 +97,10 @@ def with_memory(
     values = relaxation_values(recording, layout, x)
     if values is None or values[0] == 0.0:
         return poses
-    solved, rest = response.solved, recording.rest_on_nodes @ layout.get(x, "curvature")
-    change = response.q.copy()
+    solved, change = response.solved, response.q.copy()
     change[..., at_rest] -= recording.rest_on_nodes
-    shift = remembered(values, relaxation_time(recording), solved.q - rest, solved.problem.weights, change)
+    bending = _bending(recording, layout, x, solved)
+    shift = remembered(values, relaxation_time(recording), bending, solved.problem.weights, change)
     return np.asarray(poses + respond(solved, of_rest_curvature(solved.problem, shift)).poses(s))
 
 
@@ -108,8 +109,9 @@ def secant_of(recording: FitData, layout: Layout, x: Array, solved: Equilibrium)
     values = relaxation_values(recording, layout, x)
     if values is None:
         return 1.0
-    rest = recording.rest_on_nodes @ layout.get(x, "curvature")
-    return secant_share(values, relaxation_time(recording), solved.q - rest, solved.problem.weights)
+    return secant_share(
+        values, relaxation_time(recording), _bending(recording, layout, x, solved), solved.problem.weights
+    )
 
 
 def log_k_functions(recording: FitData) -> dict[str, Array]:
@@ -132,6 +134,11 @@ def clamp_blocks(recording: FitData, by_clamp: Array) -> dict[str, Array]:
     """(F, m, 3, n) of the allowances that turn the clamp or move the tags, by name; `by_clamp` (F, m, 3, 1) per rad."""
     out = {a.name: by_clamp * a.basis[:, None, None, :] for a in recording.allowances if a.enters == "clamp"}
     return out | {a.name: a.basis for a in recording.allowances if a.enters == "poses"}
+
+
+def _bending(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array:
+    """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
+    return np.asarray(solved.q - recording.rest_on_nodes @ layout.get(x, "curvature"))
 
 
 def _values(recording: FitData, layout: Layout, x: Array, allowance: Allowance) -> Array:
