@@ -161,7 +161,7 @@ def test_missing_tags_stay_missing() -> None:
     corners[10:20, 3] = np.nan  # the tip
     corners[30:40, 0] = np.nan  # the base, which stands still
     markers = measure_markers(detections(corners, sd=0.05), recording(calibrated=SEEN))
-    assert np.isnan(markers.covariance[10:20, 2]).all()
+    assert np.isnan(covariance_with_camera(markers)[10:20, 2]).all()
     assert np.isfinite(markers.xy[10:20, :2]).all()
     assert np.isfinite(markers.xy[30:40]).all()
     assert (markers.base_angle == 0).all()
