@@ -29,9 +29,9 @@ def guarded(work: Callable[[], object], version: str) -> NoReturn:
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
     try:
         work()
-        code: object = 0
+        code: str | int | None = 0
     except SystemExit as asked:
-        code = asked.code
+        code = FAILED if asked.code == 1 else asked.code  # Typer's, where a pipe is closed
     except KeyboardInterrupt:
         code = INTERRUPTED
         tell("Interrupted.")

@@ -144,10 +144,14 @@ def test_a_file_that_appears_during_the_swap_is_kept(tmp_path: Path, monkeypatch
         (out / "new.png").write_text("mine")
         original(where)
 
+    def write_more(folder: Path) -> None:
+        write(folder)
+        (folder / "new.png").write_text("new")
+
     original = renames.sync_folder
     monkeypatch.setattr(publishing, "sync_folder", lambda where: then(where) if where.name == "complete" else None)
     with place_at(out, overwrite=True) as place:
-        left = publish(place, lambda folder: (write(folder), (folder / "new.png").write_text("new"))[0])
+        left = publish(place, write_more)
         assert left is not None
     assert (out / "late.txt").read_text() == "mine"
     assert (out / "new.png").read_text() == "new"

@@ -122,7 +122,7 @@ COMMANDS = {
 }
 
 
-GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN", default={})  # options of the command that runs, by name
+GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the command that runs, by name
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:

@@ -50,8 +50,9 @@ def say(text: str, *, err: bool = False) -> None:
 
 
 def screen() -> Console:
-    """Where tables go: standard output, with what somebody named as text."""
-    return text_alone(Console())
+    """Where tables go: standard output, with what somebody named as text. (To look for numbers in a long
+    name, so as to colour them, takes minutes.)"""
+    return text_alone(Console(highlight=False))
 
 
 @contextmanager
@@ -84,14 +85,19 @@ def put_in_place(
     settings: Mapping[str, Any] = {},
 ) -> None:
     """Publish what `write` writes, with where it comes from; say which pictures are missing, and why."""
-    made_from = provenance(inputs, GIVEN.get(), settings)
+    made_from = provenance(inputs, GIVEN.get({}), settings)
     left = publish(place, write, made_from | {"pictures_failed": pictures.failed})
-    for name, why in pictures.failed.items():
-        say(f"onebend: warning: the picture {name!r} could not be drawn ({why}). All else is there.", err=True)
+    say_failed(pictures)
     if left is not None:
         say(f"onebend: warning: files that appeared in {place.out} during the run are in {left}.", err=True)
     for path in made_from["provenance"]["changed_meanwhile"]:
         say(f"onebend: warning: {path} was changed while it was read. Run again to learn from it as it is.", err=True)
+
+
+def say_failed(pictures: Pictures) -> None:
+    """A warning on standard error for each picture that could not be drawn."""
+    for name, why in pictures.failed.items():
+        say(f"onebend: warning: the picture {name!r} could not be drawn ({why}). All else is there.", err=True)
 
 
 @contextmanager
@@ -100,7 +106,7 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield Silent()
         return
-    with Bars(text_alone(Console(stderr=True))) as bars:
+    with Bars(text_alone(Console(stderr=True, highlight=False))) as bars:
         yield bars
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from onebend.cli.common import clean_errors, progress_of, say, screen
+from onebend.cli.common import clean_errors, progress_of, say
 from onebend.cli.models import read_trusted
 from onebend.cli.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
@@ -69,7 +69,7 @@ def export_command(
             sites=() if stored.origin is None else stored.origin.marker_s,
         )
         write_file(path, content, overwrite=overwrite)
-    screen().print(f"Wrote {path}: {KINDS[kind].says}.", highlight=False, soft_wrap=True)
+    say(f"Wrote {path}: {KINDS[kind].says}.")
     say(KINDS[kind].use.format(path=path))
 
 
@@ -100,4 +100,4 @@ def rerun_command(
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)
-    screen().print(f"Wrote {path}. Look at it with: rerun {path}", highlight=False, soft_wrap=True)
+    say(f"Wrote {path}. Look at it with: rerun {path}")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, put_in_place, say, screen, workplace
+from onebend.cli.common import clean_errors, print_json, put_in_place, say, say_failed, screen, workplace
 from onebend.cli.options import Json, Overwrite
 from onebend.errors import MechanicsError
 from onebend.files.single_file import check_name_free, write_file
@@ -27,7 +28,7 @@ from onebend.lab.materials import ModulusEstimate, from_shore_00, from_shore_a, 
 from onebend.recording.folder import read_recording
 from onebend.recording.toml.entries import FAMILIES
 from onebend.report.figures.parts import design_figure, parts_figure
-from onebend.report.figures.style import png_of
+from onebend.report.figures.pictures import Draw, draw
 from onebend.results.fabrication import (
     DESIGN_FORMAT,
     MOULD_FORMAT,
@@ -160,8 +161,7 @@ def mould(
         parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
         summary = parts_summary(made, parts, written_by=BY)
         put_in_place(place, parts_writer(parts, shape, summary), inputs=inputs_of([Path(name)]))
-        if picture is not None:
-            write_file(picture, png_of(parts_figure(parts)), overwrite=overwrite)
+        _write_all(_picture(picture, partial(parts_figure, parts)), overwrite=overwrite)
     if as_json:
         print_json(summary)
     else:
@@ -246,11 +246,19 @@ def _design_files(
     files: dict[Path, str | bytes] = {}
     if csv_file is not None:
         files[csv_file] = design_csv(found)
-    if picture is not None:
-        files[picture] = png_of(design_figure(found))
+    files |= _picture(picture, partial(design_figure, found))
     if model is not None:
         files[model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
     return files
+
+
+def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
+    """A picture by where it goes, where one is wanted and can be drawn."""
+    if path is None:
+        return {}
+    pictures = draw({path.name: make})
+    say_failed(pictures)
+    return {path: pictures.drawn[path.name]} if pictures.drawn else {}
 
 
 def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:

@@ -231,7 +231,7 @@ def recover(target: Path) -> None:
     """Bring the workplaces for `target` to a rest where a process died while it swapped folders there."""
     for work, _ in left_behind(target):
         swapping, complete, replaced = work / SWAPPING, work / COMPLETE, work / REPLACED
-        if not is_private(work) or any(path.is_symlink() for path in (swapping, complete, replaced)):
+        if not is_private(work):
             continue
         if swapping.exists():
             with suppress(OSError, ValueError, KeyError, TypeError):

@@ -61,9 +61,15 @@ class Workplace:
             self.number = -1
 
     def remove(self) -> None:
-        """Delete the folder and let go of the lock."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-        self.release()
+        """Delete the folder, its marker last, and let go of the lock."""
+        for path in self.folder.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != MARKER:
+                path.unlink(missing_ok=True)
+        with _one_at_a_time(self.folder.parent):  # nobody goes on with a folder that is just going
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.release()
 
     @property
     def is_empty(self) -> bool:
@@ -80,6 +86,7 @@ def enter(target: Path, kind: str) -> Workplace:
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     with _one_at_a_time(target.parent):
+        _drop_unmarked(target)
         left = None
         for folder, marker in left_behind(target):
             _refuse_if_locked(folder, marker, target)
@@ -92,16 +99,23 @@ def enter(target: Path, kind: str) -> Workplace:
 
 
 def left_behind(target: Path) -> list[tuple[Path, dict[str, Any]]]:
-    """All workplaces for `target`, with what their markers say. One without a marker, which was just made, goes."""
+    """All workplaces for `target`, with what their markers say."""
     found = []
     for folder in sorted(target.parent.glob(f"{_literal(_prefix(target))}*")):
         marker = _marker(folder)
-        if marker is None:
-            with suppress(OSError):
-                folder.rmdir()  # only where it is empty
-        elif marker.get("target") == target.name:
+        if marker is not None and marker.get("target") == target.name:
             found.append((folder, marker))
     return found
+
+
+def _drop_unmarked(target: Path) -> None:
+    """Delete workplaces of runs that ended before they had a marker. (Who makes one now waits: `_one_at_a_time`.)"""
+    for folder in target.parent.glob(f"{_literal(_prefix(target))}*"):
+        if not folder.is_symlink() and not (folder / MARKER).exists():
+            with suppress(OSError):
+                for begun in folder.glob(f"{MARKER}.*"):
+                    begun.unlink()
+                folder.rmdir()  # only where nothing else is in it
 
 
 def _prefix(target: Path) -> str:
@@ -144,7 +158,9 @@ def _refuse_if_locked(folder: Path, marker: dict[str, Any], target: Path) -> Non
 
 
 def is_private(folder: Path) -> bool:
-    """Whether the folder is the user's own, and not everybody can write to it."""
+    """Whether the folder is the user's own, not everybody can write to it, and nothing in it is a link elsewhere."""
+    if any(path.is_symlink() for path in folder.iterdir()):
+        return False
     if sys.platform == "win32":
         return True
     found = folder.lstat()

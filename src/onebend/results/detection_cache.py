@@ -55,7 +55,10 @@ class DetectionCache:
             return None
 
     def save(self, key: str, detections: Detections) -> None:
-        """Write `detections` under `key`; the file appears only once it is complete. A full disk costs the cache only."""
+        """Write `detections` under `key`; the file appears only once it is complete.
+
+        A disk that is full costs the cache alone.
+        """
         content = io.BytesIO()
         np.savez_compressed(
             content,

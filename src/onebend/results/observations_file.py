@@ -61,7 +61,9 @@ def save_observations(path: Path, observations: Observations) -> None:
 def load_observations(path: Path | str) -> Observations:
     """What `save_observations` wrote (a file, or the results folder that holds it).
 
-    Warns where the summary beside it lists another content. Raises `ResultsError` where the file is missing, damaged, of another version, or was not written by onebend.
+    Warns where the summary beside it lists another content.
+
+    Raises `ResultsError` where the file is missing, damaged, of another version, or was not written by onebend.
     """
     file = Path(path)
     if file.is_dir():
