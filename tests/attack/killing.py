@@ -1,25 +1,28 @@
-"""Kill a process that publishes results at every point, and look at what it left. Run as a script: it forks.
+"""End a process that publishes results at every point, and look at what it left. Run as a script: it forks.
 
-    python killing.py FOLDER SCENARIO EVERY [lines]
+    python killing.py FOLDER SCENARIO EVERY HOW
 
-At each point a child process begins to publish and is killed (SIGKILL) before it touches the disk once more (or, with
-`lines`, before it executes the next line of `onebend.files`). Then the folder must hold the old results or the new
-ones, whole, and all that is not ours; and the next run must bring everything to rest. What was found goes to standard
-output as JSON.
+At each point a child process begins to publish and meets its end before it touches the disk once more (HOW is `killed`
+by SIGKILL, or `full`: the disk is, once) or before it executes the next line of `onebend.files` (`killed-lines`, or
+`interrupted-lines` by Ctrl-C). Then the folder must hold the old results or the new ones, whole, and all that is not
+ours; and the next run must bring everything to rest. What was found goes to standard output as JSON.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
 import signal
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from onebend.errors import ResultsError
 from onebend.files import publish as publishing
 from onebend.files.manifest import changed_files, read_summary, write_summary
 from onebend.files.publish import abandon, finish, prepare, publish
@@ -84,15 +87,24 @@ def begin(root: Path, scenario: str) -> Path:
     return out
 
 
-def kill_at(point: int, lines: bool) -> None:
-    """From now on, end this process before its `point`-th touch of the disk (or line)."""
+def meet(how: str) -> None:
+    """The end."""
+    if how.startswith("killed"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if how == "full":
+        raise OSError(errno.ENOSPC, "No space left on device")
+    raise KeyboardInterrupt
+
+
+def end_at(point: int, how: str) -> Callable[[], bool]:
+    """From now on, end the work before its `point`-th touch of the disk (or line). Returns whether that was reached."""
     seen = 0
 
     def one_more() -> None:
         nonlocal seen
-        if seen == point:
-            os.kill(os.getpid(), signal.SIGKILL)
         seen += 1
+        if seen == point + 1:
+            meet(how)
 
     def audit(event: str, arguments: tuple[Any, ...]) -> None:
         writes = event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)
@@ -106,26 +118,29 @@ def kill_at(point: int, lines: bool) -> None:
             one_more()
         return trace
 
-    if lines:
+    if how.endswith("lines"):
         sys.settrace(trace)
     else:
         sys.addaudithook(audit)
+    return lambda: seen > point
 
 
-def killed(out: Path, scenario: str, point: int, lines: bool) -> bool:
-    """Publish in a child that is killed at a point. False: it had finished before."""
+def ended(out: Path, scenario: str, point: int, how: str) -> bool:
+    """Publish in a child that meets its end at a point. False: it had finished before."""
     child = os.fork()
     if child == 0:
-        kill_at(point, lines)
+        reached = end_at(point, how)
         try:
             run(out, "new", twice=scenario == "twice")
+        except (ResultsError, OSError, KeyboardInterrupt):
+            pass
         except BaseException:
             os._exit(7)
-        os._exit(0)
+        os._exit(0 if reached() else 5)
     _, status = os.waitpid(child, 0)
-    if os.WIFEXITED(status) and os.WEXITSTATUS(status) != 0:
+    if os.WIFEXITED(status) and os.WEXITSTATUS(status) == 7:
         raise AssertionError(f"the child failed at point {point}")
-    return os.WIFSIGNALED(status)
+    return os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0
 
 
 def state_of(out: Path) -> str:
@@ -164,7 +179,7 @@ def check(root: Path, out: Path, scenario: str) -> str:
     return state
 
 
-def main(folder: str, scenario: str, every: str, lines: str = "") -> None:
+def main(folder: str, scenario: str, every: str, how: str) -> None:
     if scenario == "two steps":
         vars(publishing)["exchange"] = lambda *_: False
     vars(os)["fsync"] = lambda _: None  # a killed process needs none, and it takes most of the time
@@ -172,7 +187,7 @@ def main(folder: str, scenario: str, every: str, lines: str = "") -> None:
     seen: dict[str, int] = {}
     while True:
         out = begin(root, scenario)
-        if not killed(out, scenario, points * int(every), bool(lines)):
+        if not ended(out, scenario, points * int(every), how):
             break
         try:
             state = check(root, out, scenario)

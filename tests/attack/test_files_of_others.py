@@ -177,3 +177,32 @@ def test_a_forged_summary_is_known_by_its_own_checksum(tmp_path: Path) -> None:
     assert len(data[OWN_CHECKSUM]) == 64
     write_summary(tmp_path, data)
     assert own_files(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    "name", ["a[b]*?", "x" * 240, "é\n\x1b[31m", "-o", ".hidden", "a b'\"$", "梁" * 80, "[!a]", "R.onebend-", "\udcff"]
+)
+def test_a_target_of_any_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / "ab").mkdir()
+    out = tmp_path / name
+    run(out, "old")
+    (out / "notes.txt").write_text("mine")
+    place = prepare(out, kind=KIND, overwrite=True)
+    (place.work / "kept.npz").write_bytes(b"found so far")
+    with pytest.raises(ResultsError, match="is being written by process"):
+        prepare(out, kind=KIND, overwrite=True)
+    assert abandon(place)
+    run(out, "new")
+    assert state_of(out) == "new"
+    assert (out / "notes.txt").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["ab", name])
+
+
+def test_targets_with_the_same_beginning_do_not_hinder_each_other(tmp_path: Path) -> None:
+    one, other = tmp_path / ("x" * 100 + "1"), tmp_path / ("x" * 100 + "2")
+    first = prepare(one, kind=KIND, overwrite=True)
+    (first.work / "kept.npz").write_bytes(b"of the first")
+    run(other, "new")
+    abandon(first)
+    run(other, "newer")
+    assert (first.work / "kept.npz").exists()

@@ -19,20 +19,31 @@ def whole(found: dict[str, object], least: int) -> None:
     assert found["points"] >= least
 
 
-@pytest.mark.parametrize("scenario", ["fresh", "others", "two steps"])
-def test_killed_at_some_points(tmp_path: Path, scenario: str) -> None:
-    whole(said_by("killing.py", tmp_path / "x", scenario, 7), 4)
+@pytest.mark.parametrize(
+    ("scenario", "how", "every"),
+    [
+        ("fresh", "killed", 7),
+        ("others", "killed", 7),
+        ("two steps", "killed", 7),
+        ("others", "full", 11),
+        ("two steps", "interrupted-lines", 211),
+    ],
+)
+def test_ended_at_some_points(tmp_path: Path, scenario: str, how: str, every: int) -> None:
+    whole(said_by("killing.py", tmp_path / "x", scenario, every, how), 4)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("how", ["killed", "full"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_killed_before_every_touch_of_the_disk(tmp_path: Path, scenario: str) -> None:
-    found = said_by("killing.py", tmp_path / "x", scenario, 1)
+def test_ended_before_every_touch_of_the_disk(tmp_path: Path, scenario: str, how: str) -> None:
+    found = said_by("killing.py", tmp_path / "x", scenario, 1, how)
     whole(found, 20)
     assert len(found["seen"]) > 1  # some left the old one, some the new one
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("how", ["killed-lines", "interrupted-lines"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_killed_before_every_third_line(tmp_path: Path, scenario: str) -> None:
-    whole(said_by("killing.py", tmp_path / "x", scenario, 3, "lines"), 100)
+def test_ended_before_every_fifth_line(tmp_path: Path, scenario: str, how: str) -> None:
+    whole(said_by("killing.py", tmp_path / "x", scenario, 5, how), 60)

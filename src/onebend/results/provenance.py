@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,9 @@ LIBRARIES = ("onebend", "numpy", "scipy", "av", "pyapriltags", "pyarrow", "rosba
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file as it was when it was read."""
+    """A file as it was when the work began."""
 
     path: Path
-    sha256: str
     size: int  # bytes
     changed_ns: int
 
@@ -51,12 +51,12 @@ def recording_files(folders: Iterable[Path]) -> list[Path]:
 
 
 def inputs_of(paths: Iterable[Path]) -> tuple[InputFile, ...]:
-    """The files with their checksums, each once; a folder stands for the files in it. What is not there is left out."""
+    """The files as they are now, each once; a folder stands for the files in it. What is not there is left out."""
     files = [file for path in paths for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
     found = []
     for file in dict.fromkeys(one for one in files if one.is_file()):
         state = file.stat()
-        found.append(InputFile(file, sha256_of(file), state.st_size, state.st_mtime_ns))
+        found.append(InputFile(file, state.st_size, state.st_mtime_ns))
     return tuple(found)
 
 
@@ -77,7 +77,7 @@ def provenance(
             "versions": {**{name: _version(name) for name in LIBRARIES}, "python": platform.python_version()},
             "system": platform.platform(),
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
-            "inputs": [{"file": str(one.path), "sha256": one.sha256, "bytes": one.size} for one in inputs],
+            "inputs": [{"file": str(one.path), "sha256": _checksum(one), "bytes": one.size} for one in inputs],
             "changed_meanwhile": [str(one.path) for one in inputs if not one.is_still_there()],
         }
     }
@@ -108,6 +108,15 @@ def _named(record: Any) -> list[Path]:
         return []
     names = [item.name for item in fields(record) if not (isinstance(record, Recording) and item.name == "folder")]
     return [path for name in names for path in _named(getattr(record, name))]
+
+
+@cache
+def _checksum(one: InputFile) -> str | None:
+    """Computed when there are results, and once: a film is long."""
+    try:
+        return sha256_of(one.path)
+    except OSError:
+        return None
 
 
 def _version(name: str) -> str | None:
