@@ -42,7 +42,7 @@ def guarded(work: Callable[[], object], version: str) -> NoReturn:
         tell(f"{error.filename or 'the output'}: {error.strerror or error}.")
     except BaseException as error:
         code = FAILED
-        tell(f"{words(error)} {kept(error, version)}")
+        tell(" ".join((words(error), *getattr(error, "__notes__", ()), kept(error, version))))
     sys.exit(code if _flushed() else FAILED)
 
 

@@ -29,16 +29,17 @@ time.sleep(600)
 """
 
 
-@pytest.mark.parametrize(("rounds", "processes"), [(6, 2), (4, 5)])
-def test_some_rounds(tmp_path: Path, rounds: int, processes: int) -> None:
-    found = said_by("at_once.py", tmp_path / "x", rounds, processes)
+@pytest.mark.parametrize("arguments", [(6, 2), (4, 5), (4, 4, "force")])
+def test_some_rounds(tmp_path: Path, arguments: tuple[object, ...]) -> None:
+    found = said_by("at_once.py", tmp_path / "x", *arguments)
     assert found["faults"] == []
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("force", ["", "force"])
 @pytest.mark.parametrize("processes", [2, 3, 6])
-def test_many_rounds(tmp_path: Path, processes: int) -> None:
-    found = said_by("at_once.py", tmp_path / "x", 150, processes)
+def test_many_rounds(tmp_path: Path, processes: int, force: str) -> None:
+    found = said_by("at_once.py", tmp_path / "x", 150, processes, force)
     assert found["faults"] == []
     assert found["busy"] > 100
 

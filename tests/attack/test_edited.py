@@ -1,4 +1,4 @@
-"""Results that were edited or mixed by hand are said to be, wherever they are read."""
+"""Results that were edited or mixed by hand are said to be, wherever they are read; a film is whole or absent."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend import cli, load_model, load_observations, load_uncertain
+from onebend.cli import filming as filming_commands
 from onebend.cli import learning as learning_commands
 from onebend.files.manifest import changed_files, read_summary, sha256_of
 from onebend.report.figures.pictures import Pictures
@@ -168,3 +169,23 @@ def test_numbers_without_end_are_refused(tmp_path: Path, text: str) -> None:
     result = run("show", tmp_path)
     assert result.exit_code == 2, result.output
     assert result.stderr.startswith("onebend: ")
+
+
+@pytest.mark.parametrize("ends", [KeyboardInterrupt(), OSError(28, "No space left on device"), MemoryError()])
+def test_a_film_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: BaseException) -> None:
+    def half(_: object, folder: Path, **__: object) -> None:
+        (folder / "video.mp4").write_bytes(b"half a film")
+        raise ends
+
+    monkeypatch.setattr(filming_commands, "make_film", half)
+    result = run("film", "cubic", "-o", tmp_path / "film", "--quiet")
+    assert result.exit_code != 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_goes_into_no_folder_that_holds_something(tmp_path: Path) -> None:
+    (tmp_path / "film").mkdir()
+    (tmp_path / "film" / "thesis.tex").write_text("three years")
+    result = run("film", "cubic", "-o", tmp_path / "film", "--quiet")
+    assert result.exit_code == 2
+    assert [path.name for path in tmp_path.rglob("*")] == ["film", "thesis.tex"]

@@ -45,5 +45,5 @@ def test_ended_before_every_touch_of_the_disk(tmp_path: Path, scenario: str, how
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["killed-lines", "interrupted-lines"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_ended_before_every_fifth_line(tmp_path: Path, scenario: str, how: str) -> None:
-    whole(said_by("killing.py", tmp_path / "x", scenario, 5, how), 60)
+def test_ended_before_every_ninth_line(tmp_path: Path, scenario: str, how: str) -> None:
+    whole(said_by("killing.py", tmp_path / "x", scenario, 9, how), 30)

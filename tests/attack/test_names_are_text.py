@@ -28,7 +28,7 @@ from onebend.report.figures.drawing import draw_all
 from onebend.report.figures.pictures import Pictures, draw
 from onebend.report.figures.style import png_of
 from onebend.report.overview import overview
-from onebend.results.model import save_model
+from onebend.results.model import origin_of, save_model
 from onebend.results.tables import write_csv
 from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars, text_alone
@@ -216,6 +216,15 @@ def test_json_is_valid_and_acts_on_nothing(text: str) -> None:
         assert json.loads(written)["name"] == text
         assert not ACTING & set(written)
         written.encode("ascii" if ascii_only else "utf-8")
+
+
+def test_json_in_an_encoding_that_lacks_the_name(tmp_path: Path) -> None:
+    origin = origin_of(None, made_up.posterior(), [made_up.comparison("梁 é \udcff")])
+    save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test", origin=origin)
+    for charset in ("cp1252", "utf-8"):
+        result = CliRunner(charset=charset).invoke(cli.app, ["show", str(tmp_path), "--json"])
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["origin"]["recording"] == "梁 é \udcff"
 
 
 def test_a_name_that_no_encoding_has_is_still_written() -> None:

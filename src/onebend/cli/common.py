@@ -86,11 +86,12 @@ def put_in_place(
 ) -> None:
     """Publish what `write` writes, with where it comes from; say which pictures are missing, and why."""
     made_from = provenance(inputs, GIVEN.get({}), settings)
+    again = place.published
     left = publish(place, write, made_from | {"pictures_failed": pictures.failed})
     say_failed(pictures)
     if left is not None:
         say(f"onebend: warning: files that appeared in {place.out} during the run are in {left}.", err=True)
-    for path in made_from["provenance"]["changed_meanwhile"]:
+    for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         say(f"onebend: warning: {path} was changed while it was read. Run again to learn from it as it is.", err=True)
 
 

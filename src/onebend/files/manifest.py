@@ -82,11 +82,15 @@ def changed_files(folder: Path) -> list[str]:
     return [] if summary is None else sorted(set(summary["files"]) - own_files(folder))
 
 
-def listed_checksum(file: Path) -> str | None:
-    """What the summary beside `file` has as its checksum; None where there is no such summary, or it lists it not."""
+def is_listed_otherwise(file: Path) -> bool:
+    """Whether a summary beside `file` lists it with another content."""
+    return _differs(file) and _differs(file)  # once may be a folder that was just being replaced
+
+
+def _differs(file: Path) -> bool:
     summary = read_summary(file.parent)
-    found = None if summary is None else summary["files"].get(file.name)
-    return found if isinstance(found, str) else None
+    listed = None if summary is None else summary["files"].get(file.name)
+    return isinstance(listed, str) and listed != sha256_of(file)
 
 
 def files_in(folder: Path) -> list[str]:

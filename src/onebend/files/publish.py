@@ -61,7 +61,7 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
     made.
     """
     target = Path(os.path.realpath(out))
-    check_free(target, kind, overwrite=overwrite)
+    check_place(target)
     try:
         workplace = enter(target, kind)
     except OSError as error:
@@ -162,19 +162,26 @@ def amend(file: Path, data: bytes) -> bool:
     return True
 
 
-def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
-    """Raises `ResultsError` where results of this kind may not go to `out`."""
+def check_place(out: Path) -> None:
+    """Raises `ResultsError` where no results may go to `out`, whatever it holds."""
     if (out / "recording.toml").exists():
         raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
     if not out.is_dir():
         if os.path.lexists(out):
             raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
-        return
-    if out.is_mount():
+    elif out.is_mount():
         raise ResultsError(f"{out}: this is where a disk is mounted. Name a folder in it as -o")
-    if _stands_in(out):
+    elif _stands_in(out):
         raise ResultsError(f"{out}: you stand in this folder, and it is replaced as a whole. Choose another -o")
-    if not any(out.iterdir()):
+
+
+def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
+    """Raises `ResultsError` where results of this kind may not go to `out`.
+
+    To be asked while `out` is locked: it could be replaced meanwhile.
+    """
+    check_place(out)
+    if not out.is_dir() or not any(out.iterdir()):
         return
     ours = own_files(out, kind)
     if not overwrite:

@@ -15,7 +15,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.files.manifest import OWN_CHECKSUM, SUMMARY, is_unchanged, listed_checksum, sha256_of, with_checksum
+from onebend.files.manifest import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
 from onebend.learning.outcome import Comparison, Learned
 
 if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to load
@@ -190,8 +190,7 @@ def _changed(data: dict[str, Any]) -> str:
 
 def _swapped(file: Path) -> str:
     """What is to be said where the summary beside the file lists another."""
-    listed = listed_checksum(file)
-    if listed is None or listed == sha256_of(file):
+    if not is_listed_otherwise(file):
         return ""
     return f"is not the file that the run of this folder wrote ({SUMMARY} lists another checksum)"
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
-from onebend.files.manifest import SUMMARY, listed_checksum, sha256_of
+from onebend.files.manifest import SUMMARY, is_listed_otherwise
 from onebend.records import Array, CleanForce, Observations
 from onebend.results.record_json import fields_from, to_data
 
@@ -70,8 +70,7 @@ def load_observations(path: Path | str) -> Observations:
         file = file / FILE_NAME
     if not file.is_file():
         raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
-    listed = listed_checksum(file)
-    if listed is not None and listed != sha256_of(file):
+    if is_listed_otherwise(file):
         words = f"is not the file that the run of this folder wrote ({SUMMARY} lists another checksum)"
         warnings.warn(f"{file}: {words}", UserWarning, stacklevel=2)
     try:
