@@ -18,10 +18,12 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from onebend import cli
 from onebend.cli import learning as learning_commands
+from onebend.control.path.trajectory_files import _block
 from onebend.errors import RecordingError
 from onebend.escaping import csv_cell, figure_text, one_line, printable
 from onebend.report.figures.drawing import draw_all
@@ -232,3 +234,18 @@ def test_a_name_that_no_encoding_has_is_still_written() -> None:
     assert json.loads(to_json("\udcff")) == "\udcff"
     assert to_json("\udcff").encode() == b'"\\udcff"'
     assert printable("\udcff") == "\\udcff"
+
+
+@pytest.mark.parametrize("name", [*NAMES[:35], "true", "NULL", "1e3", "beam_base", "- a", "a: b", "a #b", "no", "[x"])
+def test_a_frame_is_one_string_in_yaml(name: str) -> None:
+    text = "\n".join(_block({"header": {"stamp": {"sec": 1}, "frame_id": name}, "names": [name, "x"]})) + "\n"
+    assert YAML(typ="safe").load(text) == {"header": {"stamp": {"sec": 1}, "frame_id": name}, "names": [name, "x"]}
+    assert ("frame_id: beam_base" in text) == (name == "beam_base")  # a bare name needs no quotes
+
+
+def test_a_frame_that_cannot_be_printed_is_refused(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.json", made_up.BEAM, written_by="a test")
+    for name in ("", "a\nb", "\x1b[2J", "\udcff"):
+        result = CliRunner().invoke(cli.app, ["path", str(tmp_path), "--goals", "none.csv", "--frame", name])
+        assert result.exit_code == 2
+        assert "is no name of a frame" in result.stderr

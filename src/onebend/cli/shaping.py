@@ -162,6 +162,8 @@ def path(
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
     with clean_errors():
         stored = read_trusted(model)
+        if not frame or not frame.isprintable():
+            raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
         _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
         pushes, holding = _actuators(grip, push_at, max_force, max_moment)
         if not pushes and max_force_rate is not None:
