@@ -29,7 +29,8 @@ from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import DetectionCache
 from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.model import model_file
-from onebend.results.provenance import inputs_of, recording_files
+from onebend.results.provenance import inputs_of
+from onebend.results.recording_files import recording_files
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,

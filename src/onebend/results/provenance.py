@@ -12,11 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from onebend.errors import OnebendError
 from onebend.files.manifest import sha256_of
-from onebend.recording.folder import FILE_NAME as RECORDING_FILE
-from onebend.recording.folder import read_recording
-from onebend.recording.toml.entries import Recording
 
 LIBRARIES = ("onebend", "numpy", "scipy", "av", "pyapriltags", "pyarrow", "rosbags", "matplotlib")
 
@@ -36,18 +32,6 @@ class InputFile:
         except OSError:
             return False
         return (now.st_size, now.st_mtime_ns) == (self.size, self.changed_ns)
-
-
-def recording_files(folders: Iterable[Path]) -> list[Path]:
-    """Every file of the recordings. One that cannot be read has none: to say why is its reader's part."""
-    found: list[Path] = []
-    for folder in folders:
-        try:
-            recording = read_recording(folder)
-        except (OnebendError, OSError):
-            continue
-        found += [Path(folder) / RECORDING_FILE, *_named(recording)]
-    return found
 
 
 def inputs_of(paths: Iterable[Path]) -> tuple[InputFile, ...]:
@@ -96,18 +80,6 @@ def as_data(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value)
-
-
-def _named(record: Any) -> list[Path]:
-    """Every path in a record of a recording, but for its folder."""
-    if isinstance(record, Path):
-        return [record]
-    if isinstance(record, tuple):
-        return [path for item in record for path in _named(item)]
-    if not is_dataclass(record):
-        return []
-    names = [item.name for item in fields(record) if not (isinstance(record, Recording) and item.name == "folder")]
-    return [path for name in names for path in _named(getattr(record, name))]
 
 
 @cache
