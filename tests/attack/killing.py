@@ -23,7 +23,7 @@ from types import FrameType
 from typing import Any
 
 from onebend.errors import ResultsError
-from onebend.files import publish as publishing
+from onebend.files import swap as swapping
 from onebend.files.manifest import changed_files, read_summary, write_summary
 from onebend.files.publish import abandon, finish, prepare, publish
 
@@ -181,7 +181,7 @@ def check(root: Path, out: Path, scenario: str) -> str:
 
 def main(folder: str, scenario: str, every: str, how: str) -> None:
     if scenario == "two steps":
-        vars(publishing)["exchange"] = lambda *_: False
+        vars(swapping)["exchange"] = lambda *_: False
     vars(os)["fsync"] = lambda _: None  # a killed process needs none, and it takes most of the time
     root, points, faults = Path(folder), 0, []
     seen: dict[str, int] = {}

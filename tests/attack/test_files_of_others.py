@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from onebend.cli import app
 from onebend.errors import ResultsError
 from onebend.files.manifest import OWN_CHECKSUM, own_files, seal, sha256_of, with_checksum, write_summary
 from onebend.files.publish import abandon, prepare
@@ -206,3 +208,38 @@ def test_targets_with_the_same_beginning_do_not_hinder_each_other(tmp_path: Path
     abandon(first)
     run(other, "newer")
     assert (first.work / "kept.npz").exists()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "huge", "folder", "nested", "text"])
+def test_a_marker_that_is_none_is_passed_over(tmp_path: Path, kind: str) -> None:
+    """It is in nobody's way, hangs nobody, and stays."""
+    planted = tmp_path / ".out.onebend-planted1"
+    planted.mkdir()
+    marker = planted / "workplace.json"
+    if kind == "pipe":
+        os.mkfifo(marker)
+    elif kind == "folder":
+        marker.mkdir()
+    else:
+        marker.write_text({"huge": " " * 10_000_000, "nested": "[" * 9_000, "text": "thesis"}[kind])
+    run(tmp_path / "out", "new")
+    assert state_of(tmp_path / "out") == "new"
+    assert os.path.lexists(marker)
+
+
+def test_what_a_marker_says_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planted = tmp_path / ".out.onebend-planted1"
+    planted.mkdir()
+    said = {
+        "format": FORMAT,
+        "target": "out",
+        "kind": KIND,
+        "process": "\x1b[2J",
+        "host": "\x1b[31m",
+        "since": "x" * 900,
+    }
+    (planted / "workplace.json").write_text(json.dumps(said))
+    monkeypatch.setattr("onebend.files.workplace._probe", lambda _: (_ for _ in ()).throw(BlockingIOError()))
+    result = CliRunner().invoke(app, ["learn", "REC", "-o", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "is being written by process \\x1b[2J on \\x1b[31m" in result.stderr

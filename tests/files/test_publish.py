@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.files import publish as publishing
 from onebend.files import renames
+from onebend.files import swap as swapping
+from onebend.files import target as targets
 from onebend.files.manifest import changed_files, files_in, own_files, read_summary, sha256_of, write_summary
-from onebend.files.publish import OutputFolder, abandon, amend, finish, prepare, publish
+from onebend.files.publish import OutputFolder, abandon, amend, finish, prepare, publish, unplaced
 from onebend.files.workplace import left_behind
 
 KIND = "onebend-test-1"
@@ -55,7 +56,7 @@ def earlier(out: Path, mark: str = "old", figures: tuple[str, ...] = ("a.png", "
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """All of it with and without the system's exchange of two names."""
     if request.param == "two steps":
-        monkeypatch.setattr(publishing, "exchange", lambda *_: False)
+        monkeypatch.setattr(swapping, "exchange", lambda *_: False)
 
 
 def test_results_appear_whole_and_the_workplace_goes(tmp_path: Path) -> None:
@@ -149,7 +150,7 @@ def test_a_file_that_appears_during_the_swap_is_kept(tmp_path: Path, monkeypatch
         (folder / "new.png").write_text("new")
 
     original = renames.sync_folder
-    monkeypatch.setattr(publishing, "sync_folder", lambda where: then(where) if where.name == "complete" else None)
+    monkeypatch.setattr(swapping, "sync_folder", lambda where: then(where) if where.name == "complete" else None)
     with place_at(out, overwrite=True) as place:
         left = publish(place, write_more)
         assert left is not None
@@ -228,7 +229,9 @@ def test_a_folder_taken_during_the_work_is_not_overwritten(tmp_path: Path) -> No
     with pytest.raises(ResultsError, match="is not empty"), place_at(out) as place:
         publish(place, slow)
     assert (out / "mine.txt").read_text() == "mine"
-    assert (place.work / "complete" / "model.json").read_text() == "new"  # the work is not lost
+    whole = unplaced(place)  # the work is not lost
+    assert whole is not None
+    assert (whole / "model.json").read_text() == "new"
 
 
 def test_a_run_may_publish_again_with_more(tmp_path: Path) -> None:
@@ -284,3 +287,26 @@ def test_one_file_of_a_result_can_be_replaced(tmp_path: Path) -> None:
 def test_a_damaged_summary_claims_nothing(tmp_path: Path, text: str) -> None:
     (tmp_path / "summary.json").write_text(text)
     assert own_files(tmp_path, KIND) == set()
+
+
+def test_what_could_not_be_carried_over_is_refused_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    earlier(out)
+    (out / "data").mkdir()
+    original = Path.iterdir
+    with monkeypatch.context() as patch:
+        patch.setattr(targets, "_device", lambda folder: 2 if folder.name == "data" else 1)
+        with pytest.raises(ResultsError, match="data: here a disk is mounted"):
+            prepare(out, kind=KIND, overwrite=True)
+
+    def locked(folder: Path) -> Iterator[Path]:
+        if folder.name == "data":
+            raise PermissionError(13, "Permission denied", str(folder))
+        return original(folder)
+
+    monkeypatch.setattr(Path, "iterdir", locked)
+    with pytest.raises(ResultsError, match=r"data: cannot be looked into \(Permission denied\)"):
+        prepare(out, kind=KIND, overwrite=True)
+    assert (out / "model.json").read_text() == "old"

@@ -15,7 +15,7 @@ from rich.console import Console
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError
 from onebend.escaping import printable
-from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish
+from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
 from onebend.report.figures.pictures import Pictures
 from onebend.results.provenance import InputFile, provenance
@@ -65,6 +65,8 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
         kept = abandon(place)
         if place.published:
             error.add_note(f"The results are in {out}, but for the pictures.")
+        if (whole := unplaced(place)) is not None:
+            error.add_note(f"The results themselves are in {whole}.")
         if kept:
             again = " with --force" if place.published else ""
             error.add_note(

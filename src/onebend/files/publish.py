@@ -1,14 +1,11 @@
 """A folder of results: the old one or the new one, whole, at every moment, and no other file is ever lost.
 
 A run works in a folder of its own beside the target (`workplace`), finishes its files there, and then swaps the two
-folders in one step. What is in the target and not ours (`manifest`) is linked into the new folder before; nothing is
-copied. Where the system has no such step, the old folder moves away and the new one in; if the process dies between
-the two, the next run for that target brings the old one back.
+folders in one step (`swap`).
 """
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -18,24 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from onebend.errors import ResultsError
-from onebend.files.manifest import (
-    SUMMARY,
-    changed_files,
-    entries_in,
-    files_in,
-    own_files,
-    parents_of,
-    read_summary,
-    seal,
-    write_summary,
-)
-from onebend.files.renames import exchange, move_in, sync_file, sync_folder, sync_tree
-from onebend.files.workplace import Workplace, enter, is_private, left_behind
+from onebend.files.manifest import SUMMARY, own_files, read_summary, seal, write_summary
+from onebend.files.renames import sync_tree
+from onebend.files.swap import COMPLETE, REPLACED, recover, swap_in
+from onebend.files.target import check_free, check_place
+from onebend.files.workplace import Workplace, enter
 
 UNFINISHED = "unfinished"  # in the workplace: new results that are being written
-COMPLETE = "complete"  # new results, all written; after a swap, the old ones
-REPLACED = "replaced"  # the old ones
-SWAPPING = "swapping.json"  # which folder is the new one, while they are swapped
 
 
 @dataclass
@@ -100,7 +86,7 @@ def publish(
         sync_tree(unfinished)
         unfinished.rename(complete)
         check_free(place.out, place.kind, overwrite=place.overwrite or place.published)
-        left = _put_in_place(complete, place)
+        left = swap_in(complete, place.out, place.work)
     except OSError as error:
         raise ResultsError(
             f"{error.filename or place.out}: cannot write the results ({error.strerror}). "
@@ -108,6 +94,12 @@ def publish(
         ) from error
     place.published = True
     return left
+
+
+def unplaced(place: OutputFolder) -> Path | None:
+    """Whole results that could not be put in place, in the workplace; None where there are none."""
+    complete = place.work / COMPLETE
+    return complete if complete.is_dir() and not place.published else None
 
 
 def finish(place: OutputFolder) -> None:
@@ -160,163 +152,3 @@ def amend(file: Path, data: bytes) -> bool:
         abandon(place)
         raise
     return True
-
-
-def check_place(out: Path) -> None:
-    """Raises `ResultsError` where no results may go to `out`, whatever it holds."""
-    if (out / "recording.toml").exists():
-        raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
-    if not out.is_dir():
-        if os.path.lexists(out):
-            raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
-    elif out.is_mount():
-        raise ResultsError(f"{out}: this is where a disk is mounted. Name a folder in it as -o")
-    elif _stands_in(out):
-        raise ResultsError(f"{out}: you stand in this folder, and it is replaced as a whole. Choose another -o")
-
-
-def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
-    """Raises `ResultsError` where results of this kind may not go to `out`.
-
-    To be asked while `out` is locked: it could be replaced meanwhile.
-    """
-    check_place(out)
-    if not out.is_dir() or not any(out.iterdir()):
-        return
-    ours = own_files(out, kind)
-    if not overwrite:
-        what = "already holds results" if ours else "is not empty"
-        raise ResultsError(f"{out}: this folder {what}. Choose another -o, or add --force to replace earlier results")
-    changed = [name for name in changed_files(out) if os.path.lexists(out / name)] if ours else []
-    if changed:
-        raise ResultsError(
-            f"{out}: {', '.join(changed[:3])} there is not as the earlier run left it (edited by hand?), so --force "
-            "does not replace it. Move it away, or choose another -o"
-        )
-    if not ours:
-        raise ResultsError(
-            f"{out}: its files did not come from an earlier run of this command, or {SUMMARY} was changed since, so "
-            "--force does not replace them. Choose another -o"
-        )
-
-
-def _stands_in(out: Path) -> bool:
-    """Whether the process works in `out` or below; a shell that does would stand in a folder that is gone."""
-    try:
-        return Path.cwd().is_relative_to(out)
-    except OSError:
-        return False
-
-
-def _put_in_place(complete: Path, place: OutputFolder) -> Path | None:
-    """The new folder takes the name of the target; what was there and not ours is in it."""
-    out, replaced = place.out, place.work / REPLACED
-    if not os.path.lexists(out):
-        complete.rename(out)
-        sync_folder(out.parent)
-        return None
-    _carry_over(out, complete)
-    sync_folder(complete)
-    (place.work / SWAPPING).write_text(json.dumps({"new": _identity(complete)}), encoding="utf-8")
-    sync_file(place.work / SWAPPING)
-    sync_folder(place.work)
-    if exchange(complete, out):
-        complete.rename(replaced)
-    else:
-        out.rename(replaced)
-        try:
-            complete.rename(out)
-        except OSError:
-            replaced.rename(out)
-            raise
-    sync_folder(out.parent)
-    (place.work / SWAPPING).unlink()
-    return _clear(replaced, out)
-
-
-def recover(target: Path) -> None:
-    """Bring the workplaces for `target` to a rest where a process died while it swapped folders there."""
-    for work, _ in left_behind(target):
-        swapping, complete, replaced = work / SWAPPING, work / COMPLETE, work / REPLACED
-        if not is_private(work):
-            continue
-        if swapping.exists():
-            with suppress(OSError, ValueError, KeyError, TypeError):
-                new = json.loads(swapping.read_text(encoding="utf-8"))["new"]
-                if complete.is_dir() and _identity(complete) != new:
-                    complete.rename(replaced)
-            if replaced.is_dir() and not os.path.lexists(target):
-                replaced.rename(target)
-            swapping.unlink()
-        if replaced.is_dir() and target.is_dir():
-            _clear(replaced, target)
-
-
-def _identity(folder: Path) -> list[int]:
-    found = folder.lstat()
-    return [found.st_dev, found.st_ino]
-
-
-def _carry_over(old: Path, new: Path) -> None:
-    """Link all that is in `old` and not ours into `new`. What cannot be linked is moved after the swap.
-
-    Raises `ResultsError` where results would take the name of something of others.
-    """
-    ours = own_files(old)
-    others, folders = entries_in(old)
-    others -= ours
-    theirs = (folders - parents_of(ours)) | (folders & parents_of(others))
-    fresh = set(files_in(new))
-    taken = sorted((fresh & (others | theirs)) | (parents_of(fresh) & others))
-    if taken:
-        raise ResultsError(
-            f"{old / taken[0]}: did not come from an earlier run, so it is not replaced. Choose another -o"
-        )
-    for name in sorted(theirs):
-        (new / name).mkdir(exist_ok=True)
-    for name in sorted(others):
-        with suppress(OSError, NotImplementedError):
-            os.link(old / name, new / name, follow_symlinks=False)
-    for name in sorted(theirs, reverse=True):
-        shutil.copystat(old / name, new / name)
-    new.chmod(old.stat().st_mode & 0o7777)
-
-
-def _clear(old: Path, new: Path) -> Path | None:
-    """Delete our files in `old`; what else is there, is in `new` too, or goes there.
-
-    Returns:
-        `old`, where something of others can neither go nor be left out; else None.
-    """
-    ours = own_files(old)
-    others, folders = entries_in(old)
-    made = parents_of(ours)
-    for name in folders:
-        with suppress(OSError):  # one that may not be written to could not be emptied
-            (old / name).chmod(0o700)
-    for name in sorted(others - ours):
-        with suppress(OSError):
-            _hand_over(old / name, new / name, new)
-    for name in sorted(ours - {SUMMARY}):
-        (old / name).unlink(missing_ok=True)
-    for name in sorted(folders, reverse=True):
-        with suppress(OSError):
-            if name not in made and not os.path.lexists(new / name):
-                (new / name).mkdir(parents=True)
-            (old / name).rmdir()
-    if SUMMARY in ours:  # last: it says which are ours
-        (old / SUMMARY).unlink()
-    with suppress(OSError):
-        old.rmdir()
-    return old if old.exists() else None
-
-
-def _hand_over(before: Path, after: Path, new: Path) -> None:
-    """See that a file of others is in the folder `new` as `after`, and drop its name `before`; unless that is taken."""
-    if not after.parent.resolve().is_relative_to(new):
-        return
-    if not os.path.lexists(after):
-        after.parent.mkdir(parents=True, exist_ok=True)
-        move_in(before, after)
-    elif _identity(after) == _identity(before):
-        before.unlink()

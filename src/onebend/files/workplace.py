@@ -45,6 +45,7 @@ else:
 MARKER = "workplace.json"
 FORMAT = "onebend-workplace-1"
 LONGEST = 40  # characters of the target's name in the workplace's
+LARGEST = 10_000  # bytes of a marker
 
 
 @dataclass
@@ -130,9 +131,10 @@ def _literal(text: str) -> str:
 def _marker(folder: Path) -> dict[str, Any] | None:
     """What the marker of a workplace says; None where the folder is no workplace."""
     try:
-        if folder.is_symlink() or (folder / MARKER).is_symlink():
+        file = folder / MARKER
+        if folder.is_symlink() or file.is_symlink() or not file.is_file() or file.stat().st_size > LARGEST:
             return None
-        data = json.loads((folder / MARKER).read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
     return data if isinstance(data, dict) and data.get("format") == FORMAT else None
