@@ -47,6 +47,7 @@ class BentBeam:
     log_k: Mapping[str, Array] = field(default_factory=dict)  # (Q, n) or (F, Q, n): further functions of log k, by name
     rest_shift: Array | None = None  # (F, Q, n): of the curvature at rest, with the parameters of relaxation
     lengthens: bool = False  # the length is a parameter
+    thickens: float = 1.0  # how the log of the section's thickness goes with its parameter
 
 
 def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
@@ -54,8 +55,8 @@ def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
     "stiffness" (p) coefficients of log k; "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame;
     "place" (1) m, of the push along the beam; "mass" (4), its parts over all of it, where something weighs; what else
-    enters log k, by name; "relaxation" (2); "length" (1) its log; "section" (1) log of its thickness, where the beam
-    stretches and shears.
+    enters log k, by name; "relaxation" (2); "length" (1) its log; "section" (1) its thickness, where the beam stretches
+    and shears.
     """
     problem = beam.solved.problem
     changes = {
@@ -74,7 +75,7 @@ def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
     if beam.lengthens:
         changes["length"] = _of_length(beam.solved)
     if problem.section is not None:
-        changes["section"] = of_section_thickness(problem)
+        changes["section"] = of_section_thickness(problem, beam.thickens)
     return changes
 
 
