@@ -281,14 +281,6 @@ def test_one_file_of_a_result_can_be_replaced(tmp_path: Path) -> None:
     assert not amend(out / "model.json", b"damped")
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"format": "onebend-test-1", "files": 3}', "[" * 100_000, "1" * 5000]
-)
-def test_a_damaged_summary_claims_nothing(tmp_path: Path, text: str) -> None:
-    (tmp_path / "summary.json").write_text(text)
-    assert own_files(tmp_path, KIND) == set()
-
-
 def test_what_could_not_be_carried_over_is_refused_at_the_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
 
 from onebend.errors import ResultsError
@@ -13,12 +14,15 @@ def check_place(out: Path) -> None:
     """Raises `ResultsError` where no results may go to `out`, whatever it holds."""
     if (out / "recording.toml").exists():
         raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
-    if not out.is_dir():
-        if os.path.lexists(out):
-            raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
-    elif out.is_mount():
+    try:
+        mode = out.stat().st_mode  # asked once: another process may make the folder at any moment
+    except OSError:  # there is none, or it cannot be made, which is said when it is
+        return
+    if not stat.S_ISDIR(mode):
+        raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
+    if out.is_mount():
         raise ResultsError(f"{out}: this is where a disk is mounted. Name a folder in it as -o")
-    elif _stands_in(out):
+    if _stands_in(out):
         raise ResultsError(f"{out}: you stand in this folder, and it is replaced as a whole. Choose another -o")
 
 
