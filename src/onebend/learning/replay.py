@@ -15,7 +15,7 @@ from onebend.learning.model.force_error import ForceError, force_error, ramp
 from onebend.learning.model.frames import push_places, usable_frames
 from onebend.learning.model.parameters import Priors, make_layout, scale_sd
 from onebend.learning.model.spline import Spline
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
 _REST_STEP = 0.05  # s, between two looks at the log where no film was made
@@ -124,7 +124,7 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
             time=float(o.time[t]),
             xy=o.xy[t],
             angle=o.angle[t],
-            covariance=o.covariance[t],
+            covariance=covariance_with_camera(o)[t],
             force=logged[t],
             push_s=float(places[t]),
             loaded=bool(o.loaded[t]),
