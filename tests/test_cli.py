@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 from onebend import __version__, cli
 from onebend.cli import learning as learning_commands
 from onebend.errors import LearningError, ObservationError
+from onebend.report.figures.pictures import Pictures
 from onebend.results.model import load_model, save_model
 from tests import made_up
 
@@ -70,10 +71,7 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
     out = tmp_path / "out"
     result = run("learn", "REC", "-o", out, "--validate", "A", "--validate", "B")
     assert result.exit_code == 0, result.output
-    for words in (
-        "chosen", "k(s) is not positive", "k(s) = EI / L", "other-2", "tag 3 was hidden", "together", "95 % band",
-        "the paper's k", "clamp angle", "sd before", "Hardly told apart", "1 % too stiff", "converged",
-    ):  # fmt: skip
+    for words in ("verdict", "k(s) = EI / L", "validation on other-2", "tag 3 was hidden", "95 % band", "next"):
         assert words in result.stdout, words
     assert result.stdout.splitlines()[-1] == f"report {out / 'report.html'}"
     written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
@@ -90,6 +88,35 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
     assert load_model(out) == made_up.posterior().beam
     assert set(json.loads((out / "summary.json").read_text(encoding="utf-8"))["files"]) == written
     assert pipeline[0]["validate_on"] == [Path("A"), Path("B")]
+
+
+def test_learn_shows_all_of_it_when_asked(
+    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
+    details = (
+        "chosen", "k(s) is not positive", "together", "the paper's k", "clamp angle", "sd before", "Hardly told apart",
+        "1 % too stiff", "converged", "Allowed for",
+    )  # fmt: skip
+    shown = [run("learn", "REC", "-o", tmp_path / name, *option).stdout for name, option in (("a", ["-v"]), ("b", []))]
+    for words in details:
+        assert words in shown[0], words
+        assert words not in shown[1], words
+    assert len(pipeline) == 2
+
+
+def test_the_answer_comes_before_the_pictures(
+    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(learning_commands, "draw_all", fails(KeyboardInterrupt()))
+    result = run("learn", "REC", "-o", out)
+    assert result.exit_code == 130
+    assert f"report {out / 'report.html'}" in result.stdout
+    assert "but for the pictures" in result.stderr
+    assert (out / "report.html").is_file()
+    assert run("learn", "REC", "-o", tmp_path / "other", "--json").stdout == ""
+    assert len(pipeline) == 2
 
 
 def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:

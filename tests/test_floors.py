@@ -77,7 +77,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("findings",),
         ("wording",),
         ("overview", "confidence"),
-        ("figures",),
+        ("figures", "verdict"),
         ("page",),
     ),
 }

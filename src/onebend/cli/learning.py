@@ -14,7 +14,7 @@ import onebend
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, progress_of, put_in_place, screen, workplace
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Threads
+from onebend.cli.options import LEAST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
@@ -39,7 +39,7 @@ from onebend.results.summary import (
     validation_summary,
 )
 from onebend.terminal.plans import show_plan
-from onebend.terminal.screens import show_run, show_validation
+from onebend.terminal.screens import show_run, show_times, show_validation
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml, of one beam.")]
 ValidateOn = Annotated[
@@ -94,6 +94,10 @@ ClampSd = Annotated[
         f"{math.degrees(CLAMP_SD):.2g}. It trades off against k.",
     ),
 ]
+Verbose = Annotated[
+    bool,
+    typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times."),
+]
 
 
 def learn(
@@ -111,6 +115,8 @@ def learn(
     epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    log: LogAxis = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -119,30 +125,34 @@ def learn(
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
-    with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+    with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
-        run = learn_from(
-            *recordings,
-            settings=settings,
-            fitting=fitting,
-            observing=observing,
-            validate_on=validate_on or (),
-            detect=DetectionCache(place.work, onebend.__version__).detect,
-            progress=progress,
-        )
+        with progress_of(quiet) as progress:
+            run = learn_from(
+                *recordings,
+                settings=settings,
+                fitting=fitting,
+                observing=observing,
+                validate_on=validate_on or (),
+                detect=DetectionCache(place.work, onebend.__version__).detect,
+                progress=progress,
+            )
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
         settled = {"fit": fitting, "regression": settings, "observing": observing}
         put = partial(put_in_place, place, inputs=inputs, settings=settled)
         write = partial(learned_writer, run, summary=summary, version=onebend.__version__)
         put(write(Pictures()))  # the fit is safe before a picture is drawn
-        pictures = draw_all(run, progress=progress)
+        if not as_json:
+            show_run(screen(), run, out, verbose=verbose, log=log)
+        with progress_of(quiet) as progress:
+            pictures = draw_all(run, progress=progress)
         put(write(pictures), pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
         print_json({**summary, "stage_seconds": seconds, "output": str(out)})
-    else:
-        show_run(screen(), run, seconds, out)
+    elif verbose:
+        show_times(screen(), run, seconds)
 
 
 def validate(
