@@ -172,7 +172,7 @@ def test_tables_fit_80_columns(markers: int) -> None:
     text = shown(where)
     assert "…" not in text
     assert "a recording's name" in text
-    assert f"M{markers} (tag {99 + markers})" in text
+    assert f"M{markers}, tag {99 + markers}" in text
     assert "12.30" in text
     assert "k(s) is not positive" in text
 
@@ -192,7 +192,7 @@ def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
     assert any("k(s) is not positive" in line and " – " in line for line in lines)
     where = console()
     where.print(tables.comparison_table(made_up.findings(2).validations, "Validation"))
-    rows = [line.split() for line in shown(where).splitlines() if "M1 (tag 1)" in line or "M3 (tag 3)" in line]
+    rows = [line.split() for line in shown(where).splitlines() if "M1, tag 1" in line or "M3, tag 3" in line]
     assert [row[-2:] for row in rows][:2] == [["1.67", "0.10"], ["1.69", "–"]]
 
 

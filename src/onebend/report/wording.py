@@ -79,7 +79,7 @@ def worst_marker(comparison: Comparison) -> str:
 
 def marker_words(comparison: Comparison, index: int) -> str:
     """The marker as pictures call it, M1 from the clamp on, and as `recording.toml` does."""
-    return f"M{index + 1} (tag {int(comparison.tag_id[index])})"
+    return f"M{index + 1}, tag {int(comparison.tag_id[index])}"
 
 
 def clock_words(clock: ClockOffset) -> str:
