@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ from typer.testing import CliRunner, Result
 
 from onebend import __version__, cli
 from onebend.cli import learning as learning_commands
+from onebend.cli import recordings as recording_commands
 from onebend.errors import LearningError, ObservationError
+from onebend.recording.bags.topics import BagContents
 from onebend.report.figures.pictures import Pictures
 from onebend.results.model import load_model, save_model
 from tests import made_up
@@ -65,6 +68,21 @@ def test_version_and_help() -> None:
         result = run(command, "--help")
         assert result.exit_code == 0
         assert command in result.stdout
+
+
+def test_new_takes_one_kind_and_what_a_bag_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = tmp_path / "a bag.mcap"
+    found = BagContents(bag, (), force="/wrench", image='/camera/"raw"', fault="")
+    monkeypatch.setattr(recording_commands, "bag_contents", lambda *_: found)
+    assert run("new", tmp_path / "mine", "--ros", bag).exit_code == 0
+    text = (tmp_path / "mine" / "recording.toml").read_text(encoding="utf-8")
+    written = [line for line in text.splitlines() if line.startswith(("file = ", "topic = "))]
+    data = tomllib.loads("\n".join(line.replace(" = ", f"{i} = ", 1) for i, line in enumerate(written)))
+    values = ["../a bag.mcap", '/camera/"raw"', "../a bag.mcap", "/wrench"]
+    assert list(data.values()) == values
+    assert any(line.startswith("axes =   ") for line in text.splitlines())  # which of the bag's axes, it cannot tell
+    refused(run("new", tmp_path / "both", "--photos", "--mocap"), "--photos and --mocap", "one kind")
+    assert not (tmp_path / "both").exists()
 
 
 def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
@@ -278,7 +296,7 @@ def test_new_then_check_leads_to_the_next_step(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "onebend check" in result.stdout
     refused(run("new", tmp_path / "mine"), "exists already")
-    refused(run("check", tmp_path / "mine"), "video.mp4")
+    refused(run("check", tmp_path / "mine"), "length_m is empty")
 
 
 def test_check_says_what_was_understood() -> None:

@@ -225,11 +225,11 @@ def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_what_was_learned_from_is_no_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = read_recording(EXAMPLE / "train")
+    train = replace(train, beam=replace(train.beam, length=SOFT.length))
     seen = {"train": made(), "copy": with_source(made(), name="copy"), "fast": with_source(made(1), name="other")}
     monkeypatch.setattr(pipeline, "observe", lambda recording, **_: seen[recording.folder.name])
     monkeypatch.setattr(pipeline, "read_recording", lambda folder: replace(train, folder=Path(folder)))
-    train = read_recording(EXAMPLE / "train")
-    train = replace(train, beam=replace(train.beam, length=SOFT.length))
     run = pipeline.learn("train", fitting=replace(IDEAL, functions=8), validate_on=["train", "copy", "fast"])
     assert [one.name for one in run.validations] == ["other"]
     assert [one.source.name for one in run.validation_observations] == ["other"]

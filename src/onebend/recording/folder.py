@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from onebend.recording.bags.recorded_topics import check_bag, with_bags
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
 from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
-from onebend.recording.toml.schema import Mistakes, keys_of, read_table, report_unknown
+from onebend.recording.toml.schema import Mistakes, keys_of, lines_of_keys, place_name, read_table, report_unknown
 from onebend.recording.toml.source_entries import (
     CameraEntry,
     MarkersEntry,
@@ -40,6 +41,7 @@ SECTIONS: dict[str, type] = {
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
+EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
 TABLES = ("beam", "tags", *SECTIONS)
 RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS}
 # Which tables know a key: what stands in the wrong one is told its place.
@@ -110,7 +112,22 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
     except UnicodeDecodeError as wrong:
         raise RecordingError(f"{path} is not UTF-8 text (byte {wrong.start}). Save it as UTF-8.") from None
     except tomllib.TOMLDecodeError as wrong:
+        if empty := empty_values(content):
+            raise RecordingError("\n".join(f"{path}:{line}: {words}" for line, words in empty)) from None
         raise RecordingError(f"{path} is not valid TOML: {wrong}. Text needs quotes, numbers a dot.") from None
+
+
+def empty_values(content: str) -> list[tuple[int, str]]:
+    """Lines (from 1) of keys that have no value, as a template leaves them, and what to fill in."""
+    rows = content.splitlines()
+    found = []
+    for place, line in lines_of_keys(content).items():
+        if EMPTY.match(rows[line - 1]):
+            record = TagEntry if place[1:2] in (("on_base",), ("on_beam",)) else RECORDS.get(str(place[0]))
+            keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
+            says = keys[str(place[-1])].says if place[-1] in keys else "a value, or a # before the line"
+            found.append((line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
+    return sorted(found)
 
 
 def camera_record(data: dict[str, Any]) -> type:
