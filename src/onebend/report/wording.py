@@ -11,6 +11,7 @@ from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.records import CleanForce, ClockOffset, Observations
 from onebend.report.findings import Findings
+from onebend.report.kinds import is_forced, words_of
 
 UNKNOWN = "–"
 NOT_WORTH_A_ROW = 0.005  # s
@@ -102,7 +103,8 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
         rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
     tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
-    return [*rows, ("frames in which a tag was found", tags)]
+    words = words_of(observations)
+    return [*rows, (f"{words.frames} in which a {words.tag} was found", tags)]
 
 
 def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
@@ -129,12 +131,28 @@ def assumptions(findings: Findings) -> list[str]:
     weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
         "gravity acts across the plane of bending, so its weight does not bend it"
     )  # fmt: skip
+    sd = millimetres(recording.stated.placement_sd)
     return [
         f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.",
         _allowed(findings),
+        *_loading(recording),
+        f"Each {words_of(recording).tag} sits at its written s to {sd} mm (sd).",
+    ]
+
+
+def _loading(recording: Observations) -> list[str]:
+    """What is taken for granted of the loads."""
+    if recording.static:
+        loads = "The loads act where they are written, and nothing else touches the beam."
+        return [
+            f"The beam stood still in every one of the {words_of(recording).frames}.",
+            loads if is_forced(recording) else "Nothing but its weight bends it.",
+        ]
+    if not is_forced(recording):
+        return ["Every frame is in equilibrium: the beam is turned slowly.", "Nothing but its weight bends it."]
+    return [
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
-        f"Each tag sits at its written s to {millimetres(recording.stated.placement_sd)} mm (sd).",
         "The force sensor's reading at rest is subtracted. Its scale error shows only under load; it is not seen, and "
         "goes into k.",
     ]

@@ -20,6 +20,7 @@ from onebend.report.figures import curves, recordings
 from onebend.report.figures.pictures import Draw, Pictures, draw
 from onebend.report.figures.simulated import largest_push
 from onebend.report.findings import Findings
+from onebend.report.kinds import words_of
 
 
 def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
@@ -44,13 +45,19 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
             wanted[f"{before}shapes"] = partial(recordings.shapes, beam, comparison, observations, fitted)
         if fitted is not None:
             wanted[f"{before}fitted"] = partial(recordings.residuals, fitted.comparison, "left by the fit")
-        wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, "under the force as logged")
+        if fitted is None or not observations.static:  # of static poses the fit's own distance is the one that counts
+            under = words_of(observations).under
+            wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, under)
     if learned is not None:
         wanted["selection"] = partial(recordings.selection, learned)
     if not recording.static:  # poses have no time
         wanted["force"] = partial(recordings.force, recording, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
-    wanted |= validation_figures(beam, pairs, *findings.trainings)
+    own = [
+        fitted.comparison if fitted is not None and one.static else one
+        for one, fitted in zip(findings.trainings, fits, strict=True)
+    ]
+    wanted |= validation_figures(beam, pairs, *own)
     return draw(wanted, progress)
 
 
