@@ -26,6 +26,7 @@ from onebend.report.confidence import (
 from onebend.report.findings import Findings, all_remarks, name_of
 from onebend.report.kinds import learned_from, only_static, words_of
 from onebend.report.page.cards import cards
+from onebend.report.page.made_from import MadeFrom
 from onebend.report.page.template import render
 from onebend.report.wording import (
     assumptions,
@@ -42,9 +43,10 @@ FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
 
 
-def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> str:
+def page(findings: Findings, figures: Mapping[str, bytes], *, version: str, made_from: MadeFrom | None = None) -> str:
     """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
-    return render("onebend.report.page", "page.html", figures, {"version": version, **_content(findings)})
+    content = {"version": version, "made_from": made_from, **_content(findings)}
+    return render("onebend.report.page", "page.html", figures, content)
 
 
 def _content(findings: Findings) -> dict[str, Any]:
