@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -104,6 +105,16 @@ def put_in_place(
         say(f"onebend: warning: files that appeared in {place.out} during the run are in {left}.", err=True)
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         say(f"onebend: warning: {path} was changed while it was read. Run again to learn from it as it is.", err=True)
+
+
+def open_in_browser(page: Path) -> None:
+    """Show a page in the person's browser; a warning where there is none."""
+    try:
+        opened = webbrowser.open(page.resolve().as_uri())
+    except webbrowser.Error:
+        opened = False
+    if not opened:
+        say(f"onebend: warning: no browser was found. Open {page} in one.", err=True)
 
 
 def say_failed(pictures: Pictures) -> None:

@@ -15,6 +15,7 @@ from onebend.cli import BY
 from onebend.cli.common import (
     clean_errors,
     made_from_files,
+    open_in_browser,
     print_json,
     progress_of,
     put_in_place,
@@ -67,6 +68,7 @@ Width = Annotated[
     typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
 ]
 Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
+OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
 Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
 Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
 Epsilon = Annotated[
@@ -119,6 +121,7 @@ def learn(
     epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
+    open_report: OpenReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -154,6 +157,8 @@ def learn(
         print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     else:
         show_run(screen(), run, seconds, out)
+    if open_report:
+        open_in_browser(out / "report.html")
 
 
 def validate(

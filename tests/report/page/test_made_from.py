@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import webbrowser
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from onebend import cli
 from onebend.cli import learning as learning_commands
 from onebend.files.manifest import sha256_of
 from onebend.learning.posterior import FitSettings
+from onebend.report.figures.pictures import Pictures
 from onebend.report.page.made_from import shown_made_from, size_words
 from onebend.report.page.page import page
 from onebend.results.provenance import inputs_of, provenance
@@ -54,6 +56,26 @@ def test_many_files_are_counted_in_the_lead(tmp_path: Path) -> None:
     assert found is not None
     assert found.names == "photo-0.jpg, photo-1.jpg, photo-2.jpg, photo-3.jpg and 5 more files"
     assert len(found.files) == 9
+
+
+@pytest.mark.parametrize("there", ["yes", "no", "broken"])
+def test_open_shows_the_report_in_the_browser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
+    asked: list[str] = []
+
+    def browser(address: str) -> bool:
+        asked.append(address)
+        if there == "broken":
+            raise webbrowser.Error("could not locate runnable browser")
+        return there == "yes"
+
+    monkeypatch.setattr(learning_commands, "learn_from", lambda *_, **__: made_up.findings(0))
+    monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
+    monkeypatch.setattr(webbrowser, "open", browser)
+    out = tmp_path / "a folder"
+    result = CliRunner().invoke(cli.app, ["learn", str(EXAMPLE), "-o", str(out), "-q", "--open"])
+    assert result.exit_code == 0, result.output
+    assert asked == [(out / "report.html").as_uri()]
+    assert ("no browser was found" in result.stderr) == (there != "yes")
 
 
 @pytest.mark.parametrize(
