@@ -26,8 +26,9 @@ from onebend.report.confidence import (
 from onebend.report.findings import Findings, all_remarks, name_of
 from onebend.report.kinds import learned_from, only_static, words_of
 from onebend.report.page.cards import cards
+from onebend.report.page.interactive import SCRIPTS, script_data
 from onebend.report.page.made_from import MadeFrom
-from onebend.report.page.template import render
+from onebend.report.page.template import COMMON, render
 from onebend.report.wording import (
     assumptions,
     bic_words,
@@ -46,18 +47,20 @@ METHODS = {"regression": "regression", "paper": "the paper's literal regression"
 def page(findings: Findings, figures: Mapping[str, bytes], *, version: str, made_from: MadeFrom | None = None) -> str:
     """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
     content = {"version": version, "made_from": made_from, **_content(findings)}
-    return render("onebend.report.page", "page.html", figures, content)
+    return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
 
 def _content(findings: Findings) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)]
     return {
+        "data": script_data(findings),
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
         "frames": " and ".join(learned_from(recording) for recording in findings.recordings),
         "words": words_of(first),
+        "heavy": bool(np.any(first.gravity)),
         "static": findings.posterior is not None and only_static(findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
