@@ -56,7 +56,7 @@ def learned_writer(
             write_validation(folder / "validation.csv", findings.validations)
         for i, recording in enumerate(findings.recordings, start=1):
             save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
-        html = page(findings, pictures.drawn, version=version, made_from=shown_made_from(made_from))
+        html = page(findings, pictures.drawn, version=version, made_from=shown_made_from(made_from), film=pictures.film)
         (folder / "report.html").write_text(html, encoding="utf-8")
         _write_figures(folder, pictures)
         write_summary(folder, summary)

@@ -132,7 +132,7 @@ send(handle, "pointerdown", place.left + 20, place.top + 20);
 send(bend, "pointermove", place.left + 5, place.top + 60); send(bend, "pointerup", 0, 0); read("bend");
 send(bend, "pointermove", 0, 0); read("bend");
 key(bend, "Escape"); read("bend");
-said.push(document.getElementById("curve-picture").hidden, getComputedStyle(curve).touchAction);
+said.push(document.querySelector("[data-instead=curve]").hidden, getComputedStyle(curve).touchAction);
 document.querySelector("main").style.width = "390px";
 setTimeout(() => {
   const sizes = [...document.querySelectorAll(".chart > svg")].map((one) => one.getBoundingClientRect().width);

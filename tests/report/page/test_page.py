@@ -31,19 +31,25 @@ class Links(HTMLParser):
         super().__init__()
         self.addresses: list[str] = []
         self.ids: list[str] = []
-        self.text = ""
+        self.text = ""  # that a person reads
+        self.element = ""
         self.feed(html)
 
     def handle_starttag(
         self,
-        tag: str,  # noqa: ARG002
+        tag: str,
         attrs: list[tuple[str, str | None]],
     ) -> None:
+        self.element = tag
         self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
         self.ids += [value or "" for name, value in attrs if name == "id"]
 
     def handle_data(self, data: str) -> None:
-        self.text += data
+        if self.element not in ("style", "script"):
+            self.text += data
+
+    def handle_endtag(self, tag: str) -> None:  # noqa: ARG002
+        self.element = ""
 
 
 @pytest.fixture(scope="module")

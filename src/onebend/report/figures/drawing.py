@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,11 +14,11 @@ from onebend.errors import OnebendError
 from onebend.learning.explained import explained
 from onebend.learning.outcome import Comparison, Explained
 from onebend.progress import Progress, Silent
-from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.records import Observations
 from onebend.report.figures import curves, recordings
-from onebend.report.figures.pictures import Draw, Pictures, draw
+from onebend.report.figures.film import film_of, film_strip
+from onebend.report.figures.pictures import Draw, Pictures, draw, reason_of
 from onebend.report.figures.simulated import largest_push
 from onebend.report.findings import Findings
 from onebend.report.kinds import words_of
@@ -58,7 +59,18 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
         for one, fitted in zip(findings.trainings, fits, strict=True)
     ]
     wanted |= validation_figures(beam, pairs, *own)
-    return draw(wanted, progress)
+    return _with_film(draw(wanted, progress), recording, fits[0])
+
+
+def _with_film(pictures: Pictures, recording: Observations, fitted: Explained | None) -> Pictures:
+    """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
+    if fitted is None or "fit" not in pictures.drawn:
+        return pictures
+    try:
+        return replace(pictures, film=film_strip(recording, fitted))
+    except Exception as error:  # as with every picture
+        pictures.failed["film"] = reason_of(error)
+        return pictures
 
 
 def _stiffness(findings: Findings) -> Figure:
@@ -97,12 +109,7 @@ def fit(
         return None
     shown = comparison if fitted is None else fitted.comparison
     try:
-        film = VideoEntry(
-            file=observations.source.video,
-            topic=observations.source.video_topic,
-            damaged="keep" if observations.source.video_topic else "refuse",
-        )
-        image = frame_at(film, int(shown.frame[largest_push(shown)]))
+        image = frame_at(film_of(observations.source.video, observations), int(shown.frame[largest_push(shown)]))
     except OnebendError:
         return None
     return recordings.fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)

@@ -6,9 +6,9 @@ function bendFigure(figure, data) {
   let at = data.at_s, force = [0, 0], a = equilibrium(made, force, at, null), view = null;
 
   function draw() {
-    const width = Math.max(chart.clientWidth, 240), height = Math.min(Math.max(0.7 * width, 260), 460);
-    const scale = Math.min(width / (1.5 * L), height / (1.6 * L));
-    view = { scale, x: (x) => 0.5 * width + (x - 0.6 * L) * scale, y: (y) => height / 2 - y * scale };
+    const width = Math.max(chart.clientWidth, 240), height = Math.min(Math.max(0.8 * width, 260), 480);
+    const scale = Math.min(width / (1.8 * L), height / (2.2 * L));
+    view = { scale, width, height, x: (x) => 0.5 * width + (x - 0.45 * L) * scale, y: (y) => height / 2 - y * scale };
     view.back = (px, py) => [(px - view.x(0)) / scale, (height / 2 - py) / scale];
     chart.replaceChildren();
     view.svg = drawn(chart, "svg", { width, height, viewBox: `0 0 ${width} ${height}` });
@@ -30,8 +30,8 @@ function bendFigure(figure, data) {
     drawn(moving, "line", { x1: x(here[0]), y1: y(here[1]), x2: x(goal[0]), y2: y(goal[1]), stroke: ORANGE,
       "stroke-width": 2.5 });
     drawn(moving, "circle", { cx: x(here[0]), cy: y(here[1]), r: 5, fill: ORANGE });
-    handle.setAttribute("cx", x(goal[0]));
-    handle.setAttribute("cy", y(goal[1]));
+    handle.setAttribute("cx", Math.min(Math.max(x(goal[0]), 20), view.width - 20));
+    handle.setAttribute("cy", Math.min(Math.max(y(goal[1]), 20), view.height - 20));
     const size = Math.hypot(...force), turn = 180 / Math.PI * a[PIECES - 1];
     const beyond = size > 1.001 * data.largest_N && data.largest_N > 0
       ? ` · more than the ${digits(data.largest_N)} N that it was learned under` : "";
@@ -82,20 +82,3 @@ function bendFigure(figure, data) {
   draw();
   put(data.first_N);
 }
-
-const given = JSON.parse(document.getElementById("data").textContent);
-for (const [name, show, data] of [["curve", curveFigure, given.curve], ["bend", bendFigure, given.bend]]) {
-  if (!data) continue;
-  const figure = document.getElementById(name);
-  figure.hidden = false;
-  show(figure, data);
-}
-document.getElementById("curve-picture").hidden = true;
-
-function unfold() {
-  const target = document.getElementById(location.hash.slice(1)), folded = target && target.closest("details");
-  if (folded) folded.open = true;
-}
-addEventListener("hashchange", unfold);
-addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((one) => { one.open = true; }));
-unfold();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,18 @@ from markupsafe import Markup
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.records import Array, Observations
 from onebend.report.figures.curves import LEVELS, highest_shown
+from onebend.report.figures.film import FilmStrip
 from onebend.report.findings import Findings
 from onebend.strict_json import to_json
 
-SCRIPTS = ("beam.js", "curve.js", "bend.js")  # in this order, one script
+SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # in this order, one script
 PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
 _DIGITS = 6
 
 
-def script_data(findings: Findings) -> Markup:
+def script_data(findings: Findings, film: FilmStrip | None = None) -> Markup:
     """JSON for a script element, with nothing in it that could end the element."""
-    data = {"curve": _curve(findings), "bend": _bend(findings)}
+    data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
     text = to_json(data, ascii_only=True)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
@@ -79,9 +81,26 @@ def _bend(findings: Findings) -> dict[str, Any] | None:
         "gravity_m_s2": gravity.tolist(),
         "largest_N": largest,
         "force_N": largest or usual,
-        "first_N": (0.5 * hardest if largest > 0.0 else np.array([0.0, 0.5 * usual])).tolist(),
+        "first_N": (hardest if largest > 0.0 else np.array([0.0, 0.5 * usual])).tolist(),
         "at_s": float(np.max(places, initial=0.0)) or 1.0,
     }
+
+
+def _film(film: FilmStrip) -> dict[str, Any]:
+    """The frames as data URIs, and what is drawn over them, in their pixels."""
+    frames = [
+        {
+            "picture": "data:image/jpeg;base64," + base64.b64encode(one.jpeg).decode("ascii"),
+            "frame": one.frame,
+            "time_s": round(one.time, 3),
+            "beam_px": one.beam.round(1).tolist(),
+            "tags_px": [point.round(1).tolist() for point in one.tags if np.isfinite(point).all()],
+            "arrow_px": one.arrow.round(1).tolist(),
+            "force_N": _short(one.force),
+        }
+        for one in film.frames
+    ]
+    return {"width": film.width, "height": film.height, "frames": frames}
 
 
 def _gravity(observations: Observations) -> Array:

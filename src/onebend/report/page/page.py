@@ -23,6 +23,7 @@ from onebend.report.confidence import (
     tradeoff_words,
     unidentified_words,
 )
+from onebend.report.figures.film import FilmStrip
 from onebend.report.findings import Findings, all_remarks, name_of
 from onebend.report.kinds import learned_from, only_static, words_of
 from onebend.report.page.cards import cards
@@ -44,9 +45,17 @@ FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
 
 
-def page(findings: Findings, figures: Mapping[str, bytes], *, version: str, made_from: MadeFrom | None = None) -> str:
+def page(
+    findings: Findings,
+    figures: Mapping[str, bytes],
+    *,
+    version: str,
+    made_from: MadeFrom | None = None,
+    film: FilmStrip | None = None,
+) -> str:
     """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
-    content = {"version": version, "made_from": made_from, **_content(findings)}
+    content: dict[str, Any] = {"version": version, "made_from": made_from, "film": film, **_content(findings)}
+    content["data"] = script_data(findings, film)
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
 
@@ -54,7 +63,6 @@ def _content(findings: Findings) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)]
     return {
-        "data": script_data(findings),
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
