@@ -98,6 +98,7 @@ def test_assumptions_and_inputs_fit_the_kind(kind: str) -> None:
     word = {"film": "frames in which a tag", "tracks": "frames in which a marker",
             "photos": "photos in which a tag", "poses": "poses in which a point"}[kind]  # fmt: skip
     assert f"{word} was found" in rows
+    assert ("loads" in rows) == (kind in ("photos", "poses"))
 
 
 def test_the_scale_of_k_is_that_of_what_bends_it() -> None:

@@ -24,7 +24,7 @@ FILES = {
     "selection.csv": "the paper's regression: every n (curvature modes) and m (stiffness functions)",
     "markers.csv": "measured and simulated markers, every frame and recording",
     "validation.csv": "RMS per tag of the recordings validated on, as the paper's Tables IV to VI",
-    "observations.parquet": "what the recording said, so that its video is not needed again",
+    "observations.parquet": "what the recording said, so that its files are not needed again",
     "summary.json": "the figures of this page for scripts, in SI",
     "report.html": "this page",
     "figures/": "every figure as a PNG",
@@ -92,6 +92,8 @@ def clock_words(clock: ClockOffset) -> str:
 def inputs(observations: Observations) -> list[tuple[str, str]]:
     """What was done to the force log and to the clocks, row by row."""
     rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
+    if observations.static:
+        rows += _load_rows(observations)
     if observations.source.clock is not None:
         rows.append(("log time less video time", clock_words(observations.source.clock)))
     if observations.source.view is not None:
@@ -118,6 +120,16 @@ def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
         ("noise left in the force (x, y), sd", _pair(1000.0 * clean.noise_sd, "mN")),
         ("outliers replaced", f"{clean.outliers} of {len(clean.time)} rows"),
     ]
+
+
+def _load_rows(observations: Observations) -> list[tuple[str, str]]:
+    """Of static poses: what hangs on the beam, and how well it is known."""
+    if not is_forced(observations):
+        return []
+    size, sd = np.linalg.norm(observations.force, axis=1), 1e3 * float(np.max(observations.force_sd))
+    known = f"each to {significant(sd, 2)} mN (sd)" if sd > 0.0 else "taken as exact"
+    more = "; further forces or moments besides" if observations.known_loads is not None else ""
+    return [("loads", f"{significant(float(size.min()))} … {significant(float(size.max()))} N, {known}{more}")]
 
 
 def _pair(values: Iterable[float], unit: str) -> str:

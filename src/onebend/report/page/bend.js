@@ -33,9 +33,10 @@ function bendFigure(figure, data) {
     handle.setAttribute("cx", Math.min(Math.max(x(goal[0]), 20), view.width - 20));
     handle.setAttribute("cy", Math.min(Math.max(y(goal[1]), 20), view.height - 20));
     const size = Math.hypot(...force), turn = 180 / Math.PI * a[PIECES - 1];
+    const [fx, fy] = force.map((f) => digits(Math.abs(f) < 1e-6 * data.force_N ? 0 : f));
     const beyond = size > 1.001 * data.largest_N && data.largest_N > 0
       ? ` · more than the ${digits(data.largest_N)} N that it was learned under` : "";
-    readout.textContent = `F = (${digits(force[0])}, ${digits(force[1])}) N, ${digits(size)} N at s = ${at.toFixed(2)} · `
+    readout.textContent = `F = (${fx}, ${fy}) N, ${digits(size)} N at s = ${at.toFixed(2)} · `
       + `tip at (${digits(1000 * tip[0], 4)}, ${digits(1000 * tip[1], 4)}) mm, turned by ${turn.toFixed(1)}°${beyond}`;
     chart.setAttribute("aria-valuenow", size.toPrecision(3));
     chart.setAttribute("aria-valuetext", readout.textContent);
