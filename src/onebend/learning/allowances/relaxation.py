@@ -29,16 +29,24 @@ def relaxation(run: PushCourse) -> Allowance:
 
 def lagged(time: Array, q: Array, tau: float) -> Array:
     """(T, Q) q_v of curvatures q (T, Q) that are straight in `time` (T,) [s] between frames, from rest at the first."""
-    step = np.maximum(np.diff(time) / tau, np.finfo(float).tiny)  # frames of one instant are one
-    decay = np.exp(-step)
-    mean = -np.expm1(-step) / step
+    kept, before, now = lag_weights(np.diff(time), tau)[0]
     out = np.zeros_like(q)
-    for i in range(len(step)):
-        out[i + 1] = decay[i] * out[i] + (mean[i] - decay[i]) * q[i] + (1.0 - mean[i]) * q[i + 1]
+    for i in range(len(kept)):
+        out[i + 1] = kept[i] * out[i] + before[i] * q[i] + now[i] * q[i + 1]
     return out
 
 
-def _time_of(values: Array) -> float:
+def lag_weights(seconds: Array, tau: float) -> tuple[Array, Array]:
+    """(3, N) weights of one step of `seconds` (N,), and their derivatives with log tau: q_v at its end is made of q_v
+    before it, of q before it and of q at its end."""
+    step = np.maximum(seconds / tau, np.finfo(float).tiny)  # frames of one instant are one
+    decay = np.exp(-step)
+    mean = -np.expm1(-step) / step
+    by_decay, by_mean = step * decay, mean - decay
+    return np.stack([decay, mean - decay, 1.0 - mean]), np.stack([by_decay, by_mean - by_decay, -by_mean])
+
+
+def relaxation_time_of(values: Array) -> float:
     """tau [s]."""
     return USUAL_TIME * float(np.exp(np.clip(values[1], -_FARTHEST, _FARTHEST)))
 
@@ -49,12 +57,17 @@ def rest_shift(values: Array, time: Array, q: Array, weights: Array) -> Array:
     `values` (2,) the allowance's; `q` (F, Q) the curvature over the one at rest, F - T frames at rest after those of
     `time` (T,). From `k_i (q - a q_v) = k (q - a (q_v - c q) / (1 - a c))`.
     """
-    share, tau = float(values[0]), _time_of(values)
+    share, tau = float(values[0]), relaxation_time_of(values)
     count, out = len(time), np.zeros_like(q)
     lag = lagged(time, q[:count], tau)
     reached = reached_share(lag, q[:count], weights)
-    out[:count] = (lag - reached * q[:count]) * (share / (1.0 - min(share * reached, _LARGEST)))
+    out[:count] = (lag - reached * q[:count]) * shift_factor(share, reached)
     return out
+
+
+def shift_factor(share: float, reached: float) -> float:
+    """`a / (1 - a c)`: of the shift over `q_v - c q`."""
+    return share / (1.0 - min(share * reached, _LARGEST))
 
 
 def reached_share(lag: Array, q: Array, weights: Array) -> float:
@@ -65,13 +78,13 @@ def reached_share(lag: Array, q: Array, weights: Array) -> float:
 
 def secant_share(values: Array, time: Array, q: Array, weights: Array) -> float:
     """`1 - a c`: the secant stiffness over the instantaneous one."""
-    lag = lagged(time, q[: len(time)], _time_of(values))
+    lag = lagged(time, q[: len(time)], relaxation_time_of(values))
     return 1.0 - float(values[0]) * reached_share(lag, q[: len(time)], weights)
 
 
 def remembered(values: Array, time: Array, q: Array, weights: Array, change: Array) -> Array:
     """(F, Q, P) by which the curvature at rest shifts with changes (F, Q, P) of the curvature, to first order."""
-    share, tau = float(values[0]), _time_of(values)
+    share, tau = float(values[0]), relaxation_time_of(values)
     count, p = len(time), change.shape[-1]
     lag = lagged(time, q[:count], tau)
     moved = change[:count]
