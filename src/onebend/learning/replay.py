@@ -60,6 +60,8 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         placement_sd=o.stated.placement_sd,
         rest_unknown=o.stated.rest == "unknown",
         priors=_priors(o, settings),
+        thickness=_known(o.stated.thickness, settings.thickness),
+        tag_size=_known(o.stated.tag_size, settings.tag_size),
     )
     if o.source.view is not None:
         sd = scale_sd(o, settings.priors)
@@ -79,6 +81,11 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         force_zero=error.level,
         force_load=error.load,
     )
+
+
+def _known(stated: float, wanted: float | None) -> float | None:
+    """What the recording states, where it does."""
+    return stated if np.isfinite(stated) else wanted
 
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:

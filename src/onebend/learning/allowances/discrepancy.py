@@ -44,4 +44,4 @@ def of_axes(functions: Array, tags: int, axes: tuple[int, ...]) -> Array:
     for i, axis in enumerate(axes):
         for tag in range(tags):
             out[:, tag, axis, i, tag] = functions
-    return out.reshape(frames, tags, 3, -1)
+    return out.reshape(frames, tags, 3, len(axes) * tags * n)

@@ -9,13 +9,19 @@ from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.perturbation import Perturbation, minus_gradient
+from onebend.beam.statics.nodal_forces import centreline_slope, nodal_forces
+from onebend.beam.statics.perturbation import Perturbation, minus_gradient, moved_by_strain
 from onebend.beam.statics.problem import Problem
+from onebend.learning.allowances.causal import CLAMP, POSTURE, SLIDE, SMOOTH
+from onebend.learning.allowances.discrepancy import ANGLE, XY, of_axes
+from onebend.learning.allowances.posture import on_each_axis
+from onebend.learning.allowances.relaxation import shift_factor
 from onebend.learning.live.session import LiveSession, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
-    TagMotion,
+    ResponseColumns,
+    TagRide,
     balance_changes,
     push_blocks,
     put_blocks,
@@ -27,6 +33,21 @@ from onebend.records import Array, BoolArray
 _NEWTON_ITERATIONS = 8  # at most, before the shape is sought from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
 _TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
+REACHED = 0.5  # c: k on the way is the stiffness of a beam that has relaxed so far
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a beam that relaxes remembers in B frames: q_v is `before + now q`, q being the curvature over that at rest;
+    and the same of its derivative with the log of the relaxation time, as the last of two."""
+
+    before: Array  # (B, Q, 2) rad
+    now: Array  # (B, 2)
+    reached: float = REACHED
+
+    def lag(self, bending: Array) -> Array:
+        """(B, Q, 2) rad, of shapes bent by (B, Q)."""
+        return self.before + self.now[:, None, :] * bending[..., None]
 
 
 @dataclass(frozen=True)
@@ -37,6 +58,8 @@ class FrameInputs:
     rate: Array  # (B, 2) N/s
     gravity: Array  # (B, 2) m/s^2
     farther: Array  # (B,) m that the push lies beyond its grid's place
+    terms: Array  # (B, TERMS) of the allowances, see `CourseSoFar`
+    memory: Memory
 
 
 @dataclass(frozen=True)
@@ -46,6 +69,7 @@ class LinearisedTags:
     converged: BoolArray  # (B,)
     q: Array  # (B, Q) rad
     by_force: Array  # (B, Q, 2) of q with the logged force: where to start from next time
+    lag: Array  # (B, Q, 2) rad, q_v and its derivative with the log of the relaxation time
     pose: Array  # (B, m, 3)
     j: Array  # (B, m, 3, n) with the parameters
     a: Array  # (B, m, 3, 2) with the logged force, per N
@@ -55,16 +79,12 @@ class LinearisedTags:
 class _LoadedBeam:
     """The beam and what acts on it in B frames, on the grid of a place."""
 
-    length: float  # m
+    problem: Problem
     stiff: Array  # (Q,) k times the nodes' weights
-    q0: Array  # (Q,)
-    alpha0: float
     force: Array  # (B, 2) N
     pushed: Array  # (B, Q) share of the push beyond each node
     gravity: Array  # (B, 2) m/s^2
     masses: Array  # (Q, 4) kg of each part of the mass beyond the nodes; (Q, 0) where none is among the parameters
-    dead: Array  # (2, B, Q) N beyond the nodes
-    pull: Array  # (2, B, Q) N m: that times the length and the nodes' weights
 
 
 def linearise(
@@ -73,68 +93,119 @@ def linearise(
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any.
 
     The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
-    for the force.
+    for the force. What a beam that relaxes remembers is taken at `start`, and as given: it has no derivatives but those
+    with share and time.
     """
-    layout, m = session.layout, len(session.marker_s)
-    axes = _axes(layout, x)
-    force = (inputs.force + inputs.rate * layout.get(x, "clock")) @ axes.T
-    loaded = _loaded_beam(session, push_grid, x, force, inputs)
+    layout = session.layout
+    axes, bases = _axes(layout, x), _Bases(session, inputs.terms)
+    logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ axes.T
+    straight = push_grid.rest_on_nodes @ layout.get(x, "curvature")
+    shift = _RestShift(session, x, inputs.memory, start, straight)
+    loaded = _loaded_beam(session, push_grid, x, logged + bases.force @ layout.get(x, "posture"), inputs, shift.q0)
     q, converged, factors = _shapes(push_grid, loaded, start)
-    bent = _bent(push_grid, loaded, q, converged)
-    columns = response_columns(balance_changes(bent))
+    bent = _bent(session, push_grid, loaded, shift.derivatives, q, converged)
+    changes = balance_changes(bent)
+    columns, tags = response_columns(changes), _Tags(session, push_grid, x, bent.solved)
     right = minus_gradient(bent.solved, columns.changes)
-    pose, by_shape, partials = _tags(session, push_grid, x, q)
     push = right[..., columns.slices["push"]].swapaxes(1, 2)
-    both = np.empty((len(q), 3 * m + 2, q.shape[1]))
-    both[:, : 3 * m], both[:, 3 * m :] = by_shape.reshape(len(q), 3 * m, -1), push
+    both = np.concatenate([tags.by_shape, push], axis=1)
     for rows, factor in zip(both, factors, strict=True):
         rows[:] = dpotrs(factor, rows.T, lower=1, overwrite_b=1)[0].T
+    m = len(session.marker_s)
     response = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
-    response[..., columns.slices["clamp"].start] += partials.clamp
-    blocks, j = columns.split(response), np.zeros((len(q), m, 3, layout.size))
-    put_blocks(j, session.columns, blocks | push_blocks(blocks["push"], force, axes, inputs.rate))
-    put_tags(j, session.columns, partials.motion)
-    return LinearisedTags(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, blocks["push"] @ axes)
+    tags.add_direct(response, columns)
+    blocks = columns.split(tags.ride.carry(response))
+    j = np.zeros((len(q), m, 3, layout.size))
+    further = push_blocks(blocks["push"], logged, axes, inputs.rate) | bases.blocks(blocks)
+    put_blocks(j, session.columns, blocks | further)
+    put_tags(j, session.columns, tags.motion)
+    pose = tags.pose + bases.moved(x)
+    by_force, lag = both[:, 3 * m :].swapaxes(1, 2) @ axes, inputs.memory.lag(q - straight)
+    return LinearisedTags(converged, q, by_force, lag, pose, j, blocks["push"] @ axes)
 
 
-@dataclass(frozen=True)
-class _TagPartials:
-    """Derivatives of the tags' poses at a fixed curvature."""
+class _Bases:
+    """The allowances that go with the course of the push, in B frames."""
 
-    clamp: Array  # (B, m, 3) with the clamp's angle
-    motion: TagMotion
+    def __init__(self, session: LiveSession, terms: Array) -> None:
+        self._layout, self._terms, self._carries = session.layout, terms, session.carries
+        self._tags = len(session.marker_s)
+        self.force = on_each_axis(terms[:, POSTURE])  # (B, 2, 4)
+        self._poses = {
+            name: of_axes(terms[:, SMOOTH], self._tags, axes)
+            for name, axes in (("discrepancy", XY), ("angle discrepancy", ANGLE))
+            if session.carries(name)
+        }
+
+    def blocks(self, of: dict[str, Array]) -> dict[str, Array]:
+        """(B, m, 3, n) by name, from derivatives with the push, its place and the clamp."""
+        slide, clamp = (self._terms[:, None, None, part] for part in (SLIDE, CLAMP))
+        out = {"slide": of["place"] * slide, "clamp gives": of["clamp"] * clamp} | self._poses
+        if self._carries("posture"):
+            out["posture"] = np.einsum("bmad,bdn->bman", of["push"], self.force)
+        return out
+
+    def moved(self, x: Array) -> Array | float:
+        """(B, m, 3) by which the tags seem to be off."""
+        return sum((basis @ self._layout.get(x, name) for name, basis in self._poses.items()), start=0.0)
 
 
-def _tags(session: LiveSession, push_grid: PushGrid, x: Array, q: Array) -> tuple[Array, Array, _TagPartials]:
-    """Poses (B, m, 3) of the tags on shapes q (B, Q), and their derivatives (B, m, 3, Q) with the curvature."""
-    layout, m = session.layout, len(session.marker_s)
-    cos, sin = _directions(push_grid, float(layout.get(x, "clamp")[0]), q)
-    ways = np.concatenate([cos[:, None] * push_grid.steps, sin[:, None] * push_grid.steps], axis=1)  # (B, 2 m, Q)
-    xy = ways.sum(axis=2).reshape(-1, 2, m).swapaxes(0, 1)
-    moves, out = ways @ push_grid.to_nodes, q @ push_grid.reach.T
-    angle, curved = float(layout.get(x, "clamp")[0]) + out[:, :m], out[:, m:]
-    along, across = layout.get(x, "along"), layout.get(x, "across")
-    half = 0.5 * along * curved
-    way, angle = angle + half, angle + 2.0 * half  # a circle to where the tag sits
-    u, v = np.array([np.cos(way), np.sin(way)]), np.array([-np.sin(angle), np.cos(angle)])  # (2, B, m)
-    scale = 1.0 + float(layout.get(x, "scale")[0])
-    xy = xy + along * u + across * v
-    turn = push_grid.reach[:m] + along[:, None] * push_grid.reach[m:]
-    half_turn, ahead, aside = 0.5 * (push_grid.reach[:m] + turn), along * u, across * v
-    by_shape = np.empty((len(q), m, 3, q.shape[1]))
-    by_shape[:, :, 0] = -moves[:, m:] - ahead[1][..., None] * half_turn - aside[1][..., None] * turn
-    by_shape[:, :, 1] = moves[:, :m] + ahead[0][..., None] * half_turn + aside[0][..., None] * turn
-    by_shape[:, :, 2] = turn
-    if scale != 1.0:
-        by_shape[:, :, :2] *= scale
-    clamp, pose = np.ones((len(q), m, 3)), np.empty((len(q), m, 3))
-    clamp[..., 0], clamp[..., 1] = -scale * xy[1], scale * xy[0]
-    origin = layout.get(x, "origin")
-    pose[..., 0], pose[..., 1] = scale * xy[0] + origin[0], scale * xy[1] + origin[1]
-    pose[..., 2] = angle + layout.get(x, "turn")
-    stride = scale * (u + half * np.array([-u[1], u[0]]) - (across * curved) * np.array([v[1], -v[0]]))
-    motion = TagMotion(stride.transpose(1, 2, 0), curved, (scale * v).transpose(1, 2, 0), xy.transpose(1, 2, 0))
-    return pose, by_shape, _TagPartials(clamp, motion)
+class _RestShift:
+    """The curvature at rest of a beam that remembers, and how it goes with the share that relaxes and its time."""
+
+    def __init__(self, session: LiveSession, x: Array, memory: Memory, start: Array | None, straight: Array) -> None:
+        self.q0, self.derivatives = straight, None  # (Q,) or (B, Q) rad; (B, Q, 2), None where nothing relaxes
+        if not session.carries("relaxation"):
+            return
+        bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
+        lag, share = memory.lag(bending), float(session.layout.get(x, "relaxation")[0])
+        factor, away = shift_factor(share, memory.reached), lag[..., 0] - memory.reached * bending
+        self.q0 = straight + factor * away
+        self.derivatives = np.stack([(1.0 + factor * memory.reached) ** 2 * away, factor * lag[..., 1]], axis=-1)
+
+
+class _Tags:
+    """The tags on shapes of B frames: their poses, and derivatives with the curvature (B, 3 m, Q) and else."""
+
+    def __init__(self, session: LiveSession, push_grid: PushGrid, x: Array, solved: Equilibrium) -> None:
+        layout, problem, q, m = session.layout, solved.problem, solved.q, len(session.marker_s)
+        wanted = session.marker_s + layout.get(x, "along") / session.length
+        s = np.clip(wanted, 0.0, 1.0)
+        integral, value = push_grid.places(s)
+        self._rows, self._solved, over = float(problem.length) * integral, solved, session.length * (wanted - s)
+        slope, lever = centreline_slope(problem, q), solved.forces.lever
+        self._xy = self._rows @ slope  # (B, m, 2)
+        self.by_shape = np.empty((len(q), 3 * m, q.shape[1]))
+        ways = lever.swapaxes(1, 2)[:, :, None] * self._rows  # (B, 2, m, Q)
+        by_shape = self.by_shape.reshape(len(q), m, 3, -1)
+        by_shape[:, :, :2] = (ways @ problem.to_nodes).swapaxes(1, 2)
+        by_shape[:, :, 2] = integral
+        self._turned = ways.sum(axis=-1).swapaxes(1, 2)  # (B, m, 2)
+        scale, origin = 1.0 + float(layout.get(x, "scale")[0]), layout.get(x, "origin")
+        self.ride = TagRide(problem.alpha0 + q @ integral.T, over, layout.get(x, "across"), scale)
+        xy = self._xy + self.ride.offset
+        self.pose = np.concatenate(
+            [scale * xy + origin, (self.ride.angle + layout.get(x, "turn"))[..., None]], axis=-1
+        )
+        on_beam = over <= 0.0
+        onward = float(problem.length) / session.length * (value @ slope)
+        if not np.all(on_beam):
+            tangent_there = np.stack([np.cos(self.ride.angle), np.sin(self.ride.angle)], axis=-1)
+            onward = np.where(on_beam[:, None], onward, tangent_there)
+        bend = (q @ value.T) * (on_beam / session.length)
+        self.motion = self.ride.motion(xy, bend, onward)
+
+    def add_direct(self, response: Array, columns: ResponseColumns) -> None:
+        """Add what moves the beam's places (B, m, 3, P) at fixed curvature: a turn of the clamp, strain, length."""
+        clamp = columns.slices["clamp"].start
+        response[:, :, :2, clamp] += self._turned
+        response[:, :, 2, clamp] += 1.0
+        if "length" in columns.slices:
+            response[:, :, :2, columns.slices["length"].start] += self._xy
+        for where, part in columns.changes.columns:
+            moved = moved_by_strain(self._solved, self._rows, part)
+            if moved is not None:
+                response[:, :, :2, where] += moved
 
 
 def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
@@ -161,10 +232,9 @@ def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tu
                 return q, np.ones(len(q), dtype=bool), factors
             if not moved < _TRUST:
                 break
-    problem = _problem(push_grid, loaded)
-    from_rest = follow(problem)
+    from_rest = follow(loaded.problem)
     good, factors = from_rest.converged & from_rest.stable, []
-    for i, matrix in enumerate(tangent(problem, from_rest.q)):
+    for i, matrix in enumerate(tangent(loaded.problem, from_rest.q)):
         factor, wrong = dpotrf(matrix, lower=1)
         factors.append(factor if wrong == 0 else np.eye(len(matrix)))
         good[i] &= wrong == 0
@@ -172,70 +242,72 @@ def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tu
 
 
 def _balance(loaded: _LoadedBeam, push_grid: PushGrid, q: Array) -> tuple[Array, Array]:
-    """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
-    cos, sin = _directions(push_grid, loaded.alpha0, q)
-    x, y = loaded.pull
-    matrices = (x * cos + y * sin) @ push_grid.squares
+    """(B, Q) gradient and (B, Q, Q) tangent, as `equilibrium.balance` without its look-ups."""
+    forces = nodal_forces(loaded.problem, q)
+    matrices = forces.along @ push_grid.squares
     matrices[:, :: q.shape[1] + 1] += loaded.stiff
-    return loaded.stiff * (q - loaded.q0) - (y * cos - x * sin) @ push_grid.to_nodes, matrices.reshape(*q.shape, -1)
+    unbalanced = loaded.stiff * (q - loaded.problem.q0) - forces.across @ push_grid.to_nodes
+    return unbalanced, matrices.reshape(*q.shape, -1)
 
 
-def _loaded_beam(session: LiveSession, push_grid: PushGrid, x: Array, force: Array, inputs: FrameInputs) -> _LoadedBeam:
-    layout = session.layout
-    pushed = push_grid.beyond + (float(layout.get(x, "place")[0]) + inputs.farther)[:, None] * push_grid.farther
-    dead = pushed * force.T[..., None]
+def _loaded_beam(
+    session: LiveSession, push_grid: PushGrid, x: Array, force: Array, inputs: FrameInputs, q0: Array
+) -> _LoadedBeam:
+    layout, terms = session.layout, inputs.terms
+    place = layout.get(x, "place") + inputs.farther + terms[:, SLIDE.start] * layout.get(x, "slide")
+    pushed = push_grid.beyond + place[:, None] * push_grid.farther
+    dead = pushed[..., None] * force[:, None]
     if session.mass > 0.0:
         mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
-        dead += mass * inputs.gravity.T[..., None]
-    return _LoadedBeam(
-        session.length,
-        push_grid.weights * np.exp(push_grid.on_nodes @ layout.get(x, "stiffness")),
-        push_grid.rest_on_nodes @ layout.get(x, "curvature"),
-        float(layout.get(x, "clamp")[0]),
-        force,
-        pushed,
-        inputs.gravity,
-        push_grid.mass_beyond if session.weighs else push_grid.mass_beyond[:, :0],
-        dead,
-        session.length * push_grid.weights * dead,
-    )
-
-
-def _problem(push_grid: PushGrid, loaded: _LoadedBeam) -> Problem:
-    """The problem of B frames."""
-    size, nodes = loaded.pushed.shape
-    return Problem(
+        dead += mass[:, None] * inputs.gravity[:, None]
+    size, nodes = pushed.shape
+    k = np.exp(push_grid.on_nodes @ layout.get(x, "stiffness") + push_grid.patches @ layout.get(x, "patches"))
+    problem = Problem(
         grid=push_grid.grid,
         weights=push_grid.weights,
         to_nodes=push_grid.to_nodes,
-        length=np.asarray(loaded.length),
-        k=loaded.stiff / push_grid.weights,
-        q0=loaded.q0,
-        alpha0=np.asarray(loaded.alpha0),
-        dead_force=loaded.dead.transpose(1, 2, 0),
+        length=session.length * np.exp(layout.get(x, "length")[0]),
+        k=k,
+        q0=q0,
+        alpha0=layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives"),
+        dead_force=dead,
         moment=np.zeros((size, nodes)),
         follower=np.zeros((size, 0, 2)),
         follower_beyond=np.zeros((size, 0, nodes)),
         follower_rows=np.zeros((size, 0, nodes)),
+        section=session.section(x),
     )
+    weighs = session.weighs and bool(np.any(inputs.gravity))
+    masses = push_grid.mass_beyond if weighs else push_grid.mass_beyond[:, :0]
+    return _LoadedBeam(problem, push_grid.weights * k, force, pushed, inputs.gravity, masses)
 
 
-def _bent(push_grid: PushGrid, loaded: _LoadedBeam, q: Array, converged: BoolArray) -> BentBeam:
+def _bent(
+    session: LiveSession,
+    push_grid: PushGrid,
+    loaded: _LoadedBeam,
+    by_relaxation: Array | None,
+    q: Array,
+    converged: BoolArray,
+) -> BentBeam:
     """What the parameters change in the balance of shapes q (B, Q)."""
     reached, by_mass = converged.astype(float), None
-    solved = Equilibrium(_problem(push_grid, loaded), q, converged, converged, reached, reached, ~converged, 0)
+    solved = Equilibrium(loaded.problem, q, converged, converged, reached, reached, ~converged, 0)
     if loaded.masses.shape[1]:
         pull = loaded.gravity[:, None, :, None] * loaded.masses[:, None, :]
         by_mass = Perturbation(pull, None, None, np.zeros(loaded.masses.shape[1]))
     return BentBeam(
-        solved, push_grid.on_nodes, push_grid.rest_on_nodes, loaded.force, loaded.pushed, push_grid.farther, by_mass
+        solved,
+        push_grid.on_nodes,
+        push_grid.rest_on_nodes,
+        loaded.force,
+        loaded.pushed,
+        push_grid.farther,
+        by_mass,
+        log_k={"patches": push_grid.patches} if session.carries("patches") else {},
+        rest_shift=by_relaxation,
+        lengthens=session.carries("length"),
     )
-
-
-def _directions(push_grid: PushGrid, clamp: float, q: Array) -> tuple[Array, Array]:
-    """(B, Q) cosine and sine of the beam's angle at the nodes."""
-    alpha = clamp + q @ push_grid.to_nodes.T
-    return np.cos(alpha), np.sin(alpha)
 
 
 def _axes(layout: Layout, x: Array) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.learning.allowances.causal import TERMS
 from onebend.learning.live.force_process import TimeSpans
 from onebend.records import Array, BoolArray, IntArray
 
@@ -29,7 +30,7 @@ class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
-    numbers: Array  # (K, 14): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, `gravity`, `error`
+    numbers: Array  # (K, 14 + TERMS): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, ... in turn
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
@@ -38,7 +39,7 @@ class KeyFrames:
     residual: Array  # (K, m, 3) measured less predicted, where it was linearised
     linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
     rows: Array  # (K, 3 m, n + 3): the same, whitened
-    shape: Array  # (K, Q, 3): `q`, `by_force`
+    shape: Array  # (K, Q, 5): `q`, `by_force`, `lag`
 
     @property
     def begin(self) -> Array:
@@ -88,7 +89,12 @@ class KeyFrames:
     @property
     def error(self) -> Array:
         """(K, 2) N, the force's, at which it was linearised."""
-        return self.numbers[:, 12:]
+        return self.numbers[:, 12:14]
+
+    @property
+    def terms(self) -> Array:
+        """(K, TERMS) of the allowances, see `CourseSoFar.terms`."""
+        return self.numbers[:, 14:]
 
     @property
     def rest(self) -> BoolArray:
@@ -143,7 +149,12 @@ class KeyFrames:
     @property
     def by_force(self) -> Array:
         """(K, Q, 2) of it with the logged force."""
-        return self.shape[..., 1:]
+        return self.shape[..., 1:3]
+
+    @property
+    def lag(self) -> Array:
+        """(K, Q, 2) rad, lagged curvature of a beam that relaxes, and its derivative with the log of its time."""
+        return self.shape[..., 3:]
 
     @property
     def centre(self) -> Array:
@@ -208,7 +219,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 
     return KeyFrames(
         used=0,
-        numbers=room(14),
+        numbers=room(14 + TERMS),
         flags=np.zeros((count, 3), dtype=bool),
         measured=room(tags, 3),
         information=room(tags, 3, 3),
@@ -217,7 +228,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         residual=room(tags, 3),
         linear=room(tags, 3, parameters + 3),
         rows=room(3 * tags, parameters + 3),
-        shape=room(nodes, 3),
+        shape=room(nodes, 5),
     )
 
 

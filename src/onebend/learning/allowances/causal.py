@@ -1,0 +1,103 @@
+"""The allowances of a learner that sees frame after frame, and the course of the push as far as it has been seen.
+
+They are those of a whole recording but for what needs frames to come or a camera's place. Displacements here are over
+the beam's length: nobody knows the largest one before the end. So the parameters that go with it keep their units, and
+their prior follows the largest so far (`course_scale`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.learning.allowances.allowance import Allowance
+from onebend.learning.allowances.chosen import AllowanceName
+from onebend.learning.allowances.clamp import giving
+from onebend.learning.allowances.contact import sliding, turn_at_push
+from onebend.learning.allowances.course import PushCourse
+from onebend.learning.allowances.discrepancy import discrepancy, smooth_functions
+from onebend.learning.allowances.length import length
+from onebend.learning.allowances.patches import patches
+from onebend.learning.allowances.posture import DEGREE, posture_bias, powers
+from onebend.learning.allowances.relaxation import relaxation
+from onebend.learning.allowances.section import section
+from onebend.records import Array, BoolArray
+
+CAUSAL_ALLOWANCES: frozenset[AllowanceName] = frozenset(
+    {
+        "section",
+        "relaxation",
+        "slide",
+        "clamp gives",
+        "posture",
+        "patches",
+        "length",
+        "discrepancy",
+        "angle discrepancy",
+    }
+)
+_SMOOTH = 5  # functions of the discrepancy
+TERMS = 2 + DEGREE + _SMOOTH  # numbers of a frame, see `CourseSoFar.terms`
+SLIDE, CLAMP = slice(0, 1), slice(1, 2)
+POSTURE, SMOOTH = slice(2, 2 + DEGREE), slice(2 + DEGREE, TERMS)
+OF_COURSE: tuple[AllowanceName, ...] = ("posture", "discrepancy", "angle discrepancy")  # their sds follow the push
+_POWER = np.array([1.0, 2.0, 1.0, 2.0])  # of the displacement, in the discrepancy's functions but the last
+
+
+def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> tuple[Allowance, ...]:
+    """All of them, without frames; `tag_size` m, NaN where not known; `thick`: the section's thickness is known."""
+    tags = tuple(f"tag {i}" for i in range(1, len(marker_s) + 1))
+    none = PushCourse(*(np.zeros(0) for _ in range(4)), np.zeros((0, len(marker_s))))
+    return (
+        section(known=thick),
+        relaxation(none),
+        sliding(marker_s, none, np.zeros(0)),
+        giving(none, 0),
+        posture_bias(none, np.array([[1.0, 0.0]])),  # per N of the largest force
+        patches(marker_s, beam_length, tag_size, np.zeros(0)),
+        length(),
+        *discrepancy(none, tags, beam_length, 0),
+    )
+
+
+def course_scale(name: str, parameters: int, largest: float, bend: float, elapsed: float) -> Array:
+    """(n,) factors on an allowance's `prior_sd`: `largest` N, the largest force so far; `bend` the largest displacement
+    over the length; `elapsed` s, integral of that over time."""
+    if name == "posture":
+        return np.asarray((largest or 1.0) / np.tile(bend ** np.arange(1.0, DEGREE + 1.0), parameters // DEGREE))
+    if name in OF_COURSE:
+        each = np.append(bend**-_POWER, 1.0 / elapsed if elapsed > 0.0 else 1.0)
+        return np.tile(each, parameters // _SMOOTH)
+    return np.ones(parameters)
+
+
+class CourseSoFar:
+    """The course of a push, from frames as they come."""
+
+    def __init__(self, marker_s: Array) -> None:
+        self._marker_s = marker_s
+        self._rest = np.full(len(marker_s), np.nan)  # rad, of each tag
+        self._turn = np.zeros(len(marker_s))
+        self._time = np.nan
+        self.elapsed = 0.0  # s, integral of the displacement over the length
+
+    def terms(
+        self, time: float, angle: Array, visible: BoolArray, bend: float, push_s: float, *, back: bool, loaded: bool
+    ) -> Array:
+        """(TERMS,) of the next frame, zero at rest: the turn of the beam at the push, that of the first tag, the powers
+        of the displacement, the discrepancy's functions.
+
+        `angle` (m,) rad of the tags where `visible`; `bend` displacement over the length; `back`: the load falls.
+        """
+        unknown = visible & (np.isnan(self._rest) | (not loaded))
+        self._rest[unknown] = angle[unknown]
+        if not loaded:
+            self._time, self._turn = time, np.zeros_like(self._turn)
+            return np.zeros(TERMS)
+        step, self._time = time - self._time, time
+        self.elapsed += bend * step if np.isfinite(step) else 0.0
+        turn = angle[visible] - self._rest[visible]
+        before = self._turn[visible]
+        self._turn[visible] = turn - 2.0 * np.pi * np.round((turn - before) / (2.0 * np.pi))
+        run = PushCourse(*np.array([[time], [bend], [back], [self.elapsed]], dtype=float), self._turn[None])
+        at_push = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
+        return np.concatenate([at_push, self._turn[:1], powers(run.bend)[0], smooth_functions(run)[0]])
