@@ -8,11 +8,7 @@ import numpy as np
 
 from onebend.beam.grid import apply, transposed
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.nodal_forces import (
-    normal_and_shear,
-    strain_by_force,
-    turned_followers,
-)
+from onebend.beam.statics.nodal_forces import turned_followers
 from onebend.records import Array
 
 
@@ -115,17 +111,14 @@ def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Arr
     integrate r'. None where they stay."""
     problem, out = solved.problem, None
     if part.force is not None and problem.compliance is not None:
-        by_force, force = strain_by_force(problem, solved.forces), part.force
+        by_force, force = solved.strain_by_force, part.force
         strained = by_force[..., :1] * force[..., :1, :] + by_force[..., 1:] * force[..., 1:, :]  # (T, Q, 2, P)
         flat = rows @ strained.reshape(*strained.shape[:2], -1)
         out = flat.reshape(*flat.shape[:2], *strained.shape[2:])
     if part.compliance is not None:
-        (stretch, shear), functions = part.compliance
-        normal, transverse = normal_and_shear(problem, solved.q)
-        cos, sin = solved.forces.cos, solved.forces.sin
-        along, across = stretch * normal, shear * transverse
-        way = np.stack([along * cos - across * sin, along * sin + across * cos], axis=-2)  # (T, 2, Q)
-        by_node = rows[..., None, :] * way[:, None]
+        size, functions = part.compliance
+        way = solved.strained if size is problem.compliance else solved.strained_by(size)
+        by_node = rows[..., None, :] * transposed(way)[:, None]
         more = by_node @ (functions if functions.ndim == 2 else functions[:, None])
         out = more if out is None else out + more
     return out
@@ -141,7 +134,7 @@ def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array])
     """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` with the compliance."""
     (stretch, shear), functions = compliance
     problem = solved.problem
-    normal, transverse = normal_and_shear(problem, solved.q)
+    normal, transverse = solved.normal_and_shear
     return problem.length * problem.weights * (stretch - shear) * normal * transverse, functions
 
 

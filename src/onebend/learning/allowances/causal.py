@@ -95,9 +95,11 @@ class CourseSoFar:
             return np.zeros(TERMS)
         step, self._time = time - self._time, time
         self.elapsed += bend * step if np.isfinite(step) else 0.0
-        turn = angle[visible] - self._rest[visible]
-        before = self._turn[visible]
-        self._turn[visible] = turn - 2.0 * np.pi * np.round((turn - before) / (2.0 * np.pi))
+        turn = angle - self._rest
+        turn -= 2.0 * np.pi * np.round((turn - self._turn) / (2.0 * np.pi))
+        self._turn = np.where(visible, turn, self._turn)
+        out = np.empty(TERMS)
         run = PushCourse(*np.array([[time], [bend], [back], [self.elapsed]], dtype=float), self._turn[None])
-        at_push = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
-        return np.concatenate([at_push, self._turn[:1], powers(run.bend)[0], smooth_functions(run)[0]])
+        out[SLIDE] = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
+        out[CLAMP], out[POSTURE], out[SMOOTH] = self._turn[0], powers(run.bend), smooth_functions(run)
+        return out

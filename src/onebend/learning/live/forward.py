@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
+from onebend.beam.grid import paired
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.nodal_forces import centreline_slope, nodal_forces
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.beam.statics.perturbation import Perturbation, minus_gradient, moved_by_strain
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.causal import CLAMP, POSTURE, SLIDE, SMOOTH
@@ -161,7 +162,7 @@ class _RestShift:
         lag, share = memory.lag(bending), float(session.layout.get(x, "relaxation")[0])
         factor, away = shift_factor(share, memory.reached), lag[..., 0] - memory.reached * bending
         self.q0 = straight + factor * away
-        self.derivatives = np.stack([(1.0 + factor * memory.reached) ** 2 * away, factor * lag[..., 1]], axis=-1)
+        self.derivatives = paired((1.0 + factor * memory.reached) ** 2 * away, factor * lag[..., 1])
 
 
 class _Tags:
@@ -173,7 +174,9 @@ class _Tags:
         s = np.clip(wanted, 0.0, 1.0)
         integral, value = push_grid.places(s)
         self._rows, self._solved, over = float(problem.length) * integral, solved, session.length * (wanted - s)
-        slope, lever = centreline_slope(problem, q), solved.forces.lever
+        slope, lever = paired(solved.forces.cos, solved.forces.sin), solved.forces.lever
+        if problem.compliance is not None:
+            slope += solved.strained
         self._xy = self._rows @ slope  # (B, m, 2)
         self.by_shape = np.empty((len(q), 3 * m, q.shape[1]))
         ways = lever.swapaxes(1, 2)[:, :, None] * self._rows  # (B, 2, m, Q)
@@ -190,7 +193,7 @@ class _Tags:
         on_beam = over <= 0.0
         onward = float(problem.length) / session.length * (value @ slope)
         if not np.all(on_beam):
-            tangent_there = np.stack([np.cos(self.ride.angle), np.sin(self.ride.angle)], axis=-1)
+            tangent_there = paired(np.cos(self.ride.angle), np.sin(self.ride.angle))
             onward = np.where(on_beam[:, None], onward, tangent_there)
         bend = (q @ value.T) * (on_beam / session.length)
         self.motion = self.ride.motion(xy, bend, onward)

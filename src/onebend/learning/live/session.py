@@ -57,12 +57,16 @@ class LiveSession:
         """Whether the mass is among the parameters."""
         return self.mass > 0.0 and self.layout.index["mass", -1].start >= 0
 
-    def prior_scale(self, largest: float, bend: float, elapsed: float) -> Array | float:
+    def prior_scale(self, largest: float, bend: float, elapsed: float) -> Array:
         """(n - p,) factors on the prior sds of all parameters but log k's coefficients; see `course_scale`."""
-        if not any(self.carries(name) for name in OF_COURSE):
-            return 1.0
-        free = [b for b in self.layout.blocks if b.start >= 0][1:]
-        return np.concatenate([course_scale(b.name, len(b.labels), largest, bend, elapsed) for b in free])
+        p = self.layout.spline.count
+        out = np.ones(self.layout.size - p)
+        for name in OF_COURSE:
+            where = self.columns.get(name)
+            if where is not None:
+                count = where.stop - where.start
+                out[where.start - p : where.stop - p] = course_scale(name, count, largest, bend, elapsed)
+        return out
 
     @cached_property
     def patches_on_finer(self) -> Array:

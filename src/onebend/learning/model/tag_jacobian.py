@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from onebend.beam.grid import paired
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.perturbation import Perturbation, Perturbations
 from onebend.beam.statics.problem import Problem
@@ -135,7 +136,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit of the push, with the "direction" of the force log's axes [rad] and its "clock" [s]; see
     `push_blocks`."""
-    turned = np.stack([-push[:, 1], push[:, 0]], axis=-1)
+    turned = paired(-push[:, 1], push[:, 0])
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
@@ -184,12 +185,12 @@ class TagRide:
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return np.stack([cos * self.over - sin * self.across, sin * self.over + cos * self.across], axis=-1)
+        return paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
 
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
-        lever = np.stack([-offset[..., 1], offset[..., 0]], axis=-1)
+        lever = paired(-offset[..., 1], offset[..., 0])
         xy = response[:, :, :2] + lever[..., None] * turn
         return np.concatenate([self.scale * xy, turn], axis=2)
 
@@ -198,10 +199,10 @@ class TagRide:
         the tip. `onward` (F, m, 2): m per m along the beam of its places; None: along the tangent, as it does not
         stretch."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        tangent = np.stack([cos, sin], axis=-1)
+        tangent = paired(cos, sin)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
-        return TagMotion(along, bend, self.scale * np.stack([-sin, cos], axis=-1), xy)
+        return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
 
 
 def free_columns(layout: Layout, recording: int = -1) -> dict[str, slice]:
