@@ -23,12 +23,12 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
+from onebend.learning.inference.descent import MapEstimate
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.misfit import Miss, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
-    MapEstimate,
     OptimizerSettings,
     Optimum,
     estimate_at,

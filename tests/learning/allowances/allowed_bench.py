@@ -45,5 +45,5 @@ def with_everything(*, share: float) -> tuple[FitData, Layout, Array]:
         if block.start >= 0 and block.name != "force":
             x[block.where] = 0.5 * block.prior_sd * rng.choice([-1.0, 1.0], len(block.prior_sd))
     x[layout.index["stiffness", -1].where] = np.log(0.03) + 0.3 * np.cos(np.arange(7))
-    x[layout.index["relaxation", -1].where] = share, 0.3
+    x[layout.index["relaxation", -1].where] = share * np.array([0.4, 1.0, -0.2])
     return one, layout, x

@@ -37,23 +37,22 @@ def worst(share: float) -> dict[str, float]:
 def test_of_a_beam_that_does_not_relax() -> None:
     found = worst(share=0.0)
     assert set(found) >= EVERY_ALLOWANCE
-    del found["relaxation"]  # of which no time shows; see below
     assert {name: off for name, off in found.items() if not off < 1e-6} == {}
 
 
 def test_of_a_beam_that_relaxes() -> None:
-    """The memory of the material is in the derivatives to first order in what relaxes, but for the force log's error:
-    that enters as each frame's own force does, without memory."""
+    """A clamp that gives turns the beam by another angle in each frame: its memory is that of a steady turn."""
     found = worst(share=0.06)
-    assert found.pop("force") < 0.05
-    assert {name: off for name, off in found.items() if not off < 5e-3} == {}
+    assert found.pop("clamp gives") < 0.02
+    assert found.pop("force") < 0.01
+    assert {name: off for name, off in found.items() if not off < 5e-4} == {}
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-3])
 def test_of_the_share_that_relaxes(share: float) -> None:
     one, layout, x = with_everything(share=share)
     now = predict(one, layout, x, predict(one, layout, x, None).solved.q)
-    at, h = layout.index["relaxation", -1].start, 1e-3
+    at, h = layout.index["relaxation", -1].start + 1, 1e-3
     step = h * (np.arange(len(x)) == at)
     up, down = (predict(one, layout, x + sign * step, now.solved.q).pose for sign in (1.0, -1.0))
     numeric = (up - down) / (2.0 * h)

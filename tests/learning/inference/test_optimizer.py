@@ -9,15 +9,13 @@ import pytest
 from scipy.stats import norm
 
 from onebend.learning.inference import optimizer
+from onebend.learning.inference.descent import MapEstimate, _misfit, descend
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
 from onebend.learning.inference.linear_gaussian import data_information, posterior_of, residual_rows, residuals
 from onebend.learning.inference.optimizer import (
-    MapEstimate,
     OptimizerSettings,
     _at_mean_stiffness,
     _coarse,
-    _descend,
-    _misfit,
     estimate_at,
     find_maximum,
 )
@@ -40,7 +38,7 @@ class Rounds:
         self.problem = FitProblem((), Layout(Spline(8), (), 0), 0.0, first)
         patch.setattr(optimizer, "prior", lambda *_: None)
         patch.setattr(optimizer, "_coarse", lambda problem, _: problem.expected)
-        patch.setattr(optimizer, "_descend", self.descend)
+        patch.setattr(optimizer, "descend", self.descend)
         patch.setattr(optimizer, "_new_hyperparameters", self.new_hyperparameters)
 
     def descend(self, _: FitProblem, estimate: MapEstimate, *rest: object) -> MapEstimate:
@@ -97,7 +95,7 @@ def test_a_search_ends_where_a_step_further_gains_next_to_nothing() -> None:
     start = np.zeros(problem.layout.size)
     start[:8] = np.log(0.04)
     before = prior(problem, expected)
-    settled = _descend(problem, estimate_at(problem, start), before, 60, 0.02)
+    settled = descend(problem, estimate_at(problem, start), before, 60, 0.02)
     assert settled.converged
     assert settled.steps < 15
     rows = [residual_rows(settled.predictions[0], expected.noise[0])]
@@ -112,7 +110,7 @@ def test_the_answer_is_at_the_mean_of_log_k_with_all_else_refitted() -> None:
     problem = evidence.problem
     start = np.zeros(problem.layout.size)
     start[:8] = np.log(0.02)
-    settled = _descend(problem, estimate_at(problem, start), prior(problem, expected), 60, 0.02)
+    settled = descend(problem, estimate_at(problem, start), prior(problem, expected), 60, 0.02)
     wanted = settled.x[:8] + 0.05 * np.cos(np.arange(8))
     x, predictions = _at_mean_stiffness(problem, settled, wanted, evidence.posterior(expected).covariance)
     np.testing.assert_allclose(x[:8], wanted, atol=1e-4)

@@ -35,7 +35,7 @@ from onebend.beam.statics.nodal_forces import (
     turned_followers,
 )
 from onebend.beam.statics.problem import Problem
-from onebend.records import Array, BoolArray
+from onebend.records import Array, BoolArray, IntArray
 
 _TABULATED = 48  # nodes up to which B^T diag(d) B is done by a table
 RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
@@ -58,6 +58,12 @@ class Equilibrium:
     def resolved(self) -> BoolArray:
         """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
         return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
+
+    def take(self, chosen: IntArray) -> Equilibrium:
+        """Some of the frames."""
+        problem, q, converged, stable = self.problem.take(chosen), self.q[chosen], self.converged, self.stable
+        reached, buckled_at, fell = self.load_factor[chosen], self.buckled_at[chosen], self.fell[chosen]
+        return Equilibrium(problem, q, converged[chosen], stable[chosen], reached, buckled_at, fell, self.iterations)
 
     @cached_property
     def alpha(self) -> Array:

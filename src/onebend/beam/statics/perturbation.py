@@ -9,7 +9,7 @@ import numpy as np
 from onebend.beam.grid import apply, transposed
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.nodal_forces import turned_followers
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,26 @@ class Perturbation:
         """Both sets of parameters, one after the other."""
         return Perturbations(self.parts + other.parts)
 
+    def take(self, chosen: IntArray) -> Perturbation:
+        """At some of the frames."""
+
+        def pick(x: Array, plain: int) -> Array:
+            return x[chosen] if x.ndim > plain and len(x) > 1 else x
+
+        elastic, compliance = self.elastic, self.compliance
+        if elastic is not None:
+            elastic = pick(elastic[0], 1), pick(elastic[1], 2)
+        if compliance is not None:
+            (stretch, shear), functions = compliance
+            compliance = (pick(stretch, 1), pick(shear, 1)), pick(functions, 2)
+        return Perturbation(
+            None if self.force is None else pick(self.force, 3),
+            None if self.moment is None else pick(self.moment, 2),
+            elastic,
+            self.clamp,
+            compliance,
+        )
+
 
 @dataclass(frozen=True)
 class Perturbations:
@@ -50,6 +70,10 @@ class Perturbations:
     def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
         """Those of `other` after these."""
         return Perturbations(self.parts + other.parts)
+
+    def take(self, chosen: IntArray) -> Perturbations:
+        """At some of the frames."""
+        return Perturbations(tuple(part.take(chosen) for part in self.parts))
 
     @property
     def columns(self) -> list[tuple[slice, Perturbation]]:

@@ -1,9 +1,11 @@
-"""The material relaxes: a standard linear solid at every place, `M = k_i (q - a q_v)`, `tau q_v' = q - q_v`.
+"""The material relaxes: a generalised Maxwell solid at every place.
 
-k_i is the instantaneous stiffness; step and hold, and the force falls as `1 - a (1 - exp(-t / tau))`. A static model
-that is learned from a push finds the secant modulus `k = k_i (1 - a c)`, where c is the mean share of the curvature
-that q_v has reached, weighted by its square. The fit's k(s) is that: it says how the beam answers a push like this
-one.
+`M = k_i (q - sum a_j v_j)` with `tau_j v_j' = q - v_j`. k_i is the instantaneous stiffness; step and hold, and the
+force falls as `1 - sum a_j (1 - exp(-t / tau_j))`. The times tau_j are fixed and each has its own share a_j: shares
+enter almost linearly, where a time that is free bends the valley of what the data leave open, and a material whose time
+lies between two of these is met by shares of both. A static model that is learned from a push finds the secant modulus
+`k = k_i (1 - c)`: c is the mean part of the curvature that `v = sum a_j v_j` has reached, weighted by its square. The
+fit's k(s) is that: it says how the beam answers a push like this one.
 """
 
 from __future__ import annotations
@@ -14,97 +16,101 @@ from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.allowances.course import PushCourse
 from onebend.records import Array
 
-SHARE_SD = 0.06  # a, share of the stiffness that relaxes
-USUAL_TIME, TIME_SD = 3.0, 1.0  # s, tau, and one sd of its log
-_STEP = 1e-3  # of log tau, for its derivative
-_FARTHEST = 10.0  # of log tau over the usual: beyond, all or nothing has relaxed
-_LARGEST = 0.9  # of a c: beyond, nothing would be left of the stiffness
+TIMES = np.array([1.0, 3.0, 9.0])  # s, tau_j
+SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
+LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 
 
 def relaxation(run: PushCourse) -> Allowance:
-    """The share a that relaxes, and the log of its time over the usual one."""
-    labels, sd = ("relaxing share", "log of relaxation time"), np.array([SHARE_SD, TIME_SD])
-    return Allowance("relaxation", "relaxation", "1", labels, sd, run.time, shared=True)
+    """The shares that relax with each of the times."""
+    labels = tuple(f"share that relaxes within {t:g} s" for t in TIMES)
+    return Allowance("relaxation", "relaxation", "1", labels, np.full(len(TIMES), SHARE_SD), run.time, shared=True)
 
 
-def lagged(time: Array, q: Array, tau: float) -> Array:
-    """(T, Q) q_v of curvatures q (T, Q) that are straight in `time` (T,) [s] between frames, from rest at the first."""
-    kept, before, now = lag_weights(np.diff(time), tau)[0]
-    out = np.zeros_like(q)
-    for i in range(len(kept)):
-        out[i + 1] = kept[i] * out[i] + before[i] * q[i] + now[i] * q[i + 1]
+def lags(time: Array) -> Array:
+    """(n, T, T): each turns values that are straight in `time` (T,) [s] between frames, from rest at the first frame,
+    into those that lag behind them with one of the times."""
+    kept, before, now = lag_weights(np.diff(time))
+    out = np.zeros((len(TIMES), len(time), len(time)))
+    for i in range(len(time) - 1):
+        out[:, i + 1] = kept[:, i, None] * out[:, i]
+        out[:, i + 1, i] += before[:, i]
+        out[:, i + 1, i + 1] += now[:, i]
     return out
 
 
-def lag_weights(seconds: Array, tau: float) -> tuple[Array, Array]:
-    """(3, N) weights of one step of `seconds` (N,), and their derivatives with log tau: q_v at its end is made of q_v
-    before it, of q before it and of q at its end."""
-    step = np.maximum(seconds / tau, np.finfo(float).tiny)  # frames of one instant are one
+def lag_weights(seconds: Array) -> tuple[Array, Array, Array]:
+    """(n, N) each, of steps of `seconds` (N,): at the end of a step v_j is made of v_j before it, of q before it, and of
+    q at its end."""
+    step = np.maximum(seconds / TIMES[:, None], np.finfo(float).tiny)  # frames of one instant are one
     decay = np.exp(-step)
     mean = -np.expm1(-step) / step
-    by_decay, by_mean = step * decay, mean - decay
-    return np.stack([decay, mean - decay, 1.0 - mean]), np.stack([by_decay, by_mean - by_decay, -by_mean])
+    return decay, mean - decay, 1.0 - mean
 
 
-def relaxation_time_of(values: Array) -> float:
-    """tau [s]."""
-    return USUAL_TIME * float(np.exp(np.clip(values[1], -_FARTHEST, _FARTHEST)))
+def memory(shares: Array, time: Array) -> Array:
+    """(T, T): v of curvatures q (T, Q) is `memory @ q`."""
+    return np.tensordot(shares, lags(time), 1)
 
 
-def rest_shift(values: Array, time: Array, q: Array, weights: Array) -> Array:
+def rest_shift(remembering: Array, q: Array, weights: Array) -> Array:
     """(F, Q) rad by which relaxation shifts the curvature at rest, the stiffness being the secant one.
 
-    `values` (2,) the allowance's; `q` (F, Q) the curvature over the one at rest, F - T frames at rest after those of
-    `time` (T,). From `k_i (q - a q_v) = k (q - a (q_v - c q) / (1 - a c))`.
+    `remembering` (T, T) is the `memory` of the first T frames; `q` (F, Q) the curvature over the one at rest, F - T
+    frames at rest behind. From `k_i (q - v) = k (q - (v - c q) / (1 - c))`.
     """
-    share, tau = float(values[0]), relaxation_time_of(values)
-    count, out = len(time), np.zeros_like(q)
-    lag = lagged(time, q[:count], tau)
-    reached = reached_share(lag, q[:count], weights)
-    out[:count] = (lag - reached * q[:count]) * shift_factor(share, reached)
+    count, out = len(remembering), np.zeros_like(q)
+    v = remembering @ q[:count]
+    reached = reached_part(v, q[:count], weights)
+    out[:count] = (v - reached * q[:count]) / (1.0 - min(reached, LARGEST))
     return out
 
 
-def shift_factor(share: float, reached: float) -> float:
-    """`a / (1 - a c)`: of the shift over `q_v - c q`."""
-    return share / (1.0 - min(share * reached, _LARGEST))
-
-
-def reached_share(lag: Array, q: Array, weights: Array) -> float:
-    """c: the share of the curvature q (T, Q) that q_v (T, Q) has reached, over all of the push."""
+def reached_part(v: Array, q: Array, weights: Array) -> float:
+    """c: the part of the curvature q (T, Q) that v (T, Q) has reached, over all of the push."""
     square = float(np.sum(weights * q**2))
-    return float(np.sum(weights * q * lag)) / square if square > 0.0 else 0.0
+    return float(np.sum(weights * q * v)) / square if square > 0.0 else 0.0
 
 
-def secant_share(values: Array, time: Array, q: Array, weights: Array) -> float:
-    """`1 - a c`: the secant stiffness over the instantaneous one."""
-    lag = lagged(time, q[: len(time)], relaxation_time_of(values))
-    return 1.0 - float(values[0]) * reached_share(lag, q[: len(time)], weights)
+def secant_share(remembering: Array, q: Array, weights: Array) -> float:
+    """`1 - c`: the secant stiffness over the instantaneous one."""
+    count = len(remembering)
+    return 1.0 - reached_part(remembering @ q[:count], q[:count], weights)
 
 
-def remembered(values: Array, time: Array, q: Array, weights: Array, change: Array) -> Array:
+def remembered(remembering: Array, q: Array, weights: Array, change: Array) -> Array:
     """(F, Q, P) by which the curvature at rest shifts with changes (F, Q, P) of the curvature, to first order."""
-    share, tau = float(values[0]), relaxation_time_of(values)
-    count, p = len(time), change.shape[-1]
-    lag = lagged(time, q[:count], tau)
-    moved = change[:count]
-    lag_moved = lagged(time, moved.reshape(count, -1), tau).reshape(moved.shape)
-    reached, square = reached_share(lag, q[:count], weights), float(np.sum(weights * q[:count] ** 2))
-    weighted = np.broadcast_to(weights, lag.shape)[..., None] * np.stack(
-        [lag - 2.0 * reached * q[:count], q[:count]], -1
-    )
-    by_shape = np.einsum("tq,tqp->p", weighted[..., 0], moved) + np.einsum("tq,tqp->p", weighted[..., 1], lag_moved)
+    count, p = len(remembering), change.shape[-1]
+    bent, moved = q[:count], change[:count]
+    v = remembering @ bent
+    v_moved = (remembering @ moved.reshape(count, -1)).reshape(moved.shape)
+    reached, square = reached_part(v, bent, weights), float(np.sum(weights * bent**2))
+    w = np.broadcast_to(weights, bent.shape)
+    by_shape = np.einsum("tq,tqp->p", w * (v - 2.0 * reached * bent), moved) + np.einsum("tq,tqp->p", w * bent, v_moved)
     reached_moved = by_shape / max(square, np.finfo(float).tiny)  # (P,)
-    rest = 1.0 - min(share * reached, _LARGEST)
+    left = 1.0 - min(reached, LARGEST)
     out = np.zeros((len(q), q.shape[1], p))
-    direct = lag_moved - reached * moved - q[:count, :, None] * reached_moved
-    out[:count] = direct * (share / rest)
-    out[:count] += (lag - reached * q[:count])[..., None] * (reached_moved * (share / rest) ** 2)
+    out[:count] = (v_moved - reached * moved - bent[..., None] * reached_moved) / left
+    out[:count] += (v - reached * bent)[..., None] * (reached_moved / left**2)
     return out
 
 
-def shift_derivatives(values: Array, time: Array, q: Array, weights: Array) -> Array:
-    """(F, Q, 2) of `rest_shift` with the allowance's parameters, q staying as it is."""
-    steps = _STEP * np.eye(2)
-    pairs = [(rest_shift(values + h, time, q, weights), rest_shift(values - h, time, q, weights)) for h in steps]
-    return np.stack([(up - down) / (2.0 * _STEP) for up, down in pairs], axis=-1)
+def shift_derivatives(shares: Array, time: Array, q: Array, weights: Array) -> Array:
+    """(F, Q, n) of `rest_shift` with the shares, q staying as it is."""
+    every = lags(time) @ q[: len(time)]  # (n, T, Q)
+    bent, out = q[: len(time)], np.zeros((*q.shape, len(shares)))
+    reached = np.array([reached_part(one, bent, weights) for one in every])
+    _, out[: len(time)] = shift_of_lags(shares, np.moveaxis(every, 0, -1), bent, reached)
+    return out
+
+
+def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tuple[Array, Array]:
+    """(F, Q) and (F, Q, n): what `rest_shift` returns, and its derivatives with the shares (n,).
+
+    `every` (F, Q, n) the curvatures v_j that lag behind q (F, Q), `reached` (n,) the part of q that each has reached.
+    """
+    all_reached = min(float(shares @ reached), LARGEST)
+    away = every @ shares - all_reached * q
+    direct = (every - q[..., None] * reached) / (1.0 - all_reached)
+    by_shares = direct + away[..., None] * (reached / (1.0 - all_reached) ** 2)
+    return away / (1.0 - all_reached), by_shares

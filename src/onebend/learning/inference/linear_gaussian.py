@@ -112,25 +112,33 @@ def tag_information(
     y = rows.r + slopes.times(x[mine])
     shrinkage, ay = force_shrinkage(rows, noise), rows.by_force(y)
     aj = np.swapaxes(rows.a, 1, 2) @ slopes.j  # (F, 2, C - 2 K)
-    j, flat, count = slopes.j.reshape(-1, aj.shape[-1]), y.ravel(), aj.shape[-1]
-    lowered = shrinkage @ np.concatenate([aj, rows.gram @ slopes.axes, ay[..., None]], axis=-1)
-    by_j, by_log, by_y = np.split(lowered, [count, count + 2], axis=-1)
+    j, count = slopes.j.reshape(-1, aj.shape[-1]), aj.shape[-1]
+    lowered = shrinkage @ np.concatenate([aj, rows.gram @ slopes.axes], axis=-1)
+    by_j, by_log = np.split(lowered, [count], axis=-1)
     inside = np.zeros((len(mine), len(mine)))
     inside[:count, :count] = (j.T @ j - aj.reshape(-1, count).T @ by_j.reshape(-1, count)) / variance
     onto = -slopes.axes.T / noise.force**2
-    of_force = (onto @ np.concatenate([by_j, by_y], axis=-1)).reshape(frames, -1)
-    across = (slopes.weights.T @ of_force).reshape(2 * k, count + 1)  # (2 K, C - 2 K + 1)
-    inside[count:, :count], inside[:count, count:] = across[:, :count], across[:, :count].T
+    across = (slopes.weights.T @ (onto @ by_j).reshape(frames, -1)).reshape(2 * k, count)
+    inside[count:, :count], inside[:count, count:] = across, across.T
     pairs = (slopes.weights[:, :, None] * (-onto @ by_log).reshape(frames, 1, 4)).reshape(frames, 4 * k)
     knots = (slopes.weights.T @ pairs).reshape(k, k, 2, 2)
     inside[count:, count:] = knots.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
-    b = np.concatenate([(j.T @ flat - by_j.reshape(-1, count).T @ ay.ravel()) / variance, across[:, count]])
-    c = (flat @ flat - np.sum(ay * by_y[..., 0])) / variance
+    c = (np.sum(y**2) - np.sum(ay * np.einsum("fde,fe->fd", shrinkage, ay))) / variance
     spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * rows.gram)[1]
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
-    information, right = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
-    information[np.ix_(mine, mine)], right[mine] = inside, b
-    return InformationForm(information, right, float(c), log_noise)
+    information = np.zeros((layout.size, layout.size))
+    information[np.ix_(mine, mine)] = inside
+    return InformationForm(information, tag_score(rows, layout, number, y, noise), float(c), log_noise)
+
+
+def tag_score(rows: ResidualRows, layout: Layout, number: int, r: Array, noise: RecordingNoise) -> Array:
+    """(P,) `J' S^-1 r` of weighted residuals r (F, R) of one recording."""
+    slopes, out = rows.slopes, np.zeros(layout.size)
+    unexplained, force = split_off_force(rows, r, noise)
+    of_tags = slopes.j.reshape(-1, slopes.j.shape[-1]).T @ unexplained.ravel() / noise.marker**2
+    of_knots = -slopes.weights.T @ (force @ slopes.axes) / noise.force**2
+    out[layout.known_to(number)] = np.concatenate([of_tags, of_knots.ravel()])
+    return out
 
 
 def rest_information(problem: FitProblem) -> InformationForm:

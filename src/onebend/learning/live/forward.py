@@ -16,7 +16,7 @@ from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.causal import CLAMP, POSTURE, SLIDE, SMOOTH
 from onebend.learning.allowances.discrepancy import ANGLE, XY, of_axes
 from onebend.learning.allowances.posture import on_each_axis
-from onebend.learning.allowances.relaxation import shift_factor
+from onebend.learning.allowances.relaxation import shift_of_lags
 from onebend.learning.live.session import LiveSession, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
@@ -34,20 +34,22 @@ from onebend.records import Array, BoolArray
 _NEWTON_ITERATIONS = 8  # at most, before the shape is sought from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
 _TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
-REACHED = 0.5  # c: k on the way is the stiffness of a beam that has relaxed so far
+# Parts of the curvature that those which lag behind it (`TIMES`) are taken to reach: on the way k is the secant
+# stiffness of such a push.
+REACHED = np.array([0.8, 0.5, 0.25])
 
 
 @dataclass(frozen=True)
 class Memory:
-    """What a beam that relaxes remembers in B frames: q_v is `before + now q`, q being the curvature over that at rest;
-    and the same of its derivative with the log of the relaxation time, as the last of two."""
+    """What a beam that relaxes remembers in B frames: the curvatures that lag behind are `before + now q`, q being the
+    curvature over that at rest; for each of the r `TIMES`."""
 
-    before: Array  # (B, Q, 2) rad
-    now: Array  # (B, 2)
-    reached: float = REACHED
+    before: Array  # (B, Q, r) rad
+    now: Array  # (B, r)
+    reached: Array  # (r,)
 
-    def lag(self, bending: Array) -> Array:
-        """(B, Q, 2) rad, of shapes bent by (B, Q)."""
+    def lags(self, bending: Array) -> Array:
+        """(B, Q, r) rad, of shapes bent by (B, Q)."""
         return self.before + self.now[:, None, :] * bending[..., None]
 
 
@@ -70,7 +72,7 @@ class LinearisedTags:
     converged: BoolArray  # (B,)
     q: Array  # (B, Q) rad
     by_force: Array  # (B, Q, 2) of q with the logged force: where to start from next time
-    lag: Array  # (B, Q, 2) rad, q_v and its derivative with the log of the relaxation time
+    lags: Array  # (B, Q, r) rad, curvatures that lag behind q
     pose: Array  # (B, m, 3)
     j: Array  # (B, m, 3, n) with the parameters
     a: Array  # (B, m, 3, 2) with the logged force, per N
@@ -95,16 +97,16 @@ def linearise(
 
     The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
     for the force. What a beam that relaxes remembers is taken at `start`, and as given: it has no derivatives but those
-    with share and time.
+    with the shares.
     """
     layout = session.layout
     axes, bases = _axes(layout, x), _Bases(session, inputs.terms)
     logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ axes.T
     straight = push_grid.rest_on_nodes @ layout.get(x, "curvature")
-    shift = _RestShift(session, x, inputs.memory, start, straight)
-    loaded = _loaded_beam(session, push_grid, x, logged + bases.force @ layout.get(x, "posture"), inputs, shift.q0)
+    q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
+    loaded = _loaded_beam(session, push_grid, x, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
     q, converged, factors = _shapes(push_grid, loaded, start)
-    bent = _bent(session, push_grid, loaded, shift.derivatives, q, converged)
+    bent = _bent(session, push_grid, loaded, by_shares, q, converged)
     changes = balance_changes(bent)
     columns, tags = response_columns(changes), _Tags(session, push_grid, x, bent.solved)
     right = minus_gradient(bent.solved, columns.changes)
@@ -121,8 +123,8 @@ def linearise(
     put_blocks(j, session.columns, blocks | further)
     put_tags(j, session.columns, tags.motion)
     pose = tags.pose + bases.moved(x)
-    by_force, lag = both[:, 3 * m :].swapaxes(1, 2) @ axes, inputs.memory.lag(q - straight)
-    return LinearisedTags(converged, q, by_force, lag, pose, j, blocks["push"] @ axes)
+    by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ axes, inputs.memory.lags(q - straight)
+    return LinearisedTags(converged, q, by_force, lags, pose, j, blocks["push"] @ axes)
 
 
 class _Bases:
@@ -151,18 +153,17 @@ class _Bases:
         return sum((basis @ self._layout.get(x, name) for name, basis in self._poses.items()), start=0.0)
 
 
-class _RestShift:
-    """The curvature at rest of a beam that remembers, and how it goes with the share that relaxes and its time."""
-
-    def __init__(self, session: LiveSession, x: Array, memory: Memory, start: Array | None, straight: Array) -> None:
-        self.q0, self.derivatives = straight, None  # (Q,) or (B, Q) rad; (B, Q, 2), None where nothing relaxes
-        if not session.carries("relaxation"):
-            return
-        bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
-        lag, share = memory.lag(bending), float(session.layout.get(x, "relaxation")[0])
-        factor, away = shift_factor(share, memory.reached), lag[..., 0] - memory.reached * bending
-        self.q0 = straight + factor * away
-        self.derivatives = paired((1.0 + factor * memory.reached) ** 2 * away, factor * lag[..., 1])
+def _rest_shift(
+    session: LiveSession, x: Array, memory: Memory, start: Array | None, straight: Array
+) -> tuple[Array, Array | None]:
+    """(Q,) or (B, Q) rad, the curvature at rest of a beam that remembers, and (B, Q, r) how it goes with the shares that
+    relax; None where nothing does."""
+    if not session.carries("relaxation"):
+        return straight, None
+    bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
+    shares = session.layout.get(x, "relaxation")
+    shift, by_shares = shift_of_lags(shares, memory.lags(bending), bending, memory.reached)
+    return straight + shift, by_shares
 
 
 class _Tags:

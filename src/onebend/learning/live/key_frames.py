@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.learning.allowances.causal import TERMS
+from onebend.learning.allowances.relaxation import TIMES
 from onebend.learning.live.force_process import TimeSpans
 from onebend.records import Array, BoolArray, IntArray
 
@@ -39,7 +40,7 @@ class KeyFrames:
     residual: Array  # (K, m, 3) measured less predicted, where it was linearised
     linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
     rows: Array  # (K, 3 m, n + 3): the same, whitened
-    shape: Array  # (K, Q, 5): `q`, `by_force`, `lag`
+    shape: Array  # (K, Q, 3 + r): `q`, `by_force`, `lags`
 
     @property
     def begin(self) -> Array:
@@ -152,8 +153,8 @@ class KeyFrames:
         return self.shape[..., 1:3]
 
     @property
-    def lag(self) -> Array:
-        """(K, Q, 2) rad, lagged curvature of a beam that relaxes, and its derivative with the log of its time."""
+    def lags(self) -> Array:
+        """(K, Q, r) rad, curvatures that lag behind that of a beam that relaxes."""
         return self.shape[..., 3:]
 
     @property
@@ -228,7 +229,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         residual=room(tags, 3),
         linear=room(tags, 3, parameters + 3),
         rows=room(3 * tags, parameters + 3),
-        shape=room(nodes, 5),
+        shape=room(nodes, 3 + len(TIMES)),
     )
 
 

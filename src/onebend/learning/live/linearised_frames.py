@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.learning.allowances.relaxation import lag_weights, relaxation_time_of, shift_factor
+from onebend.learning.allowances.relaxation import LARGEST, TIMES, lag_weights
 from onebend.learning.live.forward import REACHED, FrameInputs, Memory, linearise
 from onebend.learning.live.key_frames import KeyFrames
 from onebend.learning.live.session import LiveSession, PushGrid, grid_places, nearest_grid_place, push_grid_at
@@ -54,7 +54,7 @@ class Lineariser:
         if len(solved) == 0:
             return set()
         keys.q[solved, :nodes], keys.grid[solved] = there.q[good], push_grid.push_s
-        keys.by_force[solved, :nodes], keys.lag[solved, :nodes] = there.by_force[good], there.lag[good]
+        keys.by_force[solved, :nodes], keys.lags[solved, :nodes] = there.by_force[good], there.lags[good]
         keys.set_linear(solved, point, there.pose[good], there.j[good], there.a[good])
         return set(solved.tolist())
 
@@ -63,67 +63,52 @@ class Lineariser:
 
         The first of all, and averages in the making, keep what they have.
         """
-        nodes, index = len(push_grid.weights), np.array(chosen)
-        now = np.zeros((len(index), 2))
+        now = np.zeros((len(chosen), len(TIMES)))
         if not self._session.carries("relaxation"):
-            return Memory(np.zeros((len(index), nodes, 2)), now)
-        layout = self._session.layout
-        out = self._on_grid(keys, push_grid, chosen)[..., 3:].copy()
+            return Memory(np.zeros((len(chosen), len(push_grid.weights), len(TIMES))), now, REACHED)
+        out, index = self._on_grid(keys, push_grid, chosen)[..., 3:], np.array(chosen)
         follows = (index > 0) & (index < keys.used)
-        if not np.any(follows):
-            return Memory(out, now)
-        last = index[follows] - 1
-        centre = 0.5 * (keys.begin + keys.end)
-        weights, by_log = lag_weights(
-            centre[last + 1] - centre[last], relaxation_time_of(layout.get(point, "relaxation"))
-        )
-        before = self._on_grid(keys, push_grid, last.tolist())
-        bending = before[..., 0] - push_grid.rest_on_nodes @ layout.get(point, "curvature")
-        lag, lag_by_log = before[..., 3], before[..., 4]
-        kept, input_before = weights[0, :, None], weights[1, :, None]
-        out[follows, :, 0] = kept * lag + input_before * bending
-        out[follows, :, 1] = kept * lag_by_log + by_log[0, :, None] * lag + by_log[1, :, None] * bending
-        now[follows] = np.stack([weights[2], by_log[2]], axis=1)
-        return Memory(out, now)
+        if np.any(follows):
+            last = index[follows] - 1
+            centre = 0.5 * (keys.begin + keys.end)
+            kept, before, now[follows] = (w.T for w in lag_weights(centre[last + 1] - centre[last]))
+            shapes = self._on_grid(keys, push_grid, last.tolist())
+            bending = shapes[..., :1] - (push_grid.rest_on_nodes @ self._session.layout.get(point, "curvature"))[:, None]
+            out[follows] = kept[:, None] * shapes[..., 3:] + before[:, None] * bending
+        return Memory(out, now, REACHED)
 
     def secant(self, keys: KeyFrames, point: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n) of the parameters, log k being made that of the secant stiffness of the push so
-        far, `k_i (1 - a c)`."""
+        far, `k_i (1 - c)`."""
         if not self._session.carries("relaxation"):
             return x, covariance
-        layout = self._session.layout
-        where, p = layout.index["relaxation", -1].where, layout.spline.count
-        share, (reached, by_log) = float(layout.get(x, "relaxation")[0]), self._reached(keys, point)
+        layout, reached = self._session.layout, self._reached(keys, point)
+        where, p, shares = layout.index["relaxation", -1].where, layout.spline.count, layout.get(x, "relaxation")
+        left, usual = (1.0 - min(float(shares @ part), LARGEST) for part in (reached, REACHED))
         out, onto = x.copy(), np.eye(len(x))
-        factors = [shift_factor(share, c) for c in (reached, REACHED)]  # 1 + c factor: 1 / (1 - a c)
-        left = [1.0 + factor * c for factor, c in zip(factors, (reached, REACHED), strict=True)]
-        out[:p] += np.log(left[1] / left[0])
-        onto[:p, where] = REACHED * left[1] - reached * left[0], -factors[0] * by_log
+        out[:p] += np.log(left / usual)
+        onto[:p, where] = REACHED / usual - reached / left
         return out, onto @ covariance @ onto.T
 
-    def _reached(self, keys: KeyFrames, point: Array) -> tuple[float, float]:
-        """c, the share of the curvature that the lagged one has reached over the frames in use, and its derivative with
-        the log of the relaxation time."""
-        curvature, rows = self._session.layout.get(point, "curvature"), []
+    def _reached(self, keys: KeyFrames, point: Array) -> Array:
+        """(r,) parts of the curvature that those which lag behind it have reached over the frames in use."""
+        curvature, lagged, square = self._session.layout.get(point, "curvature"), np.zeros(len(TIMES)), 0.0
         for i in range(keys.used):
             if keys.grid[i] != 0.0 and not keys.rest[i]:
                 grid = self._grids[float(keys.grid[i])]
                 q = keys.q[i, : len(grid.weights)] - grid.rest_on_nodes @ curvature
                 here = grid.weights * keys.frames[i] * q
-                rows.append([here @ keys.lag[i, : len(q), 0], here @ keys.lag[i, : len(q), 1], here @ q])
-        if not rows:
-            return REACHED, 0.0
-        lagged, by_log, square = np.sum(rows, axis=0).tolist()
-        return (lagged / square, by_log / square) if square > 0.0 else (REACHED, 0.0)
+                lagged, square = lagged + here @ keys.lags[i, : len(q)], square + float(here @ q)
+        return lagged / square if square > 0.0 else REACHED
 
     def _on_grid(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int]) -> Array:
-        """(B, Q, 5) shapes of key frames, interpolated where they are on another grid."""
+        """(B, Q, 3 + r) shapes of key frames, interpolated where they are on another grid."""
         nodes = push_grid.grid.nodes
         out = keys.shape[chosen][:, : len(nodes)]
         for row, i in zip(out, chosen, strict=True):
             if keys.grid[i] != push_grid.push_s and keys.grid[i] != 0.0:
                 before = self._grids[float(keys.grid[i])].grid.nodes
-                for c in (0, 3, 4):
+                for c in (0, *range(3, out.shape[-1])):
                     row[:, c] = np.interp(nodes, before, keys.shape[i, : len(before), c])
         return out
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.beam.statics.continuation import follow, refine
-from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.equilibrium import Equilibrium, balance
+from onebend.beam.statics.newton import solve_batch
 from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
-from onebend.beam.statics.sensitivity import Response, of_rest_curvature, respond
 from onebend.learning.allowances.allowance import Allowance, Entry
-from onebend.learning.allowances.relaxation import remembered, rest_shift, secant_share, shift_derivatives
+from onebend.learning.allowances.relaxation import memory, rest_shift, secant_share, shift_derivatives
 from onebend.learning.allowances.section import USUAL_THICKNESS
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
@@ -21,7 +21,8 @@ from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
 from onebend.records import Array
 
 _SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
-_MOST_PASSES = 12
+_FARTHEST = 5.0  # rad, of the curvature in one update of Newton's method
+_MOST_PASSES = 16
 
 
 def allowed(recording: FitData, layout: Layout, x: Array, enters: Entry) -> Array | float:
@@ -47,28 +48,39 @@ def allowed_section(recording: FitData, layout: Layout, x: Array) -> Rectangular
 
 
 def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, start: Array | None) -> Equilibrium:
-    """Of a free end; where the material relaxes, each shape hangs on those before it, and all are found in turn.
+    """Of a free end; where the material relaxes, each shape hangs on those before it, and all are found together.
 
     `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q), where shapes are known about.
+    Newton's method on each shape and the shift of its rest take turns.
     """
     values = relaxation_values(recording, layout, x)
-    if values is None or values[0] == 0.0:
+    if values is None or not remembers(recording, layout, x):
         return follow(problem) if start is None else refine(problem, start)
     q = follow(problem).q if start is None else start
-    time, rest = relaxation_time(recording), problem.q0
+    remembering, rest, full = memory(values, relaxation_time(recording)), problem.q0, np.ones(problem.size)
     for _ in range(_MOST_PASSES):
-        shift = rest_shift(values, time, q - rest, problem.weights)
-        solved = refine(replace(problem, q0=rest + shift), q)
-        moved, q = float(np.max(np.abs(solved.q - q))), solved.q
-        if not moved > _SETTLED:
+        shift = rest_shift(remembering, q - rest, problem.weights)
+        residual, matrices = balance(replace(problem, q0=rest + shift), q, full)
+        update = solve_batch(matrices, residual)
+        if not float(np.max(np.abs(update))) < _FARTHEST:  # from here Newton's method alone cannot be trusted
+            q = refine(replace(problem, q0=rest + shift), q).q
+            continue
+        q = q - update
+        if float(np.max(np.abs(update))) < _SETTLED:
             break
-    return solved
+    return refine(replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights)), q)
 
 
 def relaxation_values(recording: FitData, layout: Layout, x: Array) -> Array | None:
-    """(2,) of the material; None where it does not relax."""
+    """(n,) shares of the material that relax; None where nothing is allowed to."""
     every = [_values(recording, layout, x, a) for a in recording.allowances if a.enters == "relaxation"]
     return every[0] if every else None
+
+
+def remembers(recording: FitData, layout: Layout, x: Array) -> bool:
+    """Whether a shape hangs on those before it."""
+    values = relaxation_values(recording, layout, x)
+    return values is not None and bool(np.any(values != 0.0)) and recording.ends is None
 
 
 def relaxation_time(recording: FitData) -> Array:
@@ -77,31 +89,13 @@ def relaxation_time(recording: FitData) -> Array:
 
 
 def relaxation_derivatives(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array | None:
-    """(F, Q, 2) of the curvature at rest, shapes held; None where the material does not relax."""
+    """(F, Q, n) of the curvature at rest, shapes held; None where the material does not relax."""
     values = relaxation_values(recording, layout, x)
     if values is None:
         return None
     return shift_derivatives(
-        values, relaxation_time(recording), _bending(recording, layout, x, solved), solved.problem.weights
+        values, relaxation_time(recording), bending(recording, layout, x, solved), solved.problem.weights
     )
-
-
-def with_memory(
-    recording: FitData, layout: Layout, x: Array, response: Response, poses: Array, s: Array, at_rest: slice
-) -> Array:
-    """(F, S, 3, P) derivatives of poses at places `s` (S,), from those (F, S, 3, P) without the material's memory.
-
-    A change of what the shapes are bent by over the rest curvature, whose own columns are `at_rest`, shifts the
-    curvature at rest of all later ones. To first order in the share that relaxes.
-    """
-    values = relaxation_values(recording, layout, x)
-    if values is None or values[0] == 0.0:
-        return poses
-    solved, change = response.solved, response.q.copy()
-    change[..., at_rest] -= recording.rest_on_nodes
-    bending = _bending(recording, layout, x, solved)
-    shift = remembered(values, relaxation_time(recording), bending, solved.problem.weights, change)
-    return np.asarray(poses + respond(solved, of_rest_curvature(solved.problem, shift)).poses(s))
 
 
 def secant_of(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> float:
@@ -109,9 +103,8 @@ def secant_of(recording: FitData, layout: Layout, x: Array, solved: Equilibrium)
     values = relaxation_values(recording, layout, x)
     if values is None:
         return 1.0
-    return secant_share(
-        values, relaxation_time(recording), _bending(recording, layout, x, solved), solved.problem.weights
-    )
+    remembering = memory(values, relaxation_time(recording))
+    return secant_share(remembering, bending(recording, layout, x, solved), solved.problem.weights)
 
 
 def log_k_functions(recording: FitData) -> dict[str, Array]:
@@ -136,7 +129,7 @@ def clamp_blocks(recording: FitData, by_clamp: Array) -> dict[str, Array]:
     return out | {a.name: a.basis for a in recording.allowances if a.enters == "poses"}
 
 
-def _bending(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array:
+def bending(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array:
     """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
     return np.asarray(solved.q - recording.rest_on_nodes @ layout.get(x, "curvature"))
 

@@ -19,11 +19,11 @@ from onebend.learning.model.allowed import (
     equilibria,
     log_k_functions,
     relaxation_derivatives,
-    relaxation_values,
-    with_memory,
+    remembers,
 )
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
+from onebend.learning.model.memory import remembered_poses
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
@@ -46,7 +46,8 @@ class Slopes:
     """Derivatives of R numbers a frame with the parameters of a film (`at.known_to`) and with each frame's force.
 
     The slow error of the force log comes last of the parameters. It enters by its value in the frame alone, so its K
-    knots are not written out: they have `-a axes` times the frame's weights.
+    knots are not written out: they have `-a axes` times the frame's weights. Where the material remembers earlier
+    frames they are written out, and K is 0.
     """
 
     j: Array  # (F, ..., C - 2 K) with all parameters but that error
@@ -128,7 +129,7 @@ def _slopes(now: Prediction) -> Slopes:
     free, error = free_columns(layout, r), layout.columns("force", r)
     out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
     if recording.ends is None:
-        response = _free_response(now, columns, s)
+        response = respond(solved, columns.changes).poses(s)
         if "length" in columns.slices:
             response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
     else:
@@ -137,10 +138,28 @@ def _slopes(now: Prediction) -> Slopes:
         response, by_end = with_ends_held(poses, recording.ends)
         held = replace(ride, angle=ride.angle[recording.ends.frames])
         put_ends(out, recording.ends, layout, r, held.carry(by_end))
-    blocks = columns.split(ride.carry(response))
-    put_blocks(out, free, blocks | clamp_blocks(recording, blocks["clamp"]))
-    put_tags(out, free, _tag_motion(now, ride, s))
-    return Slopes(out, blocks["push"], axes, recording.error_weights)
+    carried = ride.carry(response)
+    slopes = Slopes(out, columns.split(carried)["push"], axes, recording.error_weights)
+    if remembers(recording, layout, x):
+        memory, of_knots = _memory(now, columns, axes, s)
+        carried = carried + memory
+        slopes = Slopes(slopes.written + of_knots, slopes.a, axes, np.zeros((len(now.pose), 0)))
+    blocks = columns.split(carried)
+    put_blocks(slopes.j, free, blocks | clamp_blocks(recording, blocks["clamp"]))
+    put_tags(slopes.j, free, _tag_motion(now, ride, s))
+    return slopes
+
+
+def _memory(now: Prediction, columns: ResponseColumns, axes: Array, s: Array) -> tuple[Array, Array]:
+    """(F, m, 3, P) what the memory adds to the tags' derivatives with the parameters of `columns`, and (F, m, 3, C),
+    zero but for the knots of the force log's slow error."""
+    memory = remembered_poses(now.recording, now.layout, now.x, now.solved, columns, s)
+    ride = tag_ride(now.recording, now.layout, now.x, now.solved)
+    knots = ride.carry(memory.by_knots)
+    turned = -(knots.reshape(*knots.shape[:3], -1, 2) @ axes).reshape(knots.shape)  # the error is taken off the log
+    of_knots = np.zeros((*knots.shape[:3], len(now.layout.known_to(now.recording.number))))
+    of_knots[..., of_knots.shape[-1] - knots.shape[-1] :] = turned
+    return ride.carry(memory.by_parameters), of_knots
 
 
 def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
@@ -154,18 +173,6 @@ def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
         return ride.motion(xy, bend)
     tangent = np.stack([np.cos(ride.angle), np.sin(ride.angle)], axis=-1)
     return ride.motion(xy, bend, np.where(on_beam[:, None], solved.xy_by_s(s) / written, tangent))
-
-
-def _free_response(now: Prediction, columns: ResponseColumns, s: Array) -> Array:
-    """(F, S, 3, P) derivatives of the poses at places `s` (S,) of a beam whose end is free."""
-    response = respond(now.solved, columns.changes)
-    if relaxation_values(now.recording, now.layout, now.x) is None:
-        return response.poses(s)
-    _ = response.q  # the memory needs it: the poses come from it too
-    poses = response.poses(s)
-    out = with_memory(now.recording, now.layout, now.x, response, poses, s, columns.slices["curvature"])
-    out[..., columns.slices["push"]] = poses[..., columns.slices["push"]]  # each frame's own: no later one hangs on it
-    return out
 
 
 def _bent(now: Prediction) -> BentBeam:

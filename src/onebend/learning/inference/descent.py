@@ -1,0 +1,186 @@
+"""The way down to the most probable parameters at fixed hyperparameters: Levenberg-Marquardt along curved valleys.
+
+Exact data leave narrow valleys in the space of the parameters, and these bend: a straight step along one leaves it
+sideways, by little for the parameters and by many sd for the data. Damping alone would make the steps short. So a trial
+is brought back to the valley first, by Newton's method with the derivatives of the step's beginning (chord method); one
+such correction costs equilibria, but no derivatives. See Transtrum and Sethna (2012) on the geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.linear_gaussian import (
+    ResidualRows,
+    data_information,
+    residual_rows,
+    residuals,
+    rest_information,
+    split_off_force,
+    tag_score,
+)
+from onebend.learning.model.forward import Prediction, predict
+from onebend.records import Array
+
+_FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
+_HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a trial that failed, and after one that did not
+_LONGEST = 1.5  # of log k, in one step
+_CORRECTIONS = 4  # of one trial, at most
+_AS_PROMISED = 0.7  # of the promised gain: a trial that reaches it needs no correction
+_WORTH_GOING_ON = 0.5  # of what is missing: a correction that leaves more of it was the last
+_ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
+_LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
+
+
+@dataclass(frozen=True)
+class MapEstimate:
+    """The most probable parameters found so far."""
+
+    x: Array  # (P,)
+    hyperparameters: Hyperparameters
+    predictions: tuple[Prediction, ...]  # of each recording at x
+    steps: int = 0
+    converged: bool = False
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """The problem about one estimate: z is the whitened parameters, see `Prior`."""
+
+    problem: FitProblem
+    estimate: MapEstimate
+    before: Prior
+    rests: InformationForm
+    rows: Sequence[ResidualRows]
+
+    @cached_property
+    def hessian(self) -> Array:
+        """(P, P) of half the cost with z."""
+        x, hyperparameters = self.estimate.x, self.estimate.hyperparameters
+        data = data_information(self.problem, self.rows, x, hyperparameters)
+        return np.asarray(self.before.root.T @ data.matrix @ self.before.root + np.eye(len(x)))
+
+    @cached_property
+    def slope(self) -> Array:
+        """(P,) minus half the cost's gradient with z."""
+        return self.slope_at(self.estimate.x, [rows.r for rows in self.rows])
+
+    @cached_property
+    def gain(self) -> float:
+        """Of an undamped step, in sd squared."""
+        return float(self.slope @ cho_solve(cho_factor(self.hessian), self.slope))
+
+    def slope_at(self, x: Array, r: Sequence[Array]) -> Array:
+        """(P,) as `slope`, at parameters x with residuals r, (F, R) of each recording, by the derivatives from here."""
+        told = self.rests.vector - self.rests.matrix @ x
+        every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
+        for recording, rows, residual, noise in every:
+            told = told + tag_score(rows, self.problem.layout, recording.number, residual, noise)
+        return np.asarray(self.before.root.T @ told - self.before.whiten(x))
+
+    def residuals_at(self, tried: MapEstimate) -> list[Array]:
+        """(F, R) of each recording, the effect of each frame's own force included, weighted as here."""
+        pairs = zip(self.rows, tried.predictions, strict=True)
+        return [rows.root_weight * residuals(p) + np.einsum("frd,fd->fr", rows.a, p.own) for rows, p in pairs]
+
+    def cost(self, estimate: MapEstimate) -> float:
+        """Minus twice the log posterior at the weights from here, but for a constant; infinite without equilibrium."""
+        if not all_converged(estimate.predictions):
+            return np.inf
+        x = estimate.x
+        every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
+        tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
+        z = self.before.whiten(x)
+        return float(tags + z @ z + x @ self.rests.matrix @ x - 2.0 * self.rests.vector @ x)
+
+
+def all_converged(predictions: Sequence[Prediction]) -> bool:
+    """Whether every frame of every recording has an equilibrium."""
+    return all(np.all(p.solved.converged) for p in predictions)
+
+
+def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
+    """Of every recording, its tags weighted by their noise at the estimate."""
+    pairs = zip(estimate.predictions, estimate.hyperparameters.noise, strict=True)
+    return [residual_rows(prediction, noise) for prediction, noise in pairs]
+
+
+def descend(
+    problem: FitProblem, estimate: MapEstimate, before: Prior, most_steps: int, tolerance: float
+) -> MapEstimate:
+    """The maximum a posteriori at the estimate's hyperparameters; weights and frames' covariances are renewed at every
+    step.
+
+    Damped in z, in which the prior has covariance one: what the data hardly tell is held back, and what they fix well
+    is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
+    of its length. It ends where an undamped step would gain next to nothing.
+    """
+    damping, rests = _FIRST_DAMPING, rest_information(problem)
+    for _ in range(most_steps):
+        here = _Linearised(problem, estimate, before, rests, rows_of(estimate))
+        if here.gain < tolerance**2:
+            return replace(estimate, converged=True)
+        cost, tried = here.cost(estimate), None
+        while damping <= _LARGEST_DAMPING:
+            tried, reached = _trial(here, damping, cost)
+            if reached <= cost + 1e-6:
+                break
+            damping *= _HARDER
+        else:
+            return replace(estimate, converged=here.gain < _ROUNDING)  # no step lowers the cost any more
+        estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
+        if here.gain < _ROUNDING and cost - reached < max(_LITTLE, tolerance**2):
+            return replace(estimate, converged=True)
+    return replace(estimate, converged=False)
+
+
+def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate, float]:
+    """A damped step from an estimate of this cost, corrected while that helps, and the cost that it reaches."""
+    start, root = here.estimate.x, here.before.root
+    factor = cho_factor(here.hessian + damping * np.eye(len(start)))
+    z = cho_solve(factor, here.slope)
+    share = min(1.0, _LONGEST / max(float(np.max(np.abs((root @ z)[: here.problem.layout.spline.count]))), 1e-300))
+    aim, z = share * here.slope, share * z
+    promised = cost - float(2.0 * z @ here.slope - z @ here.hessian @ z)
+    best = _moved(here, here.estimate, [rows.r for rows in here.rows], root @ z)
+    lowest = here.cost(best)
+    tried, reached, offset = best, lowest, z
+    for _ in range(_CORRECTIONS):
+        missing = reached - promised
+        if not np.isfinite(reached) or missing <= (1.0 - _AS_PROMISED) * (cost - promised):
+            break
+        r = here.residuals_at(tried)
+        # of the damped cost, whose slope at the beginning is `aim`, where a step was cut short too
+        correction = cho_solve(factor, here.slope_at(tried.x, r) - (here.slope - aim) - damping * offset)
+        tried, offset = _moved(here, tried, r, root @ correction), offset + correction
+        reached = here.cost(tried)
+        if reached < lowest:
+            best, lowest = tried, reached
+        if reached - promised > _WORTH_GOING_ON * missing:
+            break
+    return best, lowest
+
+
+def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Array) -> MapEstimate:
+    """A trial a step (P,) on, from one whose residuals are r; each frame's own force is then, to first order, the most
+    probable one."""
+    x, layout = begin.x + step, here.problem.layout
+    moved = []
+    every = zip(here.problem.recordings, here.rows, r, begin.predictions, begin.hyperparameters.noise, strict=True)
+    for recording, rows, residual, now, noise in every:
+        left = residual - rows.slopes.times(step[layout.known_to(recording.number)])
+        own = split_off_force(rows, left, noise)[1]
+        moved.append(predict(recording, layout, x, now.solved.q, own))
+    return replace(begin, x=x, predictions=tuple(moved))
+
+
+def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
+    """Minus twice the log probability of the tags' residuals (F, R), and of the frames' own forces (F, 2)."""
+    return float(np.sum(residual**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2

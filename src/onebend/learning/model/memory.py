@@ -1,0 +1,109 @@
+"""Derivatives of a beam whose material remembers: what a parameter changes in one frame goes on in all later ones.
+
+A change of the bending shifts the curvature at rest of all later frames, which changes their bending, and so on. It is
+followed through some frames only, for the memory is smooth in time; what it shifts in the others lies between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.grid import solve_each
+from onebend.beam.statics.equilibrium import Equilibrium, tangent
+from onebend.beam.statics.perturbation import Perturbations, minus_gradient
+from onebend.beam.statics.sensitivity import of_rest_curvature, respond
+from onebend.learning.allowances.relaxation import memory, reached_part, remembered
+from onebend.learning.model.allowed import bending, relaxation_time, relaxation_values
+from onebend.learning.model.fit_data import FitData
+from onebend.learning.model.parameters import Layout
+from onebend.learning.model.tag_jacobian import ResponseColumns
+from onebend.records import Array, IntArray
+
+_KEY_FRAMES = 96  # at most, through which the memory is followed
+_PASSES = 2  # each leaves about the relaxing share of what the one before left
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """What the memory adds to the derivatives of poses at S places of the beam, in F frames."""
+
+    by_parameters: Array  # (F, S, 3, P) m, m, rad per unit
+    by_knots: Array  # (F, S, 3, 2 K) with what is added to the push at each knot of a spline in time, x and y in turn
+
+
+@dataclass(frozen=True)
+class _KeyFrames:
+    """n of the F frames."""
+
+    keys: IntArray  # (n,)
+    between: Array  # (T, n) weights by which values of the key frames stand for all T that remember
+    remembering: Array  # (n, n) see `memory`
+    bending: Array  # (n, Q) rad
+    weights: Array  # (Q,) or (n, Q)
+
+
+def remembered_poses(
+    recording: FitData, layout: Layout, x: Array, solved: Equilibrium, columns: ResponseColumns, s: Array
+) -> Remembered:
+    """At places `s` (S,), with the P parameters of `columns` and with the force at the knots of the log's error."""
+    values, time = relaxation_values(recording, layout, x), relaxation_time(recording)
+    assert values is not None
+    keys = np.unique(np.linspace(0, len(time) - 1, min(len(time), _KEY_FRAMES)).round().astype(np.int64))
+    some, bent = solved.take(keys), bending(recording, layout, x, solved)[keys]
+    between = np.stack([np.interp(time, time[keys], one) for one in np.eye(len(keys))], axis=1)
+    frames = _KeyFrames(keys, between, memory(values, time[keys]), bent, some.problem.weights)
+    first, by_shift = _responses(some, columns.changes.take(keys))
+    by_node = respond(solved, of_rest_curvature(solved.problem, np.eye(bent.shape[1]))).poses(s)  # (F, S, 3, Q)
+    change = first.copy()
+    change[..., columns.slices["curvature"]] -= recording.rest_on_nodes  # the rest that bending counts from
+    shift = _shift(frames, change, by_shift)
+    everywhere = np.tensordot(between, shift, 1)
+    by_parameters = np.zeros((*by_node.shape[:3], shift.shape[-1]))
+    by_parameters[: len(time)] = _at_places(by_node[: len(time)], everywhere)
+    by_knots = np.zeros((*by_node.shape[:3], 2 * recording.error_weights.shape[1]))
+    by_knots[: len(time)] = _by_knots(
+        frames, first[..., columns.slices["push"]], by_node[keys], recording.error_weights[: len(time)]
+    )
+    return Remembered(by_parameters, by_knots)
+
+
+def _responses(some: Equilibrium, changes: Perturbations) -> tuple[Array, Array]:
+    """(n, Q, P) of the curvature to changes, and (n, Q, Q) to the curvature at rest at each node, without memory."""
+    right, problem = minus_gradient(some, changes), some.problem
+    at_nodes = np.broadcast_to(
+        (problem.weights * problem.k)[..., None] * np.eye(some.q.shape[1]), (*some.q.shape, some.q.shape[1])
+    )
+    both = solve_each(tangent(problem, some.q), np.concatenate([right, at_nodes], axis=-1))
+    return both[..., : right.shape[-1]], both[..., right.shape[-1] :]
+
+
+def _shift(frames: _KeyFrames, change: Array, by_shift: Array) -> Array:
+    """(n, Q, P) of the curvature at rest, from changes (n, Q, P) of the bending without memory."""
+    moved = change
+    for _ in range(_PASSES):
+        moved = change + by_shift @ remembered(frames.remembering, frames.bending, frames.weights, moved)
+    return remembered(frames.remembering, frames.bending, frames.weights, moved)
+
+
+def _by_knots(frames: _KeyFrames, by_push: Array, by_node: Array, knots: Array) -> Array:
+    """(T, S, 3, 2 K) with the push at the knots, whose weights in every frame are `knots` (T, K).
+
+    `by_push` (n, Q, 2) of the curvature without memory, `by_node` (n, S, 3, Q) of the poses with the curvature at rest.
+    To first order in what relaxes; that the part c of the curvature that is reached changes too is left out.
+    """
+    n, q, _ = by_push.shape
+    reached = reached_part(frames.remembering @ frames.bending, frames.bending, frames.weights)
+    pushed = by_push[:, :, None, :] * knots[frames.keys][:, None, :, None]  # (n, Q, K, 2)
+    lagging = (frames.remembering @ pushed.reshape(n, -1)).reshape(n, q, -1)
+    later = np.tensordot(frames.between, _at_places(by_node, lagging), 1)
+    at_once = np.tensordot(frames.between, _at_places(by_node, by_push), 1)  # (T, S, 3, 2)
+    now = at_once[..., None, :] * knots[:, None, None, :, None]
+    return np.asarray((later - reached * now.reshape(later.shape)) / (1.0 - reached))
+
+
+def _at_places(by_node: Array, shift: Array) -> Array:
+    """(F, S, 3, P) of poses, from `by_node` (F, S, 3, Q) and shifts (F, Q, P) of the curvature at rest."""
+    rows = by_node.reshape(len(by_node), -1, by_node.shape[-1])
+    return np.asarray((rows @ shift).reshape(*by_node.shape[:3], -1))
