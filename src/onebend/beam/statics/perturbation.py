@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,11 @@ class Perturbation:
     def parts(self) -> tuple[Perturbation, ...]:
         """Itself, as `Perturbations` has it."""
         return (self,)
+
+    @property
+    def columns(self) -> list[tuple[slice, Perturbation]]:
+        """Itself with its place, as `Perturbations` has it."""
+        return [(slice(0, len(self.clamp)), self)]
 
     def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
         """Both sets of parameters, one after the other."""
@@ -75,7 +81,7 @@ class Perturbations:
         """At some of the frames."""
         return Perturbations(tuple(part.take(chosen) for part in self.parts))
 
-    @property
+    @cached_property
     def columns(self) -> list[tuple[slice, Perturbation]]:
         """The parts with their places among all parameters."""
         ends = np.cumsum([0, *(len(part.clamp) for part in self.parts)]).tolist()
@@ -86,7 +92,7 @@ def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbatio
     """(T, Q, P): minus the derivative of the balance's gradient with the parameters at fixed q."""
     problem = solved.problem
     out = np.zeros((*solved.q.shape, len(perturbation.clamp)))
-    for columns, part in Perturbations(perturbation.parts).columns:
+    for columns, part in perturbation.columns:
         turning = work_by_angle(solved, part)
         if turning is not None:
             out[..., columns] += transposed(problem.to_nodes) @ turning

@@ -7,6 +7,8 @@ their prior follows the largest so far (`course_scale`).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
@@ -14,7 +16,7 @@ from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding, turn_at_push
 from onebend.learning.allowances.course import PushCourse
-from onebend.learning.allowances.discrepancy import discrepancy, smooth_functions
+from onebend.learning.allowances.discrepancy import discrepancy_of, smooth_functions
 from onebend.learning.allowances.length import length
 from onebend.learning.allowances.patches import patches
 from onebend.learning.allowances.posture import DEGREE, posture_bias, powers
@@ -35,17 +37,19 @@ CAUSAL_ALLOWANCES: frozenset[AllowanceName] = frozenset(
         "angle discrepancy",
     }
 )
-_SMOOTH = 5  # functions of the discrepancy
-TERMS = 2 + DEGREE + _SMOOTH  # numbers of a frame, see `CourseSoFar.terms`
+_LINEAR = (0, 2)  # those of the discrepancy's functions that are linear in the displacement, on both ways
+# For time's sake these stand for all five. Their sd is such that at the largest displacement they are worth as much.
+_WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))
+TERMS = 2 + DEGREE + len(_LINEAR)  # numbers of a frame, see `CourseSoFar.terms`
 SLIDE, CLAMP = slice(0, 1), slice(1, 2)
 POSTURE, SMOOTH = slice(2, 2 + DEGREE), slice(2 + DEGREE, TERMS)
 OF_COURSE: tuple[AllowanceName, ...] = ("posture", "discrepancy", "angle discrepancy")  # their sds follow the push
-_POWER = np.array([1.0, 2.0, 1.0, 2.0])  # of the displacement, in the discrepancy's functions but the last
 
 
 def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> tuple[Allowance, ...]:
     """All of them, without frames; `tag_size` m, NaN where not known; `thick`: the section's thickness is known."""
     tags = tuple(f"tag {i}" for i in range(1, len(marker_s) + 1))
+    no_functions = np.zeros((0, len(_LINEAR)))
     none = PushCourse(*(np.zeros(0) for _ in range(4)), np.zeros((0, len(marker_s))))
     return (
         section(known=thick),
@@ -55,19 +59,16 @@ def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, t
         posture_bias(none, np.array([[1.0, 0.0]])),  # per N of the largest force
         patches(marker_s, beam_length, tag_size, np.zeros(0)),
         length(),
-        *discrepancy(none, tags, beam_length, 0),
+        *(replace(one, prior_sd=_WORTH * one.prior_sd) for one in discrepancy_of(no_functions, tags, beam_length)),
     )
 
 
-def course_scale(name: str, parameters: int, largest: float, bend: float, elapsed: float) -> Array:
+def course_scale(name: str, parameters: int, largest: float, bend: float) -> Array:
     """(n,) factors on an allowance's `prior_sd`: `largest` N, the largest force so far; `bend` the largest displacement
-    over the length; `elapsed` s, integral of that over time."""
+    over the length."""
     if name == "posture":
         return np.asarray((largest or 1.0) / np.tile(bend ** np.arange(1.0, DEGREE + 1.0), parameters // DEGREE))
-    if name in OF_COURSE:
-        each = np.append(bend**-_POWER, 1.0 / elapsed if elapsed > 0.0 else 1.0)
-        return np.tile(each, parameters // _SMOOTH)
-    return np.ones(parameters)
+    return np.full(parameters, 1.0 / bend if name in OF_COURSE else 1.0)
 
 
 class CourseSoFar:
@@ -77,11 +78,9 @@ class CourseSoFar:
         self._marker_s = marker_s
         self._rest = np.full(len(marker_s), np.nan)  # rad, of each tag
         self._turn = np.zeros(len(marker_s))
-        self._time = np.nan
-        self.elapsed = 0.0  # s, integral of the displacement over the length
 
     def terms(
-        self, time: float, angle: Array, visible: BoolArray, bend: float, push_s: float, *, back: bool, loaded: bool
+        self, angle: Array, visible: BoolArray, bend: float, push_s: float, *, back: bool, loaded: bool
     ) -> Array:
         """(TERMS,) of the next frame, zero at rest: the turn of the beam at the push, that of the first tag, the powers
         of the displacement, the discrepancy's functions.
@@ -91,15 +90,13 @@ class CourseSoFar:
         unknown = visible & (np.isnan(self._rest) | (not loaded))
         self._rest[unknown] = angle[unknown]
         if not loaded:
-            self._time, self._turn = time, np.zeros_like(self._turn)
+            self._turn = np.zeros_like(self._turn)
             return np.zeros(TERMS)
-        step, self._time = time - self._time, time
-        self.elapsed += bend * step if np.isfinite(step) else 0.0
         turn = angle - self._rest
         turn -= 2.0 * np.pi * np.round((turn - self._turn) / (2.0 * np.pi))
         self._turn = np.where(visible, turn, self._turn)
         out = np.empty(TERMS)
-        run = PushCourse(*np.array([[time], [bend], [back], [self.elapsed]], dtype=float), self._turn[None])
+        run = PushCourse(*np.array([[0.0], [bend], [back], [0.0]], dtype=float), self._turn[None])
         out[SLIDE] = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
-        out[CLAMP], out[POSTURE], out[SMOOTH] = self._turn[0], powers(run.bend), smooth_functions(run)
+        out[CLAMP], out[POSTURE], out[SMOOTH] = self._turn[0], powers(run.bend), smooth_functions(run)[:, _LINEAR]
         return out

@@ -19,7 +19,11 @@ LEVER = 0.3  # of the length: a smooth error of place d has a slope of about d o
 
 def discrepancy(run: PushCourse, tags: tuple[str, ...], length: float, count: int) -> tuple[Allowance, Allowance]:
     """For the tags' places, and for their angles; `count` frames, those at rest last."""
-    functions = with_rest(smooth_functions(run), count)
+    return discrepancy_of(with_rest(smooth_functions(run), count), tags, length)
+
+
+def discrepancy_of(functions: Array, tags: tuple[str, ...], length: float) -> tuple[Allowance, Allowance]:
+    """The same of these functions (F, n)."""
     places, angles = (of_axes(functions, len(tags), axes) for axes in (XY, ANGLE))
     place_labels = tuple(f"discrepancy {t} {a}{i}" for a in "xy" for t in tags for i in range(functions.shape[1]))
     angle_labels = tuple(f"discrepancy {t} angle{i}" for t in tags for i in range(functions.shape[1]))

@@ -17,7 +17,7 @@ from onebend.learning.allowances.causal import CLAMP, POSTURE, SLIDE, SMOOTH
 from onebend.learning.allowances.discrepancy import ANGLE, XY, of_axes
 from onebend.learning.allowances.posture import on_each_axis
 from onebend.learning.allowances.relaxation import shift_of_lags
-from onebend.learning.live.session import LiveSession, PushGrid
+from onebend.learning.live.session import FrameInputs, LiveSession, Memory, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
@@ -34,35 +34,6 @@ from onebend.records import Array, BoolArray
 _NEWTON_ITERATIONS = 8  # at most, before the shape is sought from rest
 _TRUST = 0.7  # rad: shapes that turn by more may have left the branch
 _TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
-# Parts of the curvature that those which lag behind it (`TIMES`) are taken to reach: on the way k is the secant
-# stiffness of such a push.
-REACHED = np.array([0.8, 0.5, 0.25])
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What a beam that relaxes remembers in B frames: the curvatures that lag behind are `before + now q`, q being the
-    curvature over that at rest; for each of the r `TIMES`."""
-
-    before: Array  # (B, Q, r) rad
-    now: Array  # (B, r)
-    reached: Array  # (r,)
-
-    def lags(self, bending: Array) -> Array:
-        """(B, Q, r) rad, of shapes bent by (B, Q)."""
-        return self.before + self.now[:, None, :] * bending[..., None]
-
-
-@dataclass(frozen=True)
-class FrameInputs:
-    """What acts on the beam in B frames."""
-
-    force: Array  # (B, 2) N, corrected
-    rate: Array  # (B, 2) N/s
-    gravity: Array  # (B, 2) m/s^2
-    farther: Array  # (B,) m that the push lies beyond its grid's place
-    terms: Array  # (B, TERMS) of the allowances, see `CourseSoFar`
-    memory: Memory
 
 
 @dataclass(frozen=True)
@@ -118,6 +89,7 @@ def linearise(
     response = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
     tags.add_direct(response, columns)
     blocks = columns.split(tags.ride.carry(response))
+    blocks["stiffness"], blocks["patches"] = np.split(blocks["stiffness"], [layout.spline.count], axis=-1)
     j = np.zeros((len(q), m, 3, layout.size))
     further = push_blocks(blocks["push"], logged, axes, inputs.rate) | bases.blocks(blocks)
     put_blocks(j, session.columns, blocks | further)
@@ -264,26 +236,39 @@ def _loaded_beam(
     if session.mass > 0.0:
         mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
         dead += mass[:, None] * inputs.gravity[:, None]
-    size, nodes = pushed.shape
-    k = np.exp(push_grid.on_nodes @ layout.get(x, "stiffness") + push_grid.patches @ layout.get(x, "patches"))
-    problem = Problem(
+    alpha0 = layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives")
+    beam = _beam_at(session, push_grid, x)
+    weighs = session.weighs and bool(np.any(inputs.gravity))
+    masses = push_grid.mass_beyond if weighs else push_grid.mass_beyond[:, :0]
+    return _LoadedBeam(
+        beam.under(dead, q0, alpha0), push_grid.weights * beam.k, force, pushed, inputs.gravity, masses
+    )
+
+
+def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> Problem:
+    """The beam at parameters x, under no load. As all key frames are linearised at one point, it is kept."""
+    kept = push_grid.kept.get("beam")
+    if kept is not None and kept[0] is x:
+        return kept[1]
+    layout, nothing = session.layout, np.zeros((0, len(push_grid.weights)))
+    log_k = push_grid.log_k @ np.concatenate([layout.get(x, "stiffness"), layout.get(x, "patches")])
+    beam = Problem(
         grid=push_grid.grid,
         weights=push_grid.weights,
         to_nodes=push_grid.to_nodes,
-        length=session.length * np.exp(layout.get(x, "length")[0]),
-        k=k,
-        q0=q0,
-        alpha0=layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives"),
-        dead_force=dead,
-        moment=np.zeros((size, nodes)),
-        follower=np.zeros((size, 0, 2)),
-        follower_beyond=np.zeros((size, 0, nodes)),
-        follower_rows=np.zeros((size, 0, nodes)),
+        length=np.asarray(session.length * np.exp(layout.get(x, "length")[0])),
+        k=np.exp(log_k),
+        q0=push_grid.rest_on_nodes @ layout.get(x, "curvature"),
+        alpha0=np.zeros(()),
+        dead_force=nothing[..., None],
+        moment=nothing,
+        follower=nothing[..., None],
+        follower_beyond=nothing[..., None],
+        follower_rows=nothing[..., None],
         section=session.section(x),
     )
-    weighs = session.weighs and bool(np.any(inputs.gravity))
-    masses = push_grid.mass_beyond if weighs else push_grid.mass_beyond[:, :0]
-    return _LoadedBeam(problem, push_grid.weights * k, force, pushed, inputs.gravity, masses)
+    push_grid.kept["beam"] = x, beam
+    return beam
 
 
 def _bent(
@@ -302,13 +287,12 @@ def _bent(
         by_mass = Perturbation(pull, None, None, np.zeros(loaded.masses.shape[1]))
     return BentBeam(
         solved,
-        push_grid.on_nodes,
+        push_grid.log_k,
         push_grid.rest_on_nodes,
         loaded.force,
         loaded.pushed,
         push_grid.farther,
         by_mass,
-        log_k={"patches": push_grid.patches} if session.carries("patches") else {},
         rest_shift=by_relaxation,
         lengthens=session.carries("length"),
     )

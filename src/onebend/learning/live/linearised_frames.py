@@ -5,9 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.learning.allowances.relaxation import LARGEST, TIMES, lag_weights
-from onebend.learning.live.forward import REACHED, FrameInputs, Memory, linearise
+from onebend.learning.live.forward import linearise
 from onebend.learning.live.key_frames import KeyFrames
-from onebend.learning.live.session import LiveSession, PushGrid, grid_places, nearest_grid_place, push_grid_at
+from onebend.learning.live.session import (
+    REACHED,
+    FrameInputs,
+    LiveSession,
+    Memory,
+    PushGrid,
+    grid_places,
+    nearest_grid_place,
+    push_grid_at,
+)
 from onebend.records import Array
 
 

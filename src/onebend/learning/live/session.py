@@ -4,13 +4,14 @@ push."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.profiles.rectangular import RectangularSection
+from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.causal import OF_COURSE, causal_allowances, course_scale
 from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.allowances.patches import patch_function
@@ -57,7 +58,7 @@ class LiveSession:
         """Whether the mass is among the parameters."""
         return self.mass > 0.0 and self.layout.index["mass", -1].start >= 0
 
-    def prior_scale(self, largest: float, bend: float, elapsed: float) -> Array:
+    def prior_scale(self, largest: float, bend: float) -> Array:
         """(n - p,) factors on the prior sds of all parameters but log k's coefficients; see `course_scale`."""
         p = self.layout.spline.count
         out = np.ones(self.layout.size - p)
@@ -65,7 +66,7 @@ class LiveSession:
             where = self.columns.get(name)
             if where is not None:
                 count = where.stop - where.start
-                out[where.start - p : where.stop - p] = course_scale(name, count, largest, bend, elapsed)
+                out[where.start - p : where.stop - p] = course_scale(name, count, largest, bend)
         return out
 
     @cached_property
@@ -110,13 +111,44 @@ class PushGrid:
     beyond: Array  # (Q,) 1 where the push lies beyond the node
     farther: Array  # (Q,) 1/m: what is added to it per metre that the push lies farther out
     mass_beyond: Array  # (Q, 4) kg, of an even mass and of its uneven parts
-    on_nodes: Array  # (Q, p)
+    log_k: Array  # (Q, p + 1): the functions of log k, the last under the tags
     rest_on_nodes: Array  # (Q, 3)
-    patches: Array  # (Q, 1): the function of log k under the tags
+    kept: dict[str, tuple[Array, Problem]] = field(default_factory=dict)  # the beam at the last point, see `linearise`
 
     def places(self, s: Array) -> tuple[Array, Array]:
         """(m, Q) each, for places `s` (m,): integrals up to them, and values there."""
         return _rows_at(self.push_s, s.tobytes())
+
+
+# Parts of the curvature that those which lag behind it (`TIMES`) are taken to reach: on the way k is the secant
+# stiffness of such a push.
+REACHED = np.array([0.8, 0.5, 0.25])
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a beam that relaxes remembers in B frames: the curvatures that lag behind are `before + now q`, q being the
+    curvature over that at rest; for each of the r `TIMES`."""
+
+    before: Array  # (B, Q, r) rad
+    now: Array  # (B, r)
+    reached: Array  # (r,)
+
+    def lags(self, bending: Array) -> Array:
+        """(B, Q, r) rad, of shapes bent by (B, Q)."""
+        return self.before + self.now[:, None, :] * bending[..., None]
+
+
+@dataclass(frozen=True)
+class FrameInputs:
+    """What acts on the beam in B frames."""
+
+    force: Array  # (B, 2) N, corrected
+    rate: Array  # (B, 2) N/s
+    gravity: Array  # (B, 2) m/s^2
+    farther: Array  # (B,) m that the push lies beyond its grid's place
+    terms: Array  # (B, TERMS) of the allowances, see `CourseSoFar`
+    memory: Memory
 
 
 def session_layout(
@@ -200,6 +232,7 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     parts = MASS_MODES.curvature(nodes)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
+    under_tags = patch_function(session.marker_s, session.length, session.tag_size, nodes)
     return PushGrid(
         push_s=push_s,
         grid=grid,
@@ -209,7 +242,6 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
         beyond=np.asarray(beyond, dtype=float),
         farther=np.asarray(last / (session.length * weights)),
         mass_beyond=session.mass * (weights @ parts - to_nodes @ parts),
-        on_nodes=session.layout.spline.basis(nodes),
+        log_k=np.column_stack([session.layout.spline.basis(nodes), under_tags]),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        patches=patch_function(session.marker_s, session.length, session.tag_size, nodes)[:, None],
     )

@@ -124,7 +124,7 @@ class Smoother:
         """Write the frame behind the key frames in use; returns its index."""
         bend, back = self._stages.displacement / self._session.length, self._stages.falling
         angle, tags = frame.measured[:, 2], frame.visible
-        terms = self._course.terms(frame.time, angle, tags, bend, frame.push_s, back=back, loaded=frame.loaded)
+        terms = self._course.terms(angle, tags, bend, frame.push_s, back=back, loaded=frame.loaded)
         keys, i = self.keys, write_frame(self.keys, frame, rate, terms)
         if frame.loaded:
             self._lineariser.pushed_at(frame.push_s)
@@ -196,7 +196,7 @@ class Smoother:
         keys, settings = self.keys, self._settings
         self._sums = gather(keys, self.marginalised, self._stages.own)
         bend = self._stages.largest / self._session.length
-        self._prior = replace(self._prior, scale=self._session.prior_scale(self._largest, bend, self._course.elapsed))
+        self._prior = replace(self._prior, scale=self._session.prior_scale(self._largest, bend))
         if self._chains is not None:
             self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
         self._misfit = misfit(keys, self.hyperparameters.marker)
