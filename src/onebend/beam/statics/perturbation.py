@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -121,19 +121,24 @@ def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
 
 def adjoint_times(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
     """(T, S, P): rows (T, S, Q) times `minus_gradient`; functions that frames share are not written out for each."""
-    out, rest = np.zeros((*rows.shape[:-1], len(part.clamp))), part
-    if part.elastic is not None and part.elastic[1].ndim == 2:
-        size, functions = part.elastic
-        out = np.tensordot(rows * -(solved.problem.weights * size)[..., None, :], functions, 1)
-        rest = replace(rest, elastic=None)
-    if part.compliance is not None and part.compliance[1].ndim == 2:
-        size, functions = _twisted(solved, part.compliance)
-        out = out + np.tensordot((rows @ transposed(solved.problem.to_nodes)) * size[..., None, :], functions, 1)
-        rest = replace(rest, compliance=None)
-    entries = (rest.force, rest.moment, rest.elastic, rest.compliance)
+    out, elastic, compliance = np.zeros((*rows.shape[:-1], len(part.clamp))), part.elastic, part.compliance
+    if elastic is not None and elastic[1].ndim == 2:
+        out += _times(rows * -(solved.problem.weights * elastic[0])[..., None, :], elastic[1])
+        elastic = None
+    if compliance is not None and compliance[1].ndim == 2:
+        size, functions = _twisted(solved, compliance)
+        out += _times((rows @ transposed(solved.problem.to_nodes)) * size[..., None, :], functions)
+        compliance = None
+    rest = Perturbation(part.force, part.moment, elastic, part.clamp, compliance)
+    entries = (rest.force, rest.moment, elastic, compliance)
     if any(entry is not None for entry in entries) or np.any(rest.clamp != 0.0):
-        out = out + rows @ minus_gradient(solved, rest)
-    return np.asarray(out)
+        out += rows @ minus_gradient(solved, rest)
+    return out
+
+
+def _times(rows: Array, functions: Array) -> Array:
+    """(T, S, P): rows (T, S, Q) times functions (Q, P), in one product."""
+    return np.asarray((rows.reshape(-1, rows.shape[-1]) @ functions).reshape(*rows.shape[:-1], functions.shape[-1]))
 
 
 def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Array | None:

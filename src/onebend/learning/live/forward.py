@@ -11,19 +11,21 @@ from onebend.beam.grid import paired
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
 from onebend.beam.statics.nodal_forces import nodal_forces
-from onebend.beam.statics.perturbation import Perturbation, minus_gradient, moved_by_strain
+from onebend.beam.statics.perturbation import Perturbation, adjoint_times, minus_gradient, moved_by_strain
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.causal import CLAMP, POSTURE, SLIDE, SMOOTH
 from onebend.learning.allowances.discrepancy import ANGLE, XY, of_axes
 from onebend.learning.allowances.posture import on_each_axis
 from onebend.learning.allowances.relaxation import shift_of_lags
-from onebend.learning.live.session import FrameInputs, LiveSession, Memory, PushGrid
+from onebend.learning.live.session import FrameInputs, LiveSession, Memory, PointBeam, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
     ResponseColumns,
     TagRide,
-    balance_changes,
+    joined_functions,
+    load_changes,
+    material_changes,
     push_blocks,
     put_blocks,
     put_tags,
@@ -57,8 +59,7 @@ class _LoadedBeam:
     stiff: Array  # (Q,) k times the nodes' weights
     force: Array  # (B, 2) N
     pushed: Array  # (B, Q) share of the push beyond each node
-    gravity: Array  # (B, 2) m/s^2
-    masses: Array  # (Q, 4) kg of each part of the mass beyond the nodes; (Q, 0) where none is among the parameters
+    by_mass: Perturbation | None  # the parts of the mass; None where nothing weighs
 
 
 def linearise(
@@ -70,33 +71,44 @@ def linearise(
     for the force. What a beam that relaxes remembers is taken at `start`, and as given: it has no derivatives but those
     with the shares.
     """
-    layout = session.layout
-    axes, bases = _axes(layout, x), _Bases(session, inputs.terms)
-    logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ axes.T
-    straight = push_grid.rest_on_nodes @ layout.get(x, "curvature")
+    layout, m, beam = session.layout, len(session.marker_s), _beam_at(session, push_grid, x)
+    bases, straight = _Bases(session, inputs.terms), beam.problem.q0
+    logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
     q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
-    loaded = _loaded_beam(session, push_grid, x, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
+    loaded = _loaded_beam(session, push_grid, beam, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
     q, converged, factors = _shapes(push_grid, loaded, start)
-    bent = _bent(session, push_grid, loaded, by_shares, q, converged)
-    changes = balance_changes(bent)
-    columns, tags = response_columns(changes), _Tags(session, push_grid, x, bent.solved)
-    right = minus_gradient(bent.solved, columns.changes)
-    push = right[..., columns.slices["push"]].swapaxes(1, 2)
-    both = np.concatenate([tags.by_shape, push], axis=1)
+    bent = _bent(push_grid, loaded, by_shares, q, converged)
+    loads, tags = response_columns(load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
+    right = minus_gradient(bent.solved, loads.changes)
+    both = np.concatenate([tags.by_shape, right[..., loads.slices["push"]].swapaxes(1, 2)], axis=1)
     for rows, factor in zip(both, factors, strict=True):
         rows[:] = dpotrs(factor, rows.T, lower=1, overwrite_b=1)[0].T
-    m = len(session.marker_s)
-    response = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
+    adjoint, material = both[:, : 3 * m], _material(bent.solved, beam)
+    response = np.concatenate([adjoint @ right, adjoint_times(adjoint, bent.solved, material)], axis=2)
+    response = response.reshape(len(q), m, 3, -1)
+    columns = _with_material(loads, material, beam)
     tags.add_direct(response, columns)
-    blocks = columns.split(tags.ride.carry(response))
-    blocks["stiffness"], blocks["patches"] = np.split(blocks["stiffness"], [layout.spline.count], axis=-1)
-    j = np.zeros((len(q), m, 3, layout.size))
-    further = push_blocks(blocks["push"], logged, axes, inputs.rate) | bases.blocks(blocks)
+    blocks, j = columns.split(tags.ride.carry(response)), np.zeros((len(q), m, 3, layout.size))
+    further = push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
     put_blocks(j, session.columns, blocks | further)
     put_tags(j, session.columns, tags.motion)
-    pose = tags.pose + bases.moved(x)
-    by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ axes, inputs.memory.lags(q - straight)
-    return LinearisedTags(converged, q, by_force, lags, pose, j, blocks["push"] @ axes)
+    pose, a = tags.pose + bases.moved(x), blocks["push"] @ beam.axes
+    by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ beam.axes, inputs.memory.lags(q - straight)
+    return LinearisedTags(converged, q, by_force, lags, pose, j, a)
+
+
+def _material(solved: Equilibrium, beam: PointBeam) -> Perturbation:
+    """The groups of `material_changes`, one after the other."""
+    problem, nothing = solved.problem, np.zeros(beam.elastic.shape[1])
+    compliance = None if problem.compliance is None else (problem.compliance, beam.compliant)
+    return Perturbation(None, None, (solved.q - problem.q0, beam.elastic), nothing, compliance)
+
+
+def _with_material(loads: ResponseColumns, material: Perturbation, beam: PointBeam) -> ResponseColumns:
+    """The columns of the loads, and behind them those of the material."""
+    first = len(loads.changes.clamp)
+    behind = {name: slice(first + c.start, first + c.stop) for name, c in beam.columns.items()}
+    return ResponseColumns(loads.changes + material, loads.slices | behind)
 
 
 class _Bases:
@@ -227,74 +239,73 @@ def _balance(loaded: _LoadedBeam, push_grid: PushGrid, q: Array) -> tuple[Array,
 
 
 def _loaded_beam(
-    session: LiveSession, push_grid: PushGrid, x: Array, force: Array, inputs: FrameInputs, q0: Array
+    session: LiveSession, push_grid: PushGrid, beam: PointBeam, force: Array, inputs: FrameInputs, q0: Array
 ) -> _LoadedBeam:
-    layout, terms = session.layout, inputs.terms
+    layout, terms, x = session.layout, inputs.terms, beam.x
     place = layout.get(x, "place") + inputs.farther + terms[:, SLIDE.start] * layout.get(x, "slide")
-    pushed = push_grid.beyond + place[:, None] * push_grid.farther
+    pushed, by_mass = push_grid.beyond + place[:, None] * push_grid.farther, None
     dead = pushed[..., None] * force[:, None]
-    if session.mass > 0.0:
+    if session.mass > 0.0 and np.any(inputs.gravity):
         mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
         dead += mass[:, None] * inputs.gravity[:, None]
+        pull = inputs.gravity[:, None, :, None] * push_grid.mass_beyond[:, None, :]
+        by_mass = Perturbation(pull, None, None, np.zeros(4)) if session.weighs else None
     alpha0 = layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives")
-    beam = _beam_at(session, push_grid, x)
-    weighs = session.weighs and bool(np.any(inputs.gravity))
-    masses = push_grid.mass_beyond if weighs else push_grid.mass_beyond[:, :0]
-    return _LoadedBeam(
-        beam.under(dead, q0, alpha0), push_grid.weights * beam.k, force, pushed, inputs.gravity, masses
-    )
+    return _LoadedBeam(beam.problem.under(dead, q0, alpha0), beam.stiff, force, pushed, by_mass)
 
 
-def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> Problem:
-    """The beam at parameters x, under no load. As all key frames are linearised at one point, it is kept."""
-    kept = push_grid.kept.get("beam")
-    if kept is not None and kept[0] is x:
-        return kept[1]
-    layout, nothing = session.layout, np.zeros((0, len(push_grid.weights)))
-    log_k = push_grid.log_k @ np.concatenate([layout.get(x, "stiffness"), layout.get(x, "patches")])
-    beam = Problem(
+def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
+    """The beam at parameters x. It is kept, as all key frames are linearised at one point."""
+    if push_grid.kept and push_grid.kept[0].x is x:
+        return push_grid.kept[0]
+    layout, (size, p) = session.layout, push_grid.log_k.shape
+    none = np.zeros((1, 0, size))
+    problem = Problem(
         grid=push_grid.grid,
         weights=push_grid.weights,
         to_nodes=push_grid.to_nodes,
         length=np.asarray(session.length * np.exp(layout.get(x, "length")[0])),
-        k=np.exp(log_k),
+        k=np.exp(push_grid.log_k @ np.concatenate([layout.get(x, "stiffness"), layout.get(x, "patches")])),
         q0=push_grid.rest_on_nodes @ layout.get(x, "curvature"),
-        alpha0=np.zeros(()),
-        dead_force=nothing[..., None],
-        moment=nothing,
-        follower=nothing[..., None],
-        follower_beyond=nothing[..., None],
-        follower_rows=nothing[..., None],
+        alpha0=np.zeros((1, 1)),
+        dead_force=np.zeros((1, size, 2)),
+        moment=np.zeros((1, size)),
+        follower=none[..., :2],
+        follower_beyond=none,
+        follower_rows=none,
         section=session.section(x),
     )
-    push_grid.kept["beam"] = x, beam
+    at_rest = _solved(problem, np.broadcast_to(problem.q0, (1, size)), np.ones(1, dtype=bool))
+    bent = BentBeam(
+        at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=session.carries("length")
+    )
+    changes = material_changes(bent)
+    columns = response_columns(changes).slices
+    columns |= {"stiffness": slice(0, p - 1), "patches": slice(p - 1, p)}
+    elastic, compliant = joined_functions(changes, size)
+    beam = PointBeam(x, problem, push_grid.weights * problem.k, _axes(layout, x), columns, elastic, compliant)
+    push_grid.kept[:] = [beam]
     return beam
 
 
+def _solved(problem: Problem, q: Array, converged: BoolArray) -> Equilibrium:
+    reached = converged.astype(float)
+    return Equilibrium(problem, q, converged, converged, reached, reached, ~converged, 0)
+
+
 def _bent(
-    session: LiveSession,
-    push_grid: PushGrid,
-    loaded: _LoadedBeam,
-    by_relaxation: Array | None,
-    q: Array,
-    converged: BoolArray,
+    push_grid: PushGrid, loaded: _LoadedBeam, by_shares: Array | None, q: Array, converged: BoolArray
 ) -> BentBeam:
     """What the parameters change in the balance of shapes q (B, Q)."""
-    reached, by_mass = converged.astype(float), None
-    solved = Equilibrium(loaded.problem, q, converged, converged, reached, reached, ~converged, 0)
-    if loaded.masses.shape[1]:
-        pull = loaded.gravity[:, None, :, None] * loaded.masses[:, None, :]
-        by_mass = Perturbation(pull, None, None, np.zeros(loaded.masses.shape[1]))
     return BentBeam(
-        solved,
+        _solved(loaded.problem, q, converged),
         push_grid.log_k,
         push_grid.rest_on_nodes,
         loaded.force,
         loaded.pushed,
         push_grid.farther,
-        by_mass,
-        rest_shift=by_relaxation,
-        lengthens=session.carries("length"),
+        loaded.by_mass,
+        rest_shift=by_shares,
     )
 
 

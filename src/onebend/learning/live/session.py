@@ -100,6 +100,19 @@ class SmootherSettings:
 
 
 @dataclass(frozen=True)
+class PointBeam:
+    """The beam at parameters x, on the grid of a push: all that no frame changes."""
+
+    x: Array
+    problem: Problem  # under no load
+    stiff: Array  # (Q,) k times the nodes' weights
+    axes: Array  # (2, 2) by which the logged force is turned
+    columns: dict[str, slice]  # where the groups of `material_changes` stand in the functions
+    elastic: Array  # (Q, P) N m, see `joined_functions`
+    compliant: Array  # (Q, P)
+
+
+@dataclass(frozen=True)
 class PushGrid:
     """The grid for a push at one place, and everything that depends only on it."""
 
@@ -113,7 +126,7 @@ class PushGrid:
     mass_beyond: Array  # (Q, 4) kg, of an even mass and of its uneven parts
     log_k: Array  # (Q, p + 1): the functions of log k, the last under the tags
     rest_on_nodes: Array  # (Q, 3)
-    kept: dict[str, tuple[Array, Problem]] = field(default_factory=dict)  # the beam at the last point, see `linearise`
+    kept: list[PointBeam] = field(default_factory=list)  # the last one
 
     def places(self, s: Array) -> tuple[Array, Array]:
         """(m, Q) each, for places `s` (m,): integrals up to them, and values there."""
