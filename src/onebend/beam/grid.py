@@ -114,7 +114,8 @@ def transposed(matrix: Array) -> Array:
 
 def paired(x: Array, y: Array) -> Array:
     """(..., 2) of two arrays that are broadcast, as `numpy.stack` makes it in several times the time."""
-    out = np.empty((*np.broadcast_shapes(x.shape, y.shape), 2))
+    shape = x.shape if x.shape == y.shape else np.broadcast_shapes(x.shape, y.shape)
+    out = np.empty((*shape, 2))
     out[..., 0], out[..., 1] = x, y
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class Perturbations:
     @cached_property
     def columns(self) -> list[tuple[slice, Perturbation]]:
         """The parts with their places among all parameters."""
-        ends = np.cumsum([0, *(len(part.clamp) for part in self.parts)]).tolist()
+        ends = [0, *accumulate(len(part.clamp) for part in self.parts)]
         return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], self.parts, strict=True)]
 
 

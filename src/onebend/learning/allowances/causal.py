@@ -7,6 +7,7 @@ their prior follows the largest so far (`course_scale`).
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +17,10 @@ from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding, turn_at_push
 from onebend.learning.allowances.course import PushCourse
-from onebend.learning.allowances.discrepancy import discrepancy_of, smooth_functions
+from onebend.learning.allowances.discrepancy import ANGLE, XY, discrepancy_of, of_axes, smooth_functions
 from onebend.learning.allowances.length import length
 from onebend.learning.allowances.patches import patches
-from onebend.learning.allowances.posture import DEGREE, posture_bias, powers
+from onebend.learning.allowances.posture import DEGREE, on_each_axis, posture_bias, powers
 from onebend.learning.allowances.relaxation import relaxation
 from onebend.learning.allowances.section import section
 from onebend.records import Array, BoolArray
@@ -50,7 +51,8 @@ def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, t
     """All of them, without frames; `tag_size` m, NaN where not known; `thick`: the section's thickness is known."""
     tags = tuple(f"tag {i}" for i in range(1, len(marker_s) + 1))
     no_functions = np.zeros((0, len(_LINEAR)))
-    none = PushCourse(*(np.zeros(0) for _ in range(4)), np.zeros((0, len(marker_s))))
+    empty = np.zeros(0)
+    none = PushCourse(empty, empty, empty, empty, np.zeros((0, len(marker_s))))
     return (
         section(known=thick),
         relaxation(none),
@@ -79,9 +81,7 @@ class CourseSoFar:
         self._rest = np.full(len(marker_s), np.nan)  # rad, of each tag
         self._turn = np.zeros(len(marker_s))
 
-    def terms(
-        self, angle: Array, visible: BoolArray, bend: float, push_s: float, *, back: bool, loaded: bool
-    ) -> Array:
+    def terms(self, angle: Array, visible: BoolArray, bend: float, push_s: float, *, back: bool, loaded: bool) -> Array:
         """(TERMS,) of the next frame, zero at rest: the turn of the beam at the push, that of the first tag, the powers
         of the displacement, the discrepancy's functions.
 
@@ -96,7 +96,30 @@ class CourseSoFar:
         turn -= 2.0 * np.pi * np.round((turn - self._turn) / (2.0 * np.pi))
         self._turn = np.where(visible, turn, self._turn)
         out = np.empty(TERMS)
-        run = PushCourse(*np.array([[0.0], [bend], [back], [0.0]], dtype=float), self._turn[None])
+        once = np.zeros(1)
+        run = PushCourse(once, once + bend, once + float(back), once, self._turn[None])
         out[SLIDE] = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
         out[CLAMP], out[POSTURE], out[SMOOTH] = self._turn[0], powers(run.bend), smooth_functions(run)[:, _LINEAR]
         return out
+
+
+class CourseBases:
+    """The allowances that go with the course of the push, at the `terms` (B, TERMS) of B frames; `carried` by name."""
+
+    def __init__(self, terms: Array, tags: int, carried: Collection[str]) -> None:
+        self._terms, self._carried = terms, carried
+        self.force = on_each_axis(terms[:, POSTURE])  # (B, 2, 4) N per unit: the posture-dependent bias
+        axes = {"discrepancy": XY, "angle discrepancy": ANGLE}
+        self.poses = {name: of_axes(terms[:, SMOOTH], tags, of) for name, of in axes.items() if name in carried}
+
+    def blocks(self, of: Mapping[str, Array]) -> dict[str, Array]:
+        """(B, m, 3, n) by name, of the tags' poses, from those with the "push", its "place" and the "clamp"."""
+        slide, clamp = (self._terms[:, None, None, part] for part in (SLIDE, CLAMP))
+        out = {"slide": of["place"] * slide, "clamp gives": of["clamp"] * clamp} | self.poses
+        if "posture" in self._carried:
+            out["posture"] = of["push"] @ self.force[:, None]
+        return out
+
+    def moved(self, values: Mapping[str, Array]) -> Array | float:
+        """(B, m, 3) by which the tags seem to be off at these parameters."""
+        return sum((basis @ values[name] for name, basis in self.poses.items()), start=0.0)

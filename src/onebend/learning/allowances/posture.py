@@ -27,4 +27,4 @@ def powers(bend: Array) -> Array:
 
 def on_each_axis(terms: Array) -> Array:
     """(F, 2, 4): these terms (F, 2) for each axis of the force."""
-    return np.einsum("fi,cd->fcdi", terms, np.eye(2)).reshape(len(terms), 2, 2 * DEGREE)
+    return np.asarray(np.einsum("fi,cd->fcdi", terms, np.eye(2)).reshape(len(terms), 2, 2 * DEGREE))

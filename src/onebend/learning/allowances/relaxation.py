@@ -40,8 +40,8 @@ def lags(time: Array) -> Array:
 
 
 def lag_weights(seconds: Array) -> tuple[Array, Array, Array]:
-    """(n, N) each, of steps of `seconds` (N,): at the end of a step v_j is made of v_j before it, of q before it, and of
-    q at its end."""
+    """(n, N) each, of steps of `seconds` (N,): at the end of a step v_j is made of v_j before it, of q before it, and
+    of q at its end."""
     step = np.maximum(seconds / TIMES[:, None], np.finfo(float).tiny)  # frames of one instant are one
     decay = np.exp(-step)
     mean = -np.expm1(-step) / step

@@ -13,9 +13,7 @@ from onebend.beam.statics.equilibrium import Equilibrium, tangent
 from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.beam.statics.perturbation import Perturbation, adjoint_times, minus_gradient, moved_by_strain
 from onebend.beam.statics.problem import Problem
-from onebend.learning.allowances.causal import CLAMP, POSTURE, SLIDE, SMOOTH
-from onebend.learning.allowances.discrepancy import ANGLE, XY, of_axes
-from onebend.learning.allowances.posture import on_each_axis
+from onebend.learning.allowances.causal import CLAMP, SLIDE, CourseBases
 from onebend.learning.allowances.relaxation import shift_of_lags
 from onebend.learning.live.session import FrameInputs, LiveSession, Memory, PointBeam, PushGrid
 from onebend.learning.model.parameters import Layout
@@ -72,7 +70,7 @@ def linearise(
     with the shares.
     """
     layout, m, beam = session.layout, len(session.marker_s), _beam_at(session, push_grid, x)
-    bases, straight = _Bases(session, inputs.terms), beam.problem.q0
+    bases, straight = CourseBases(inputs.terms, m, session.carried), beam.problem.q0
     logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
     q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
     loaded = _loaded_beam(session, push_grid, beam, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
@@ -92,7 +90,7 @@ def linearise(
     further = push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
     put_blocks(j, session.columns, blocks | further)
     put_tags(j, session.columns, tags.motion)
-    pose, a = tags.pose + bases.moved(x), blocks["push"] @ beam.axes
+    pose, a = tags.pose + bases.moved({name: layout.get(x, name) for name in bases.poses}), blocks["push"] @ beam.axes
     by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ beam.axes, inputs.memory.lags(q - straight)
     return LinearisedTags(converged, q, by_force, lags, pose, j, a)
 
@@ -111,37 +109,11 @@ def _with_material(loads: ResponseColumns, material: Perturbation, beam: PointBe
     return ResponseColumns(loads.changes + material, loads.slices | behind)
 
 
-class _Bases:
-    """The allowances that go with the course of the push, in B frames."""
-
-    def __init__(self, session: LiveSession, terms: Array) -> None:
-        self._layout, self._terms, self._carries = session.layout, terms, session.carries
-        self._tags = len(session.marker_s)
-        self.force = on_each_axis(terms[:, POSTURE])  # (B, 2, 4)
-        self._poses = {
-            name: of_axes(terms[:, SMOOTH], self._tags, axes)
-            for name, axes in (("discrepancy", XY), ("angle discrepancy", ANGLE))
-            if session.carries(name)
-        }
-
-    def blocks(self, of: dict[str, Array]) -> dict[str, Array]:
-        """(B, m, 3, n) by name, from derivatives with the push, its place and the clamp."""
-        slide, clamp = (self._terms[:, None, None, part] for part in (SLIDE, CLAMP))
-        out = {"slide": of["place"] * slide, "clamp gives": of["clamp"] * clamp} | self._poses
-        if self._carries("posture"):
-            out["posture"] = np.einsum("bmad,bdn->bman", of["push"], self.force)
-        return out
-
-    def moved(self, x: Array) -> Array | float:
-        """(B, m, 3) by which the tags seem to be off."""
-        return sum((basis @ self._layout.get(x, name) for name, basis in self._poses.items()), start=0.0)
-
-
 def _rest_shift(
     session: LiveSession, x: Array, memory: Memory, start: Array | None, straight: Array
 ) -> tuple[Array, Array | None]:
-    """(Q,) or (B, Q) rad, the curvature at rest of a beam that remembers, and (B, Q, r) how it goes with the shares that
-    relax; None where nothing does."""
+    """(Q,) or (B, Q) rad, the curvature at rest of a beam that remembers; (B, Q, r), how it goes with the shares that
+    relax, None where nothing does."""
     if not session.carries("relaxation"):
         return straight, None
     bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
@@ -172,9 +144,7 @@ class _Tags:
         scale, origin = 1.0 + float(layout.get(x, "scale")[0]), layout.get(x, "origin")
         self.ride = TagRide(problem.alpha0 + q @ integral.T, over, layout.get(x, "across"), scale)
         xy = self._xy + self.ride.offset
-        self.pose = np.concatenate(
-            [scale * xy + origin, (self.ride.angle + layout.get(x, "turn"))[..., None]], axis=-1
-        )
+        self.pose = np.concatenate([scale * xy + origin, (self.ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
         on_beam = over <= 0.0
         onward = float(problem.length) / session.length * (value @ slope)
         if not np.all(on_beam):
@@ -276,9 +246,7 @@ def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
         section=session.section(x),
     )
     at_rest = _solved(problem, np.broadcast_to(problem.q0, (1, size)), np.ones(1, dtype=bool))
-    bent = BentBeam(
-        at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=session.carries("length")
-    )
+    bent = BentBeam(at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=session.carries("length"))
     changes = material_changes(bent)
     columns = response_columns(changes).slices
     columns |= {"stiffness": slice(0, p - 1), "patches": slice(p - 1, p)}

@@ -192,20 +192,6 @@ class KeyFrames:
         self.measured[i], self.residual[i], self.linear[i], self.flags[i, 1:] = measured, residual, linear, False
         self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
 
-    def likelihood_rows(self, i: int, marker: float, white: float) -> Array:
-        """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise;
-        at rest two more, of the log itself.
-        """
-        root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
-        rows = root * self.rows[i]
-        rows[:, -3:-1] *= -1.0
-        if not self.rest[i]:
-            return np.asarray(rows)
-        certain = np.sqrt(self.frames[i]) / (AT_REST * white)
-        log = np.zeros((2, rows.shape[1]))
-        log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
-        return np.concatenate([rows, log])
-
     def whiten(self, i: int) -> None:
         """Renew the whitened rows of frame i."""
         self.rows[i] = (self.root[i] @ self.linear[i]).reshape(self.rows.shape[1:])

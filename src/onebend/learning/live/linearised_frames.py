@@ -46,7 +46,7 @@ class Lineariser:
         return solved
 
     def _renew(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int], point: Array) -> set[int]:
-        nodes, loaded = len(push_grid.weights), ~keys.rest[chosen]
+        nodes, loaded, here = len(push_grid.weights), ~keys.rest[chosen], self._on_grid(keys, push_grid, chosen)
         force = (keys.force[chosen] - keys.error[chosen]) * loaded[:, None]
         beyond = self._session.length * (keys.push_s[chosen] - push_grid.push_s) * loaded
         inputs = FrameInputs(
@@ -55,9 +55,9 @@ class Lineariser:
             keys.gravity[chosen],
             beyond,
             keys.terms[chosen],
-            self._memory(keys, push_grid, chosen, point),
+            self._memory(keys, push_grid, (chosen, here), point),
         )
-        there = linearise(self._session, push_grid, point, inputs, self._on_grid(keys, push_grid, chosen)[..., 0])
+        there = linearise(self._session, push_grid, point, inputs, here[..., 0])
         good = there.converged
         solved = np.asarray(chosen)[good]
         if len(solved) == 0:
@@ -67,28 +67,36 @@ class Lineariser:
         keys.set_linear(solved, point, there.pose[good], there.j[good], there.a[good])
         return set(solved.tolist())
 
-    def _memory(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int], point: Array) -> Memory:
-        """What the beam remembers in the chosen frames, from the key frame before each.
+    def _memory(self, keys: KeyFrames, push_grid: PushGrid, frames: tuple[list[int], Array], point: Array) -> Memory:
+        """What the beam remembers in the chosen frames, from the key frame before each; with the shapes that `_on_grid`
+        gives of them.
 
         The first of all, and averages in the making, keep what they have.
         """
-        now = np.zeros((len(chosen), len(TIMES)))
+        chosen, here = frames
+        before, now = here[..., 3:], np.zeros((len(chosen), len(TIMES)))
         if not self._session.carries("relaxation"):
-            return Memory(np.zeros((len(chosen), len(push_grid.weights), len(TIMES))), now, REACHED)
-        out, index = self._on_grid(keys, push_grid, chosen)[..., 3:], np.array(chosen)
-        follows = (index > 0) & (index < keys.used)
-        if np.any(follows):
-            last = index[follows] - 1
-            centre = 0.5 * (keys.begin + keys.end)
-            kept, before, now[follows] = (w.T for w in lag_weights(centre[last + 1] - centre[last]))
-            shapes = self._on_grid(keys, push_grid, last.tolist())
-            bending = shapes[..., :1] - (push_grid.rest_on_nodes @ self._session.layout.get(point, "curvature"))[:, None]
-            out[follows] = kept[:, None] * shapes[..., 3:] + before[:, None] * bending
-        return Memory(out, now, REACHED)
+            return Memory(np.zeros_like(before), now, REACHED)
+        bending = here[..., :1] - (push_grid.rest_on_nodes @ self._session.layout.get(point, "curvature"))[:, None]
+        centre = 0.5 * (keys.begin + keys.end)
+        kept, entered, last = (w.T for w in lag_weights(np.diff(centre)))
+        place = {k: b for b, k in enumerate(chosen)}
+        for k in sorted(chosen):
+            if not 0 < k < keys.used:
+                continue
+            b, b0 = place[k], place.get(k - 1)
+            if b0 is None:
+                other = self._on_grid(keys, push_grid, [k - 1])[0]
+                lags, bent = other[:, 3:], other[:, :1] - (here[b, :, :1] - bending[b])
+            else:
+                lags, bent = before[b0] + now[b0] * bending[b0], bending[b0]
+            now[b] = last[k - 1]
+            before[b] = kept[k - 1] * lags + entered[k - 1] * bent
+        return Memory(before, now, REACHED)
 
     def secant(self, keys: KeyFrames, point: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
-        """Mean (n,) and covariance (n, n) of the parameters, log k being made that of the secant stiffness of the push so
-        far, `k_i (1 - c)`."""
+        """Mean (n,) and covariance (n, n) of the parameters, log k being made that of the secant stiffness of the push
+        so far, `k_i (1 - c)`."""
         if not self._session.carries("relaxation"):
             return x, covariance
         layout, reached = self._session.layout, self._reached(keys, point)
@@ -112,11 +120,10 @@ class Lineariser:
 
     def _on_grid(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int]) -> Array:
         """(B, Q, 3 + r) shapes of key frames, interpolated where they are on another grid."""
-        nodes = push_grid.grid.nodes
-        out = keys.shape[chosen][:, : len(nodes)]
-        for row, i in zip(out, chosen, strict=True):
-            if keys.grid[i] != push_grid.push_s and keys.grid[i] != 0.0:
-                before = self._grids[float(keys.grid[i])].grid.nodes
+        out, grids = keys.shape[chosen, : len(push_grid.weights)], keys.grid[chosen].tolist()
+        for row, i, grid in zip(out, chosen, grids, strict=True):
+            if grid not in (push_grid.push_s, 0.0):
+                nodes, before = push_grid.grid.nodes, self._grids[float(keys.grid[i])].grid.nodes
                 for c in (0, *range(3, out.shape[-1])):
                     row[:, c] = np.interp(nodes, before, keys.shape[i, : len(before), c])
         return out

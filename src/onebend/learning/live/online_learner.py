@@ -20,6 +20,7 @@ from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
 from onebend.learning.live.session import LiveSession, session_layout
@@ -31,6 +32,7 @@ from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
 
 _EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
+_HELD: frozenset[AllowanceName] = frozenset({"patches"})  # what k(s) of a fit has in it
 _STIFFER = 0.2  # added to log k where the estimate has no equilibrium under a force that the beam withstood
 
 
@@ -84,7 +86,7 @@ class OnlineLearner:
             rest_unknown=settings.rest_unknown,
             calibrated=settings.calibrated,
             mass=mass,
-            allowances=settings.allowances,
+            allowances=settings.allowances - (_HELD if isinstance(start, UncertainStiffness) else frozenset()),
             thickness=thickness,
             tag_size=tag_size,
         )

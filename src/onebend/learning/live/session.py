@@ -23,6 +23,7 @@ from onebend.learning.model.tag_jacobian import free_columns
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, SCALE_SD, TURN_SD, Array
 
 ORDER, WIDEST = 12, 0.5
+MOST_PANELS = 4  # two before the push, and two behind one that is near the clamp
 _GRIDS = 50  # over the length; a push between two places acts along the tangent from the nearer one
 
 
@@ -37,9 +38,14 @@ class LiveSession:
     thickness: float = math.nan  # m, of the section in the plane of bending; NaN: not known
     tag_size: float = math.nan  # m, side of a tag's black square; NaN: not known
 
+    @cached_property
+    def carried(self) -> frozenset[str]:
+        """Names of all blocks of parameters that are not frozen."""
+        return frozenset(self.columns)
+
     def carries(self, name: str) -> bool:
         """Whether an allowance is among the parameters."""
-        return (name, -1) in self.layout.index and self.layout.index[name, -1].start >= 0
+        return name in self.carried
 
     def section(self, x: Array) -> RectangularSection | None:
         """By which the beam stretches and shears at parameters x; None where it does neither."""

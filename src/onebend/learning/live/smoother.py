@@ -22,7 +22,7 @@ from onebend.learning.live.key_frame_posterior import (
 from onebend.learning.live.key_frames import accept_average, closest_pairs, empty, propose_average
 from onebend.learning.live.linearised_frames import Lineariser
 from onebend.learning.live.marginalised import marginalise_oldest, nothing_marginalised
-from onebend.learning.live.session import ORDER, LiveSession, SmootherSettings
+from onebend.learning.live.session import MOST_PANELS, ORDER, LiveSession, SmootherSettings
 from onebend.learning.live.settings import force_process
 from onebend.learning.live.stiffness_hyperparameters import StiffnessChains
 from onebend.learning.live.tag_noise import robust_weights, tag_noise_size, tag_residuals
@@ -49,7 +49,7 @@ class Smoother:
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
         self.hyperparameters = hyperparameters
-        self.keys = empty(settings.key_frames, tags, n, 3 * ORDER)
+        self.keys = empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
         self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)

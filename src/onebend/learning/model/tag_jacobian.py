@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -206,7 +207,7 @@ class TagRide:
     across: Array  # (m,) m from the place to the left
     scale: float = 1.0  # of lengths in the picture
 
-    @property
+    @cached_property
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
