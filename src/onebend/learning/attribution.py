@@ -41,9 +41,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "remaining discrepancy": ("discrepancy", "angle discrepancy"),
     }
 )
-_SQUARE = (
-    0.5  # stretch and shear go with the square of the thickness: to first order none is half a unit of its log away
-)
+_NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 # Known of every bench, and unknown on every one: no allowance for a bench that is not ideal.
 _OF_EVERY_BENCH = (
     "error of the force log",
@@ -96,7 +94,7 @@ def attributions(problem: FitProblem, optimum: Optimum, s: Array) -> tuple[Attri
             continue
         index = np.concatenate([np.arange(b.where.start, b.where.stop) for b in free])
         before = np.concatenate([_ideal(problem, b) for b in free])
-        values = _from_ideal(name, optimum.x[index] - before)
+        values = optimum.x[index] - before
         inverse = _inverse(covariance[np.ix_(index, index)])
         regression = of_k[:, index] @ inverse
         known = np.maximum(variance - np.einsum("si,si->s", regression, of_k[:, index]), 1e-4 * variance)
@@ -135,13 +133,6 @@ def _ideal(problem: FitProblem, block: Block) -> Array:
     """(n,) parameters of the ideal bench. What the rests say of the force log's error is known without the fit."""
     if block.name == "force":
         return np.asarray(problem.recordings[block.recording].error.mean.ravel())
+    if block.name == "section":
+        return np.full(len(block.prior_sd), _NO_THICKNESS)
     return np.zeros(len(block.prior_sd))
-
-
-def _from_ideal(name: str, values: Array) -> Array:
-    """How far the parameters are from those of the ideal bench."""
-    if name == "stretch and shear":
-        return np.full_like(values, _SQUARE)
-    if name == "relaxation":
-        return np.asarray(values * np.array([1.0, 0.0]))  # without a share there is no time
-    return values

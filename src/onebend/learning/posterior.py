@@ -23,7 +23,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.inference.descent import MapEstimate
+from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.misfit import Miss, misses
@@ -307,4 +307,4 @@ def _carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem) -> 
     same = all(np.array_equal(few.frames, every.frames) for few, every in pairs)
     shapes = [p.solved.q for p in near.predictions] if same else None
     begin = estimate_at(whole, near.x, shapes)
-    return replace(begin, hyperparameters=near.hyperparameters, steps=near.steps)
+    return with_own_forces(replace(begin, hyperparameters=near.hyperparameters, steps=near.steps))

@@ -128,18 +128,33 @@ def test_a_tag_that_was_not_seen_is_not_moved() -> None:
 
 
 @CAMERAS
-def test_a_rolling_shutter_sees_the_last_row_one_read_out_time_after_the_first(camera: View) -> None:
-    made = filmed(40)
+def test_a_rolling_shutter_sees_every_corner_at_its_own_instant(camera: View) -> None:
+    made, size, readout = filmed(40), 4e-3, 1e-3
     rate = np.array([0.02, -0.05, 0.3])  # m/s, m/s, rad/s
-    start = np.stack([0.15 * made.marker_s, 0.01 * np.arange(3), np.zeros(3)], axis=-1)
+    start = np.stack([0.15 * made.marker_s, 0.01 * np.arange(3), 0.4 * np.arange(3)], axis=-1)
     poses = start + rate * made.time[:, None, None]
     made = with_source(replace(made, xy=poses[..., :2], angle=poses[..., 2]), view=camera)
     frames = np.arange(40) % 2 == 0
     basis = rolling_shutter(made, frames, 21).basis[..., 0]
-    points = np.concatenate([made.xy, np.zeros((40, 3, 1))], axis=-1)[frames]
-    share = pixels(camera, points)[..., 1] / 720.0 - 0.5  # of the picture, from its middle
-    np.testing.assert_allclose(basis[:20], share[..., None] * rate, atol=1e-9)
     assert np.all(basis[20] == 0.0)
+
+    def corners(pose: Array) -> Array:
+        """(..., 4, 2) m of squares at poses (..., 3)."""
+        cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+        axes = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)
+        at = 0.5 * size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        return np.asarray(pose[..., None, :2] + at @ axes)
+
+    now = poses[frames]
+    flat = corners(now)
+    row = pixels(camera, np.concatenate([flat, np.zeros((*flat.shape[:-1], 1))], axis=-1))[..., 1] / 720.0 - 0.5
+    late = corners(now[..., None, :] + readout * row[..., None] * rate)[..., np.arange(4), np.arange(4), :]
+    middle = np.mean(late, axis=-2)
+    np.testing.assert_allclose(basis[:20, :, :2], (middle - now[..., :2]) / readout, rtol=0.02, atol=1e-5)
+    before, after = flat - now[..., None, :2], late - middle[..., None, :]
+    dot = np.sum(before * after, axis=(-1, -2))
+    cross = np.sum(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0], axis=-1)
+    np.testing.assert_allclose(basis[:20, :, 2], np.arctan2(cross, dot) / readout, rtol=0.02, atol=1e-4)
 
 
 def test_a_camera_that_is_calibrated_is_doubted_less() -> None:

@@ -24,6 +24,7 @@ from onebend.learning.allowances.chosen import allowances_of
 from onebend.learning.allowances.contact import sliding
 from onebend.learning.allowances.course import course
 from onebend.learning.allowances.relaxation import lags, reached_part
+from onebend.learning.allowances.section import KNOWN_SD
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.fit_data import fit_data
@@ -39,7 +40,7 @@ from tests.learning.streamed import IDEAL_LIVE, NOISE, S
 from tests.made_up import with_stated
 
 SPLINE = Spline(12)
-THICK, SHARES = 0.8, (0.1, 0.0, 0.0)  # log of the thickness over the usual one; shares that relax
+THICK, SHARES = 3.0, (0.1, 0.0, 0.0)  # of the section, over that of the usual thickness; shares that relax
 FEW = OnlineSettings(functions=12)
 
 
@@ -115,7 +116,7 @@ def test_stretch_shear_and_relaxation_are_learned_and_the_band_holds() -> None:
     assert np.sqrt(np.mean(((mean - log_k) / sd) ** 2)) < 1.0
     assert np.sqrt(np.mean((mean - log_k) ** 2)) < 0.06
     found = {n.name: n for n in learner.nuisances()}
-    section, share = found["log of section thickness"], found["share that relaxes within 1 s"]
+    section, share = found["change of section thickness squared"], found["share that relaxes within 1 s"]
     assert abs(section.value - THICK) < 2.0 * section.sd
     assert section.sd < 0.3 * section.prior_sd
     assert abs(share.value - SHARES[0]) < 2.0 * share.sd
@@ -178,8 +179,8 @@ def test_thickness_and_size_of_the_tags_come_from_the_recording() -> None:
     assert (settings_for(made).thickness, settings_for(made).tag_size) == (0.011, 0.012)
     assert settings_for(observed(SOFT, forces(10))).thickness is None
     learner = replay(made, 0.03, settings=FEW)
-    known = next(n for n in learner.nuisances() if n.name == "log of section thickness")
-    assert known.prior_sd == pytest.approx(0.1)
+    known = next(n for n in learner.nuisances() if n.name == "change of section thickness squared")
+    assert known.prior_sd == KNOWN_SD
 
 
 @pytest.mark.parametrize(

@@ -109,13 +109,13 @@ def test_weight_is_the_inverse_covariance_of_edge_errors() -> None:
 def test_covariance_is_honest(calibrated: bool) -> None:
     """Normalised squared errors over noisy films have the median of chi-squared with 3 degrees of freedom.
 
-    The base stands still, so its error is the same in every frame of a film; over the films it is honest.
+    The base stands still: its error is the same in every frame of a film, and none of the tags'.
     """
     true = TRUE[::4]
     exact, squares = corners_of(true, SEEN), []
     for seed in range(10):
         noise = edge_noise(exact, 0.3, seed)
-        noise[:, 0] = noise[0, 0]
+        noise[:, 0] = 0.0
         rec = recording(calibrated=SEEN if calibrated else None)
         squares.append(errors(detections(exact + noise), rec, true)[1])
     assert 0.6 < np.median(squares) / 2.366 < 1.4
@@ -175,7 +175,7 @@ def test_a_hidden_base_tag_leaves_the_covariance_known() -> None:
     hidden = measure_markers(found, recording(calibrated=seen))
     assert np.isfinite(hidden.xy).all()
     assert np.isfinite(hidden.covariance).all()
-    assert np.allclose(hidden.covariance, whole.covariance, rtol=0.3, atol=1e-12)
+    assert np.allclose(hidden.covariance, whole.covariance, rtol=0.3, atol=1e-11)
 
 
 def test_turned_tags_give_the_same_markers() -> None:
@@ -234,7 +234,11 @@ def test_base_is_averaged_by_weight() -> None:
     pose, moving = base_pose(poses_seen, (TagEntry(0, 0.0), TagEntry(1, 0.0)), 1.0)
     assert not moving
     assert pose.xy[0, 0] == pytest.approx([0.0, 0.0])
-    assert pose.covariance[0, 0] == pytest.approx(0.75 * np.eye(3))
+    assert np.all(pose.covariance == 0.0)  # an error of every frame alike is the mounting's
+    alone, _ = base_pose(
+        Poses(state[:1, :, :2], state[:1, :, 2], covariance[:1]), (TagEntry(0, 0.0), TagEntry(1, 0.0)), 1.0
+    )
+    assert alone.covariance[0, 0] == pytest.approx(0.75 * np.eye(3))
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.2, 2.0])

@@ -170,13 +170,13 @@ def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
     return Perturbation(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]), compliance)
 
 
-def of_section_thickness(problem: Problem) -> Perturbation:
-    """One parameter: the log of the section's thickness h0; 1/EA and 1/kGA go with its square.
+def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
+    """One parameter, with which log h0, the section's thickness, grows by `slope`; 1/EA and 1/kGA go with its square.
 
     Raises:
         MechanicsError: the problem has no section.
     """
-    return _of_compliance(problem, problem.compliance, 2.0)
+    return _of_compliance(problem, problem.compliance, 2.0 * slope)
 
 
 def of_poisson(problem: Problem) -> Perturbation:

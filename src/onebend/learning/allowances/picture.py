@@ -74,14 +74,27 @@ def lens(observations: Observations, measured: Array) -> Allowance:
 
 def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance:
     """The time [s] from the first row of a picture to its last: a tag in another row than the middle one is seen at
-    another instant. The principal point is taken to be in the middle; `count` frames, those at rest last."""
-    view, o = _view(observations), observations
+    another instant, and so is each of its corners, which turns a tag that moves: the rigid square that is nearest to
+    them by half the curl. The principal point is taken to be in the middle; `count` frames, those at rest last."""
+    o = observations
     pose = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     speed = np.nan_to_num(np.gradient(pose, o.time, axis=0)) if len(o.time) > 1 else np.zeros_like(pose)
-    in_camera = np.nan_to_num(o.xy) @ view.rotation[:, :2].T + view.translation
-    row = view.matrix[1, 1] * in_camera[..., 1] / in_camera[..., 2] / (2.0 * view.matrix[1, 2])  # from the middle
-    basis = with_rest((speed * row[..., None])[frames][..., None], count)
+    xy, late = np.nan_to_num(o.xy), _row(_view(o))
+    shift = speed * late(xy)[..., None]
+    by_x, by_y = (late(xy + step) - late(xy - step) for step in _STEP * np.eye(2))
+    shift[..., 2] += (speed[..., 1] * by_x - speed[..., 0] * by_y) / (4.0 * _STEP)
+    basis = with_rest(shift[frames][..., None], count)
     return Allowance("rolling shutter", "poses", "s", ("read-out time",), np.array([READOUT_SD]), basis)
+
+
+def _row(view: View) -> Callable[[Array], Array]:
+    """Of points (..., 2) m in the plane: the row (...) where they are seen, from the middle one, of all rows."""
+
+    def row(p: Array) -> Array:
+        seen = p @ view.rotation[:, :2].T + view.translation
+        return np.asarray(view.matrix[1, 1] * seen[..., 1] / seen[..., 2] / (2.0 * view.matrix[1, 2]))
+
+    return row
 
 
 def has_rows(observations: Observations) -> bool:

@@ -133,7 +133,7 @@ def _at_mean_stiffness(
     problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: Array
 ) -> tuple[Array, tuple[Prediction, ...]]:
     """Log k's coefficients at their mean (p,), and all else where it is most probable with them; the estimate itself
-    where that beam would not stand."""
+    where that beam would not stand, or where all else does not settle."""
     p = problem.layout.spline.count
     x = estimate.x + np.linalg.solve(covariance[:p, :p], covariance[:p]).T @ (log_k - estimate.x[:p])
     pairs = zip(problem.recordings, estimate.predictions, strict=True)
@@ -143,7 +143,7 @@ def _at_mean_stiffness(
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
     held = replace(estimate.hyperparameters, part_variances=variances)
     settled = descend(problem, MapEstimate(x, held, moved), prior(problem, held, log_k), 10, 0.1)
-    return settled.x, settled.predictions
+    return (settled.x, settled.predictions) if settled.converged else (estimate.x, estimate.predictions)
 
 
 def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:

@@ -229,7 +229,7 @@ def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
     if push_grid.kept and push_grid.kept[0].x is x:
         return push_grid.kept[0]
     layout, (size, p) = session.layout, push_grid.log_k.shape
-    none = np.zeros((1, 0, size))
+    none, (section, thickens) = np.zeros((1, 0, size)), session.section(x)
     problem = Problem(
         grid=push_grid.grid,
         weights=push_grid.weights,
@@ -243,10 +243,13 @@ def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
         follower=none[..., :2],
         follower_beyond=none,
         follower_rows=none,
-        section=session.section(x),
+        section=section,
     )
     at_rest = _solved(problem, np.broadcast_to(problem.q0, (1, size)), np.ones(1, dtype=bool))
-    bent = BentBeam(at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=session.carries("length"))
+    lengthens = session.carries("length")
+    bent = BentBeam(
+        at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=lengthens, thickens=thickens
+    )
     changes = material_changes(bent)
     columns = response_columns(changes).slices
     columns |= {"stiffness": slice(0, p - 1), "patches": slice(p - 1, p)}

@@ -15,7 +15,7 @@ from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.causal import OF_COURSE, causal_allowances, course_scale
 from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.allowances.patches import patch_function
-from onebend.learning.allowances.section import USUAL_THICKNESS
+from onebend.learning.allowances.section import section_at
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.model.parameters import Block, Layout, Priors
 from onebend.learning.model.spline import Spline
@@ -47,12 +47,12 @@ class LiveSession:
         """Whether an allowance is among the parameters."""
         return name in self.carried
 
-    def section(self, x: Array) -> RectangularSection | None:
-        """By which the beam stretches and shears at parameters x; None where it does neither."""
+    def section(self, x: Array) -> tuple[RectangularSection | None, float]:
+        """By which the beam stretches and shears at parameters x, None where it does neither; and how the log of its
+        thickness goes with its parameter."""
         if not self.carries("section"):
-            return None
-        usual = self.thickness if np.isfinite(self.thickness) else USUAL_THICKNESS * self.length
-        return RectangularSection(float(usual * np.exp(self.layout.get(x, "section")[0])))
+            return None, 1.0
+        return section_at(float(self.layout.get(x, "section")[0]), self.thickness, self.length)
 
     @cached_property
     def columns(self) -> dict[str, slice]:

@@ -14,7 +14,7 @@ from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.allowance import Allowance, Entry
 from onebend.learning.allowances.relaxation import memory, rest_shift, secant_share, shift_derivatives
-from onebend.learning.allowances.section import USUAL_THICKNESS
+from onebend.learning.allowances.section import section_at
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
@@ -37,14 +37,14 @@ def allowed_length(recording: FitData, layout: Layout, x: Array) -> Array:
     return np.asarray(recording.observations.length * np.exp(sum(change)))
 
 
-def allowed_section(recording: FitData, layout: Layout, x: Array) -> RectangularSection | None:
-    """By which the beam stretches and shears; None where it does neither."""
+def allowed_section(recording: FitData, layout: Layout, x: Array) -> tuple[RectangularSection | None, float]:
+    """By which the beam stretches and shears, None where it does neither; and how the log of its thickness goes with
+    the parameter."""
     for a in recording.allowances:
         if a.enters == "section":
-            stated, log = recording.observations.stated.thickness, _values(recording, layout, x, a)[0]
-            usual = stated if np.isfinite(stated) else USUAL_THICKNESS * recording.observations.length
-            return RectangularSection(float(usual * np.exp(log)))
-    return None
+            o = recording.observations
+            return section_at(float(_values(recording, layout, x, a)[0]), o.stated.thickness, o.length)
+    return None, 0.0
 
 
 def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, start: Array | None) -> Equilibrium:

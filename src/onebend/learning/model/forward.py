@@ -102,7 +102,7 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
         recording.problem,
         k=k,
         length=allowed_length(recording, layout, x),
-        section=allowed_section(recording, layout, x),
+        section=allowed_section(recording, layout, x)[0],
         q0=recording.rest_on_nodes @ layout.get(x, "curvature"),
         alpha0=_clamp_angle(recording, layout, x),
         dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
@@ -195,6 +195,7 @@ def _bent(now: Prediction) -> BentBeam:
         log_k_functions(recording),
         relaxation_derivatives(recording, layout, x, solved),
         lengthens="length" in free_columns(layout, recording.number),
+        thickens=allowed_section(recording, layout, x)[1],
     )
 
 

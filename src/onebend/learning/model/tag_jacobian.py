@@ -49,6 +49,7 @@ class BentBeam:
     log_k: Mapping[str, Array] = field(default_factory=dict)  # (Q, n) or (F, Q, n): further functions of log k, by name
     rest_shift: Array | None = None  # (F, Q, n): of the curvature at rest, with the parameters of relaxation
     lengthens: bool = False  # the length is a parameter
+    thickens: float = 1.0  # how the log of the section's thickness goes with its parameter
 
 
 def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
@@ -79,8 +80,8 @@ def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
 def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
     """Those of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
 
-    "stiffness" (p) coefficients of log k; what else enters log k, by name; "length" (1) its log; "section" (1) log of
-    its thickness, where the beam stretches and shears.
+    "stiffness" (p) coefficients of log k; what else enters log k, by name; "length" (1) its log; "section" (1) its
+    thickness, where the beam stretches and shears.
     """
     problem = beam.solved.problem
     changes = {
@@ -91,7 +92,7 @@ def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
     if beam.lengthens:
         changes["length"] = _of_length(beam.solved)
     if problem.section is not None:
-        changes["section"] = of_section_thickness(problem)
+        changes["section"] = of_section_thickness(problem, beam.thickens)
     return changes
 
 

@@ -19,9 +19,10 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
     """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
 
     The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
-    all frames with the covariance of one frame: the detector's error at one place of the pixel grid is the same in
-    every frame and does not average out. Place and angle are judged apart: a camera that shakes or drifts on its tripod
-    shifts the picture, and an angle that is followed without need would carry its noise out to the tip.
+    all frames. The error that is left in it is the same in every frame: it moves and turns the beam's whole frame, as
+    the mounting does, and is no noise of the tags, so that its covariance is zero. Place and angle are judged apart: a
+    camera that shakes or drifts on its tripod shifts the picture, and an angle that is followed without need would
+    carry its noise out to the tip.
     """
     pose = together(poses, [tag.s * length for tag in tags])
     state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
@@ -32,15 +33,13 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
         return pose, True
     shifts = _moves(state[known, :2], middle[:2], typical[:2, :2])
     shakes = bool(np.any(np.std(state[known, :2], axis=0) > SHAKES * np.sqrt(np.diag(typical)[:2])))
-    frames = len(state)
-    xy = (
-        np.where(known[:, None], state[:, :2], np.nan) if shifts or shakes else np.broadcast_to(middle[:2], (frames, 2))
-    )
-    return Poses(
-        xy[:, None],
-        np.broadcast_to(middle[2:], (frames, 1)),
-        np.broadcast_to(typical, (frames, 1, 3, 3)),
-    ), shifts
+    frames, covariance, xy = len(state), np.zeros((3, 3)), np.broadcast_to(middle[:2], (len(state), 2))
+    if frames == 1:  # a picture alone: other pictures have other errors
+        covariance = typical
+    elif shifts or shakes:
+        xy, covariance[:2, :2] = np.where(known[:, None], state[:, :2], np.nan), typical[:2, :2]
+    every = np.broadcast_to(covariance, (frames, 1, 3, 3))
+    return Poses(xy[:, None], np.broadcast_to(middle[2:], (frames, 1)), every), shifts
 
 
 def _moves(state: Array, middle: Array, covariance: Array) -> bool:
