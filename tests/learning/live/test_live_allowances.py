@@ -20,7 +20,7 @@ from onebend.learning.allowances.causal import (
     causal_allowances,
     course_scale,
 )
-from onebend.learning.allowances.chosen import allowances_of
+from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, allowances_of
 from onebend.learning.allowances.contact import sliding
 from onebend.learning.allowances.course import course
 from onebend.learning.allowances.relaxation import lags, reached_part
@@ -157,6 +157,7 @@ def test_a_fits_stiffness_has_what_is_under_the_tags_in_it() -> None:
     found = fit([made], 0.03, settings=replace(IDEAL, functions=12)).stiffness
     learner = OnlineLearner(made.length, MARKERS, found, settings=FEW)
     assert not learner._session.carries("patches")
+    assert "patches" not in learner.left_out
     np.testing.assert_allclose(learner.stiffness.log_at(S)[0], found.log_at(S)[0], rtol=1e-6)
 
 
@@ -194,3 +195,10 @@ def test_thickness_and_size_of_the_tags_come_from_the_recording() -> None:
 def test_what_makes_no_sense_is_refused(settings: OnlineSettings, word: str) -> None:
     with pytest.raises(LearningError, match=word):
         OnlineLearner(0.15, MARKERS, 0.03, settings=settings)
+
+
+def test_it_says_what_it_does_not_allow_for() -> None:
+    learner = OnlineLearner(0.15, MARKERS, 0.03, settings=FEW)
+    assert learner.left_out == ("heights", "rolling shutter", "inertia")
+    ideal = OnlineLearner(0.15, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=12))
+    assert set(ideal.left_out) == {*USUAL_ALLOWANCES, "inertia"}

@@ -20,7 +20,7 @@ from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.allowances.chosen import AllowanceName
+from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, AllowanceName
 from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
 from onebend.learning.live.session import LiveSession, session_layout
@@ -76,6 +76,7 @@ class OnlineLearner:
         s = np.asarray(marker_s, dtype=float)
         _check(length, s, mass)
         settings.check()
+        self._held = _HELD if isinstance(start, UncertainStiffness) else frozenset()
         thickness, tag_size = (np.nan if v is None else v for v in (settings.thickness, settings.tag_size))
         layout = session_layout(
             Spline(settings.functions),
@@ -86,7 +87,7 @@ class OnlineLearner:
             rest_unknown=settings.rest_unknown,
             calibrated=settings.calibrated,
             mass=mass,
-            allowances=settings.allowances - (_HELD if isinstance(start, UncertainStiffness) else frozenset()),
+            allowances=settings.allowances - self._held,
             thickness=thickness,
             tag_size=tag_size,
         )
@@ -158,6 +159,12 @@ class OnlineLearner:
     def frames(self) -> int:
         """Count of the frames learned from."""
         return self._frames
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What the fit allows for by default and this learner does not: it takes the beam and the bench as ideal there,
+        and its band holds no more of it than what the discrepancy takes in."""
+        return (*sorted(USUAL_ALLOWANCES - self._session.carried - self._held), "inertia")
 
     @property
     @one_blas_thread
