@@ -97,7 +97,7 @@ class CourseSoFar:
         self._turn = np.where(visible, turn, self._turn)
         out = np.empty(TERMS)
         once = np.zeros(1)
-        run = PushCourse(once, once + bend, once + float(back), once, self._turn[None])
+        run = PushCourse(once, np.array([bend]), np.array([float(back)]), once, self._turn[None])
         out[SLIDE] = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
         out[CLAMP], out[POSTURE], out[SMOOTH] = self._turn[0], powers(run.bend), smooth_functions(run)[:, _LINEAR]
         return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
@@ -47,6 +47,10 @@ class LinearisedTags:
     pose: Array  # (B, m, 3)
     j: Array  # (B, m, 3, n) with the parameters
     a: Array  # (B, m, 3, 2) with the logged force, per N
+
+    def take(self, chosen: BoolArray) -> LinearisedTags:
+        """Some of the frames."""
+        return LinearisedTags(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
 @dataclass(frozen=True)

@@ -58,13 +58,14 @@ class Lineariser:
             self._memory(keys, push_grid, (chosen, here), point),
         )
         there = linearise(self._session, push_grid, point, inputs, here[..., 0])
-        good = there.converged
-        solved = np.asarray(chosen)[good]
+        solved, good = np.asarray(chosen), there.converged
+        if not good.all():
+            solved, there = solved[good], there.take(good)
         if len(solved) == 0:
             return set()
-        keys.q[solved, :nodes], keys.grid[solved] = there.q[good], push_grid.push_s
-        keys.by_force[solved, :nodes], keys.lags[solved, :nodes] = there.by_force[good], there.lags[good]
-        keys.set_linear(solved, point, there.pose[good], there.j[good], there.a[good])
+        keys.shape[solved, :nodes] = np.concatenate([there.q[..., None], there.by_force, there.lags], axis=2)
+        keys.grid[solved] = push_grid.push_s
+        keys.set_linear(solved, point, there.pose, there.j, there.a)
         return set(solved.tolist())
 
     def _memory(self, keys: KeyFrames, push_grid: PushGrid, frames: tuple[list[int], Array], point: Array) -> Memory:
@@ -86,7 +87,9 @@ class Lineariser:
                 continue
             b, b0 = place[k], place.get(k - 1)
             if b0 is None:
-                other = self._on_grid(keys, push_grid, [k - 1])[0]
+                same = keys.grid[k - 1] == push_grid.push_s
+                other = keys.shape[k - 1] if same else self._on_grid(keys, push_grid, [k - 1])[0]
+                other = other[: len(push_grid.weights)]
                 lags, bent = other[:, 3:], other[:, :1] - (here[b, :, :1] - bending[b])
             else:
                 lags, bent = before[b0] + now[b0] * bending[b0], bending[b0]
