@@ -88,6 +88,7 @@ class Markers:
     base_angle: Array  # (T,) rad, turn of the base tag since the first frame (0 where the base stands still)
     view: View | None  # of the base tag's plane and frame (first frame, where the base moves); None for tracked markers
     remarks: tuple[Remark, ...] = ()
+    by_camera: Array | None = None  # (T, m, 3, n) what one sd of each unknown of camera and plane does to all poses
 
 
 @dataclass(frozen=True)
@@ -245,3 +246,13 @@ class Observations:
     known_loads: KnownLoads | None = None
     sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
     static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
+    # (T, m, 3, n) m, m, rad: what one sd of each of n unknowns of the camera and of the tags' plane does to the poses
+    # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
+    by_camera: Array | None = None
+
+
+def covariance_with_camera(seen: Markers | Observations) -> Array:
+    """(T, m, 3, 3) of the poses, what all frames share by the camera counted as noise of each."""
+    if seen.by_camera is None:
+        return seen.covariance
+    return np.asarray(seen.covariance + seen.by_camera @ np.swapaxes(seen.by_camera, -1, -2))

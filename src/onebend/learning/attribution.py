@@ -36,7 +36,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "direction of the force": ("direction",),
         "clock": ("clock",),
         "mass": ("mass",),
-        "camera": ("scale", "heights", "tilt", "lens", "rolling shutter"),
+        "camera": ("scale", "heights", "camera", "rolling shutter"),
         "error of the force log": ("force",),
         "remaining discrepancy": ("discrepancy", "angle discrepancy"),
     }

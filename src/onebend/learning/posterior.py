@@ -20,7 +20,7 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, AllowanceName
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
@@ -62,7 +62,7 @@ class FitSettings:
     priors: Priors = field(default_factory=Priors)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     last_rounds: int = 6  # at most, with all frames
-    allowances: frozenset[AllowanceName] = USUAL_ALLOWANCES  # what a real beam and bench may also do
+    allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 
 
 @dataclass(frozen=True)

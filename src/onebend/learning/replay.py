@@ -15,7 +15,7 @@ from onebend.learning.model.force_error import ForceError, force_error, ramp
 from onebend.learning.model.frames import push_places, usable_frames
 from onebend.learning.model.parameters import Priors, make_layout, scale_sd
 from onebend.learning.model.spline import Spline
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
 _MARGIN = 0.2  # s, kept away from contact when the rests are read
 _REST_STEP = 0.05  # s, between two looks at the log where no film was made
@@ -124,14 +124,14 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
     The log's zero is that of the first rest, as it is while a push is going on: what a line to the next one took off is
     put back.
     """
-    o, places = observations, push_places(observations)
+    o, places, covariance = observations, push_places(observations), covariance_with_camera(observations)
     logged = o.force - ramp(o.source.clean_force, o.time)
     film = [
         LiveFrame(
             time=float(o.time[t]),
             xy=o.xy[t],
             angle=o.angle[t],
-            covariance=o.covariance[t],
+            covariance=covariance[t],
             force=logged[t],
             push_s=float(places[t]),
             loaded=bool(o.loaded[t]),

@@ -76,6 +76,7 @@ def turned(markers: Markers, turn: float) -> Markers:
         xy=markers.xy @ back[:2, :2].T,
         angle=markers.angle - turn,
         covariance=back @ markers.covariance @ back.T,
+        by_camera=None if markers.by_camera is None else back @ markers.by_camera,
         view=None if view is None else replace(view, rotation=view.rotation @ back.T),
     )
 

@@ -203,4 +203,5 @@ def _observations(
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         gravity=acting.gravity[usable_frames],
+        by_camera=None if markers.by_camera is None else markers.by_camera[usable_frames],
     )

@@ -18,7 +18,7 @@ from onebend.recording.tracks.chords import chord_angles
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads
 from onebend.recording.tracks.pose_tables import PosePoints, static
 from onebend.recording.video import FilmFrame, Picture
-from onebend.records import BoolArray, Detections, Markers, Observations, Remark
+from onebend.records import BoolArray, Detections, Markers, Observations, Remark, covariance_with_camera
 
 
 def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
@@ -103,11 +103,11 @@ def measured(detections: Detections, rec: Recording) -> Markers:
     """The tags' poses: one plane for all pictures, or one plane each where the camera was moved."""
     assert rec.photos is not None
     if not rec.photos.camera_moves:
-        return measure_markers(detections, rec)
+        return with_camera_as_noise(measure_markers(detections, rec))
     per_photo = []
     for i in range(len(detections.time)):
         photo = replace(detections, time=detections.time[i : i + 1], corners=detections.corners[i : i + 1], remarks=())
-        per_photo.append(measure_markers(photo, rec))
+        per_photo.append(with_camera_as_noise(measure_markers(photo, rec)))
     return replace(
         per_photo[0],
         time=detections.time,
@@ -120,6 +120,11 @@ def measured(detections: Detections, rec: Recording) -> Markers:
             *{remark.text: remark for photo in per_photo for remark in photo.remarks}.values(),
         ),
     )
+
+
+def with_camera_as_noise(markers: Markers) -> Markers:
+    """The doubt about camera and plane in every picture's covariance, for fits that have no unknowns of the camera."""
+    return replace(markers, covariance=covariance_with_camera(markers), by_camera=None)
 
 
 def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:

@@ -32,7 +32,8 @@ def filmed(count: int = 20) -> Observations:
     """A push that bends the beam far, slowly enough for it to relax, as a camera sees it."""
     made = observed(SOFT, forces(count), at_s=PUSH_S)
     made = replace(made, marker_s=TAGS, time=0.3 * np.arange(count) + 0.05 * np.sin(np.arange(count)))
-    return with_source(with_stated(made, rest="unknown"), view=CAMERA)
+    by_camera = 1e-5 * np.random.default_rng(1).standard_normal((count, len(TAGS), 3, 2))
+    return replace(with_source(with_stated(made, rest="unknown"), view=CAMERA), by_camera=by_camera)
 
 
 def with_everything(*, share: float) -> tuple[FitData, Layout, Array]:

@@ -134,4 +134,4 @@ def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
 
 def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
-    assert EVERY_ALLOWANCE - chosen(forces(20), source=tracked) == {"heights", "tilt", "lens", "rolling shutter"}
+    assert EVERY_ALLOWANCE - chosen(forces(20), source=tracked) == {"heights", "rolling shutter"}

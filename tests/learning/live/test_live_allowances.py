@@ -20,7 +20,7 @@ from onebend.learning.allowances.causal import (
     causal_allowances,
     course_scale,
 )
-from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, allowances_of
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, allowances_of
 from onebend.learning.allowances.contact import sliding
 from onebend.learning.allowances.course import course
 from onebend.learning.allowances.relaxation import lags, reached_part
@@ -189,7 +189,7 @@ def test_thickness_and_size_of_the_tags_come_from_the_recording() -> None:
     [
         (OnlineSettings(thickness=-0.01), "thickness"),
         (OnlineSettings(tag_size=np.inf), "tag_size"),
-        (OnlineSettings(allowances=frozenset({"section", "lens"})), "no allowance for: lens"),
+        (OnlineSettings(allowances=frozenset({"section", "camera"})), "no allowance for: camera"),
     ],
 )
 def test_what_makes_no_sense_is_refused(settings: OnlineSettings, word: str) -> None:
@@ -199,6 +199,6 @@ def test_what_makes_no_sense_is_refused(settings: OnlineSettings, word: str) -> 
 
 def test_it_says_what_it_does_not_allow_for() -> None:
     learner = OnlineLearner(0.15, MARKERS, 0.03, settings=FEW)
-    assert learner.left_out == ("heights", "rolling shutter", "inertia")
+    assert learner.left_out == ("camera", "heights", "rolling shutter", "inertia")
     ideal = OnlineLearner(0.15, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=12))
-    assert set(ideal.left_out) == {*USUAL_ALLOWANCES, "inertia"}
+    assert set(ideal.left_out) == {*EVERY_ALLOWANCE, "inertia"}

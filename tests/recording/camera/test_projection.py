@@ -16,7 +16,7 @@ from onebend.recording.camera.plane import lay_square, square
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.camera.tag_poses import Poses, corner_weight, relative_to, unwrap
 from onebend.recording.toml.entries import Recording, TagEntry
-from onebend.records import Array, Detections
+from onebend.records import Array, Detections, covariance_with_camera
 from tests.recording.filmed import LENGTH, SIZE, corners_of, detections, poses, recording, view
 
 TRUE = poses(60)
@@ -34,7 +34,7 @@ def errors(found: Detections, rec: Recording, true: Array) -> tuple[Array, Array
     """Errors (T, m, 3) of the markers and their normalised squares (T, m)."""
     markers = measure_markers(found, rec)
     error = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1) - relative_truth(true)
-    return error, np.einsum("tmi,tmij,tmj->tm", error, np.linalg.inv(markers.covariance), error)
+    return error, np.einsum("tmi,tmij,tmj->tm", error, np.linalg.inv(covariance_with_camera(markers)), error)
 
 
 @given(

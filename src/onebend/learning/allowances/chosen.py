@@ -13,7 +13,7 @@ from onebend.learning.allowances.course import course
 from onebend.learning.allowances.discrepancy import discrepancy
 from onebend.learning.allowances.length import length
 from onebend.learning.allowances.patches import patches
-from onebend.learning.allowances.picture import has_rows, heights, lens, rolling_shutter, tilt
+from onebend.learning.allowances.picture import camera, has_rows, heights, rolling_shutter
 from onebend.learning.allowances.posture import posture_bias
 from onebend.learning.allowances.relaxation import relaxation
 from onebend.learning.allowances.section import section
@@ -28,15 +28,12 @@ AllowanceName = Literal[
     "patches",
     "length",
     "heights",
-    "tilt",
-    "lens",
+    "camera",
     "rolling shutter",
     "discrepancy",
     "angle discrepancy",
 ]
 EVERY_ALLOWANCE: frozenset[AllowanceName] = frozenset(get_args(AllowanceName))
-# Tilt and lens are left to be asked for: the tags at rest have set both, and free they can take what bends the beam.
-USUAL_ALLOWANCES: frozenset[AllowanceName] = EVERY_ALLOWANCE - {"tilt", "lens"}
 
 
 def allowances_of(
@@ -67,7 +64,9 @@ def allowances_of(
     if np.any(force != 0.0):
         every += [sliding(observations.marker_s, run, push_s), posture_bias(run, force)]
     if observations.source.view is not None:
-        every += [heights(observations, measured), tilt(observations, measured), lens(observations, measured)]
+        every.append(heights(observations, measured))
         if has_rows(observations):
             every.append(rolling_shutter(observations, frames, len(force)))
+    if observations.by_camera is not None:
+        every.append(camera(observations, frames, len(force)))
     return tuple(one for one in every if one.name in wanted)

@@ -1,9 +1,9 @@
-"""What a camera shows of tags that are not where its model takes them to be: heights, tilt, lens, rolling shutter.
+"""What a camera shows of tags that are not where its model takes them to be: heights, plane and lens, rolling shutter.
 
 The camera's model puts every tag in one plane. A tag at height z over that plane is seen where its ray meets the plane:
-`z / D` times its distance from the camera's foot too far out, D being the camera's own height. So is every point where
-the plane is tilted by more than was found: its height then grows with its place. The frame is fixed to the base tag and
-to the tags at rest, so that a tilt and a lens count by what they do to the tags beyond that.
+`z / D` times its distance from the camera's foot too far out, D being the camera's own height. The plane itself and,
+without a calibration, focal length and lens are known from the tags' own squares; what these leave open moves all tags
+of all frames together.
 """
 
 from __future__ import annotations
@@ -17,11 +17,9 @@ from onebend.learning.allowances.course import with_rest
 from onebend.records import Array, BoolArray, Observations, View
 
 HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
-TILT_SD = {True: 0.01, False: 0.03}  # rad, of the plane against the camera, calibrated or not
-LENS_SD = {True: 0.005, False: 0.05}  # of the first radial term, calibrated or not
 READOUT_SD = 0.015  # s, from the picture's first row to its last
-_STEP = 1e-4  # m, to either side of a place, for the slope of a field
-_Field = Callable[[Array], Array]  # (..., 2) m per unit: how far points (..., 2) m of the plane seem to be off
+_STEP = 1e-4  # m, to either side of a place, for the slope of a row
+_SMALL = np.finfo(float).tiny
 
 
 def camera_place(view: View) -> tuple[Array, float]:
@@ -43,33 +41,30 @@ def heights(observations: Observations, measured: Array) -> Allowance:
     return Allowance("heights", "poses", "m", labels, np.full(tags, HEIGHT_SD), basis, shared=True)
 
 
-def tilt(observations: Observations, measured: Array) -> Allowance:
-    """The plane tilted along x and along y [rad] by what the tags did not show; `measured` (F, m, 3)."""
-    view = _view(observations)
-    foot, distance = camera_place(view)
+def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
+    """The unknowns of the camera and of the tags' plane, in sds of what the tags' own squares left open; `count`
+    frames, those at rest last.
 
-    def field(axis: int) -> _Field:
-        return lambda p: (p - foot) * p[..., axis : axis + 1] / distance
+    The frame is fixed to the base tag and to the tags at rest: what turns these turns the frame.
+    """
+    o = observations
+    assert o.by_camera is not None
+    bare = ~o.loaded & np.all(np.isfinite(o.xy), axis=(1, 2))
+    rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, 0.0)
+    at_rest = o.by_camera[bare].mean(axis=0) if bare.any() else np.zeros(o.by_camera.shape[1:])
+    reach = float(np.sum(rest**2))
+    turn = np.sum(rest[:, 0, None] * at_rest[:, 1] - rest[:, 1, None] * at_rest[:, 0], axis=0) / max(reach, _SMALL)
+    basis = np.zeros((count, *o.by_camera.shape[1:]))
+    basis[: int(frames.sum())] = _less_turn(o.by_camera[frames], np.nan_to_num(o.xy[frames]), turn)
+    basis[int(frames.sum()) :] = _less_turn(at_rest, rest, turn)
+    n = basis.shape[-1]
+    return Allowance("camera", "poses", "1", tuple(f"camera and plane {i}" for i in range(1, n + 1)), np.ones(n), basis)
 
-    fields = [_seen_in_frame(field(axis), measured, observations) for axis in range(2)]
-    sd = np.full(2, TILT_SD[view.calibrated])
-    return Allowance("tilt", "poses", "rad", ("tilt along x", "tilt along y"), sd, np.stack(fields, axis=-1))
 
-
-def lens(observations: Observations, measured: Array) -> Allowance:
-    """The first radial term of the lens, k1 of `n (1 + k1 |n|^2)`, over what its model says; `measured` (F, m, 3)."""
-    view = _view(observations)
-    turn, away = view.rotation[:, :2], view.translation
-
-    def field(p: Array) -> Array:
-        x = p @ turn.T + away
-        n = x[..., :2] / x[..., 2:]
-        by_place = (turn[:2] - n[..., None] * turn[2]) / x[..., 2, None, None]  # of n
-        shift = n * np.sum(n**2, axis=-1, keepdims=True)
-        return np.asarray(np.linalg.solve(by_place, shift[..., None])[..., 0])
-
-    basis = _seen_in_frame(field, measured, observations)[..., None]
-    return Allowance("lens", "poses", "1", ("radial lens term",), np.array([LENS_SD[view.calibrated]]), basis)
+def _less_turn(moved: Array, xy: Array, turn: Array) -> Array:
+    """(..., m, 3, n) what poses at (..., m, 2) m move by, in a frame that turns by `turn` (n,) rad."""
+    turned = np.stack([-xy[..., 1], xy[..., 0], np.ones(xy.shape[:-1])], axis=-1)
+    return np.asarray(moved - turned[..., None] * turn)
 
 
 def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance:
@@ -100,30 +95,6 @@ def _row(view: View) -> Callable[[Array], Array]:
 def has_rows(observations: Observations) -> bool:
     """Whether the camera's matrix says where the rows of the picture are."""
     return bool(_view(observations).matrix[1, 2] > 0.0)
-
-
-def _seen_in_frame(field: _Field, measured: Array, observations: Observations) -> Array:
-    """(F, m, 3) per unit: what a field does to the poses (F, m, 3) of tags, whose frame has the base tag at its origin
-    and the tags at rest along x; zero for tags that were not seen."""
-    base = field(np.zeros(2))
-    rest = observations.rest_xy[np.all(np.isfinite(observations.rest_xy), axis=-1)]
-    reach = float(np.sum(rest**2))
-    if reach > 0.0:
-        off = field(rest) - base
-        frame_turn = float(np.sum(rest[:, 0] * off[:, 1] - rest[:, 1] * off[:, 0])) / reach
-    else:
-        frame_turn = float(_turn_of(field, np.zeros(2), np.zeros(())))
-    xy, angle = np.nan_to_num(measured[..., :2]), np.nan_to_num(measured[..., 2])
-    turned = frame_turn * np.stack([-xy[..., 1], xy[..., 0]], axis=-1)
-    moved = np.concatenate([field(xy) - base - turned, (_turn_of(field, xy, angle) - frame_turn)[..., None]], axis=-1)
-    return np.where(np.isfinite(measured), moved, 0.0)
-
-
-def _turn_of(field: _Field, xy: Array, angle: Array) -> Array:
-    """(...) rad per unit: how a field turns directions `angle` (...) at points (..., 2)."""
-    onward = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    slope = (field(xy + _STEP * onward) - field(xy - _STEP * onward)) / (2.0 * _STEP)
-    return np.asarray(slope[..., 1] * onward[..., 0] - slope[..., 0] * onward[..., 1])
 
 
 def _view(observations: Observations) -> View:

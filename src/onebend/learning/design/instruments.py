@@ -14,7 +14,7 @@ from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import expected_noise, filtered
 from onebend.learning.model.frames import typical
 from onebend.learning.model.parameters import Layout
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
     from onebend.learning.posterior import Posterior
@@ -228,7 +228,7 @@ def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool
 
 def _tag_sd(observations: Observations) -> Array:
     """(m, 3) of x, y, angle in a typical frame."""
-    return np.sqrt(typical(np.diagonal(observations.covariance, axis1=2, axis2=3)))
+    return np.sqrt(typical(np.diagonal(covariance_with_camera(observations), axis1=2, axis2=3)))
 
 
 def _rests(observations: Observations) -> tuple[float, float]:

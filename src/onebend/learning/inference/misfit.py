@@ -10,7 +10,7 @@ import numpy as np
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.model.frames import distances, marker_rms
-from onebend.records import Array
+from onebend.records import Array, covariance_with_camera
 
 MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
@@ -59,7 +59,7 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
     if o.static:  # points near the clamp hardly move, and a ruler reads them no better
         straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
-    variance = np.trace(o.covariance[..., :2, :2], axis1=2, axis2=3)
+    variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
     missing = np.where(rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
     worst = int(np.argmax(missing))
     if not missing[worst] > MISS:

@@ -20,7 +20,7 @@ from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.allowances.chosen import USUAL_ALLOWANCES, AllowanceName
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
 from onebend.learning.live.session import LiveSession, session_layout
@@ -162,9 +162,9 @@ class OnlineLearner:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the fit allows for by default and this learner does not: it takes the beam and the bench as ideal there,
+        """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
         and its band holds no more of it than what the discrepancy takes in."""
-        return (*sorted(USUAL_ALLOWANCES - self._session.carried - self._held), "inertia")
+        return (*sorted(EVERY_ALLOWANCE - self._session.carried - self._held), "inertia")
 
     @property
     @one_blas_thread

@@ -22,7 +22,7 @@ from onebend.learning.model.mass import NEEDS_MASS
 from onebend.learning.model.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.model.spline import Spline
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
 REST_MODES = Modes(3)
 MASS_MODES = Modes(4)
@@ -66,14 +66,15 @@ def fit_data(
     time = o.time[frames]
     error = force_error(o, time)
     measured = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-    covariance, force = o.covariance[frames], o.force[frames]
+    all_noise = o.covariance if "camera" in allowances else covariance_with_camera(o)
+    covariance, force = all_noise[frames], o.force[frames]
     rate = _rate(o)[frames]
     push_s, gravity, weights = push_places(o)[frames], o.gravity[frames], error.weights
     other = known_loads(o, frames)
     if np.any(np.isfinite(o.rest_xy)):  # the beam at rest is one more frame, of no force and no force error
         rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
         measured = np.concatenate([measured, rest[None]])
-        covariance = np.concatenate([covariance, np.maximum(typical(o.covariance), 0.0)[None] * np.eye(3)])
+        covariance = np.concatenate([covariance, np.maximum(typical(all_noise), 0.0)[None] * np.eye(3)])
         force, rate = np.vstack([force, np.zeros(2)]), np.vstack([rate, np.zeros(2)])
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])

@@ -14,7 +14,7 @@ from onebend.beam.modal import Modes, Places, angles, jacobians, places, positio
 from onebend.errors import LearningError
 from onebend.learning.model.frames import whitening
 from onebend.learning.model.rest import AtRest, at_rest, beam_points
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
 _LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data (a prior sd of about 30 rad)
 
@@ -47,7 +47,7 @@ def solve_states(
     rest = at_rest(observations) if rest is None else rest
     xy, tangent = beam_points(observations, rest)
     measured = np.concatenate([xy, tangent[..., None]], axis=-1)  # (T, m, 3)
-    whiten, data = _whitening(measured, observations.covariance, with_angles)
+    whiten, data = _whitening(measured, covariance_with_camera(observations), with_angles)
     target = np.where(np.isfinite(measured), measured, 0.0)
     at = places(observations.length, Modes(n), observations.marker_s)
     theta, converged = _levenberg(at, target, whiten, _start(at, target, data > 0, whiten), most)

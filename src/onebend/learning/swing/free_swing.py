@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from onebend.errors import LearningError
 from onebend.learning.model.frames import whitening
-from onebend.records import Array, Observations
+from onebend.records import Array, Observations, covariance_with_camera
 
 _MARGIN = 0.1  # s after the last contact found: the tool leaves the beam within it
 _FEWEST = 12  # frames
@@ -62,7 +62,7 @@ def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
     begin = _release(o, film_time) if part.begin is None else part.begin
     chosen = (film_time >= begin) & (film_time <= (np.inf if part.end is None else part.end))
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
-    there = np.isfinite(seen).all(axis=-1) & np.isfinite(o.covariance).all(axis=(-1, -2))
+    there = np.isfinite(seen).all(axis=-1) & np.isfinite(covariance_with_camera(o)).all(axis=(-1, -2))
     chosen &= there.any(axis=1)
     if chosen.sum() < _FEWEST:
         raise LearningError(
@@ -85,7 +85,7 @@ def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
         begin=float(film_time[chosen][0]),
         s=o.marker_s,
         seen=shown,
-        whiten=whitening(shown, o.covariance[chosen]),
+        whiten=whitening(shown, covariance_with_camera(o)[chosen]),
         rest=rest,
         gravity=np.asarray(o.gravity[chosen].mean(axis=0)),
         rate=1.0 / float(np.median(np.diff(o.time))),

@@ -57,7 +57,7 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
         s=np.array([tag.s for tag in tags.on_beam]),
         xy=relative.xy,
         angle=unwrap(relative.angle),
-        covariance=relative.covariance + plane_doubt(plane, detections.corners, base),
+        covariance=relative.covariance,
         base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
         view=view_of(view, origin.xy[first, 0], float(origin.angle[first, 0])),
         remarks=(
@@ -65,6 +65,7 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
             *wrong_remarks(detections, wrong),
             *motion_remarks(origin, moving, recording.gravity is not None),
         ),
+        by_camera=by_camera(plane, detections.corners, base),
     )
 
 
@@ -90,9 +91,10 @@ def spread(corners: Array) -> Array:
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]
 
 
-def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
-    """Covariance (T, m, 3, 3) of the beam tags' poses relative to the first base tag from the uncertainty of the plane
-    and, without a calibration, of the camera. A hidden base counts as where it was seen nearest in time."""
+def by_camera(plane: PlaneFit, corners: Array, base: int) -> Array:
+    """(T, m, 3, n) m, m, rad: how the beam tags' poses relative to the first base tag move with one sd of each of the n
+    unknowns of the plane and, without a calibration, of the camera. A hidden base counts as where it was seen nearest
+    in time; zero for tags that were not seen."""
     corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
 
     def relative(view: View) -> Array:
@@ -102,8 +104,9 @@ def plane_doubt(plane: PlaneFit, corners: Array, base: int) -> Array:
         return np.concatenate([own.xy, own.angle[..., None]], axis=-1)
 
     middle = relative(plane.view)
-    shifts = [relative(view) - middle for view in plane.variations()]
-    return np.asarray(sum(shift[..., :, None] * shift[..., None, :] for shift in shifts))
+    shifts = np.stack([relative(view) - middle for view in plane.variations()], axis=-1)
+    shifts[:, :, 2] = np.angle(np.exp(1j * shifts[:, :, 2]))
+    return np.nan_to_num(shifts)
 
 
 def lasting_base(corners: Array) -> Array:
