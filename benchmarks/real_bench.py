@@ -27,7 +27,7 @@ from onebend.lab.tag_errors import TagNoise
 from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.stiffness_band import stiffness_of
-from onebend.records import Array
+from onebend.records import GAIN_SD, Array
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
 CELLS = ("all", *(f"only {name}" for name in IN_POSES), "none")
@@ -83,7 +83,7 @@ def run(cell: str, seed: int) -> Outcome:
         made = virtual_recording(bench, seed=seed)
         seen = observe_virtual(made)
         began = time.perf_counter()
-        found = fit([seen], gain_sd=bench.declared.gain_sd)
+        found = fit([seen], gain_sd=max(bench.declared.gain_sd, GAIN_SD))  # as `onebend learn` takes it
         seconds = time.perf_counter() - began
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return Outcome(cell, seed, failure=f"{type(wrong).__name__}: {wrong}", smooth=smooth)
@@ -105,7 +105,7 @@ def compared(found: Posterior, s: Array, truth: Array, outcome: Outcome) -> Outc
         error=float(np.sqrt(np.mean((told.k / truth - 1.0) ** 2))),
         width=float(np.mean(np.log(bands[-1].high / bands[-1].low)) / (2.0 * 1.96)),
         converged=found.optimum.converged,
-        trusted=found.criticism.trusted,
+        trusted=not found.doubts,
         causes=tuple(one.score.suspect.name for one in found.criticism.causes),
     )
 

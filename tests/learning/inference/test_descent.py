@@ -1,0 +1,63 @@
+"""The way down to the maximum: own forces, and trials that are brought back to a bent valley."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.learning.inference import descent
+from onebend.learning.inference.descent import MapEstimate, _Linearised, _trial, rows_of, with_own_forces
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
+from onebend.learning.inference.linear_gaussian import data_information, rest_information, split_off_force, tag_score
+from onebend.learning.inference.optimizer import estimate_at
+from tests.learning.inference.test_hyperparameters import evidence_of
+
+
+def far_off(marker: float = 1.3, k: float = 0.06) -> tuple[FitProblem, Hyperparameters, MapEstimate]:
+    """An estimate far from the maximum: an even beam of stiffness k [N m], where it is about 0.03."""
+    evidence, expected = evidence_of(1)
+    exact = replace(expected, noise=(RecordingNoise(marker, expected.noise[0].force),))
+    x = np.zeros(evidence.problem.layout.size)
+    x[:8] = np.log(k)
+    return evidence.problem, exact, replace(estimate_at(evidence.problem, x), hyperparameters=exact)
+
+
+def linearised(problem: FitProblem, hyperparameters: Hyperparameters, estimate: MapEstimate) -> _Linearised:
+    before = prior(problem, hyperparameters)
+    return _Linearised(problem, estimate, before, rest_information(problem), rows_of(estimate))
+
+
+def test_each_frames_own_force_is_settled_with_all_else_held() -> None:
+    problem, hyperparameters, estimate = far_off(20.0)
+    here = linearised(problem, hyperparameters, estimate)
+    settled = with_own_forces(estimate)
+    np.testing.assert_array_equal(settled.x, estimate.x)
+    assert here.cost(settled) < here.cost(estimate)
+    (rows,), (now,), (noise,) = rows_of(settled), settled.predictions, hyperparameters.noise
+    wanted = split_off_force(rows, rows.r, noise)[1]
+    assert np.max(np.abs(wanted)) > 1e-4
+    np.testing.assert_allclose(now.own, wanted, atol=0.03 * float(np.max(np.abs(wanted))))
+
+
+def test_the_slope_is_that_of_the_cost() -> None:
+    problem, hyperparameters, estimate = far_off()
+    here = linearised(problem, hyperparameters, estimate)
+    data = data_information(problem, here.rows, estimate.x, hyperparameters)
+    whole = here.before.root.T @ (data.vector - data.matrix @ estimate.x) - here.before.whiten(estimate.x)
+    np.testing.assert_allclose(here.slope, whole, rtol=1e-8, atol=1e-8 * float(np.max(np.abs(whole))))
+    (rows,), (noise,) = here.rows, hyperparameters.noise
+    twice = tag_score(rows, problem.layout, 0, 2.0 * rows.r, noise)
+    np.testing.assert_allclose(twice, 2.0 * tag_score(rows, problem.layout, 0, rows.r, noise))
+
+
+def test_a_trial_is_brought_back_to_its_valley(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exact tags: a straight step along the valley that they leave misses them by many sd."""
+    problem, hyperparameters, estimate = far_off(0.005, 0.02)
+    here = linearised(problem, hyperparameters, estimate)
+    cost = here.cost(estimate)
+    _, corrected = _trial(here, 1.0, cost)
+    monkeypatch.setattr(descent, "_CORRECTIONS", 0)
+    _, straight = _trial(here, 1.0, cost)
+    assert corrected < cost < straight
