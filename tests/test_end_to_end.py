@@ -41,17 +41,20 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learning_commands, "draw_all", interrupted)
         first = CliRunner().invoke(cli.app, command)
-        left = sorted(path.name.split("-")[0] for path in out.parent.rglob("*"))
+        left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(detection_cache, "detect_tags", interrupted)
-        second = CliRunner().invoke(cli.app, command)
+        second = CliRunner().invoke(cli.app, [*command, "--force"])
     return Runs(first, left, second, out)
 
 
 def test_an_interrupted_run_says_what_it_kept(runs: Runs) -> None:
     assert runs.interrupted.exit_code == 130, runs.interrupted.output
-    assert f"kept in {runs.out}.partial" in runs.interrupted.stderr
-    assert runs.left_behind == ["detections", "detections", "linear.partial"]
+    assert f"The results are in {runs.out}, but for the pictures." in runs.interrupted.stderr
+    assert f"the next run for {runs.out} with --force goes on from there" in runs.interrupted.stderr
+    assert sum(name.startswith("detections-") for name in runs.left_behind) == 2
+    assert {"model.json", "stiffness.csv", "report.html", "summary.json"} <= set(runs.left_behind)
+    assert not any(name.endswith(".png") for name in runs.left_behind)
 
 
 def test_the_next_run_goes_on_and_leaves_whole_results(runs: Runs) -> None:

@@ -13,8 +13,8 @@ DEEPEST = 2  # folders under src/onebend
 
 # From the lowest floor up. A name is a folder, or a module, of the layer.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("errors", "progress", "blas", "lazy", "workers", "strict_json"),
-    ("records",),
+    ("errors", "progress", "blas", "lazy", "workers", "strict_json", "escaping"),
+    ("records", "files", "crash"),
     ("beam",),
     ("recording",),
     ("learning", "control", "lab"),

@@ -48,7 +48,14 @@ def test_import_loads_nothing() -> None:
 @pytest.mark.parametrize("asked", ["--version", "--help"])
 def test_version_and_help_load_no_command(asked: str) -> None:
     modules = loaded(asked)
-    assert of_onebend(modules) == {"onebend", "onebend.lazy", "onebend.blas", "onebend.cli"}
+    assert of_onebend(modules) == {
+        "onebend",
+        "onebend.lazy",
+        "onebend.blas",
+        "onebend.cli",
+        "onebend.crash",
+        "onebend.escaping",
+    }
     assert not modules & {"numpy", "scipy", *HEAVY}
 
 

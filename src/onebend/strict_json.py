@@ -1,12 +1,16 @@
-"""JSON as its standard has it: no NaN and no infinity."""
+"""JSON as its standard has it: no NaN and no infinity, and no character that a terminal would act on."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
+# What JSON lets stand in a string though terminals act on it or no encoding has it. (C0 it escapes by itself.)
+_ACTING = re.compile("[\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]")
 
 
 def plain(value: Any) -> Any:
@@ -22,6 +26,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def to_json(data: Any) -> str:
-    """Strict JSON, readable."""
-    return json.dumps(plain(data), indent=2, allow_nan=False, ensure_ascii=False)
+def to_json(data: Any, *, ascii_only: bool = False) -> str:
+    """Strict JSON, readable; with `ascii_only` every other character by its code."""
+    text = json.dumps(plain(data), indent=2, allow_nan=False, ensure_ascii=ascii_only)
+    return _ACTING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

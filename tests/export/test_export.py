@@ -28,9 +28,9 @@ from onebend.export.mujoco import mjcf
 from onebend.export.pyelastica import pyelastica
 from onebend.export.robot import sdf, urdf
 from onebend.export.table import columns
+from onebend.files.single_file import write_file
 from onebend.records import Array
 from onebend.results.model import save_model
-from onebend.results.single_file import write_file
 
 GRAVITY = (0.0, -9.81)
 PLACES = (1 / 3, 2 / 3, 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from onebend.cli import app
 from onebend.errors import MechanicsError, OnebendError, RecordingError
 from onebend.forecast.advice import advise
+from onebend.forecast.figure import rehearsal_figure
 from onebend.forecast.instruments import instruments
 from onebend.forecast.prediction import (
     BASIS,
@@ -34,6 +36,7 @@ from onebend.learning.design.identifiability import STEPS
 from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.inference.stiffness_prior import Draws, stiffness_mixture
 from onebend.records import PLACE_SD, Array
+from onebend.report.figures.pictures import draw
 from onebend.results.model import save_model
 
 WRIST, CUBIC, UNIFORM = (
@@ -240,7 +243,7 @@ def test_a_learned_model_can_be_rehearsed(tmp_path: Path) -> None:
 
 def test_files_hold_what_was_found(tmp_path: Path) -> None:
     found = rehearse(WRIST, runs=0, count=2)
-    writer_of(found, written_by="a test")(tmp_path)
+    writer_of(found, draw({"rehearsal": partial(rehearsal_figure, found)}), written_by="a test")(tmp_path)
     rows = (tmp_path / "rehearsal.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == ",".join(COLUMNS)
     assert len(rows) == 102
@@ -249,7 +252,7 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert summary["obtained"] is None
     assert len(summary["advice"]) == 2
-    assert set(summary["files"]) == {"rehearsal.csv", "rehearsal.png", "summary.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png", "summary.json"}
 
 
 def test_command_line() -> None:

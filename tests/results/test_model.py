@@ -83,6 +83,10 @@ def test_what_speaks_against_a_band_comes_back_and_may_be_missing_in_old_files(t
     data = json.loads((tmp_path / "model.json").read_text(encoding="utf-8"))
     del data["uncertain"]["doubts"]
     (tmp_path / "model.json").write_text(json.dumps(data), encoding="utf-8")
+    with pytest.warns(UserWarning, match=r"model\.json: was changed after onebend wrote it"):
+        assert len(load_uncertain(tmp_path).doubts) == 1  # that it was changed
+    del data["sha256"]
+    (tmp_path / "model.json").write_text(json.dumps(data | {"version": 3}), encoding="utf-8")
     assert load_uncertain(tmp_path).doubts == ()
 
 
@@ -117,7 +121,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2 and 3"),
+        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2, 3 and 4"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),

@@ -69,6 +69,7 @@ def full() -> Observations:
         force_sd=np.array([np.inf, 1 / 3]),
         held=np.arange(frames) > 3,
         known_loads=known,
+        by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
         static=True,
     )

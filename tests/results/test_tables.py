@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from dataclasses import fields, replace
 from pathlib import Path
@@ -10,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend.files.manifest import seal, write_summary
 from onebend.records import Detections, Remark
 from onebend.results.detection_cache import DetectionCache, key_of
-from onebend.results.folder import write_summary
 from onebend.results.summary import summary_of, validation_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
@@ -110,9 +111,11 @@ def test_validation_table_keeps_the_unknown_unknown(tmp_path: Path) -> None:
 
 def test_summary_is_strict_json_with_null_for_the_unknown(tmp_path: Path) -> None:
     summary = summary_of(made_up.findings(), written_by="a test")
-    write_summary(tmp_path / "summary.json", summary, ["model.json"])
+    (tmp_path / "model.json").write_text("{}")
+    write_summary(tmp_path, summary)
+    seal(tmp_path, {"pictures_failed": {}})
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
-    assert read["files"] == ["model.json", "summary.json"]
+    assert read["files"] == {"model.json": hashlib.sha256(b"{}").hexdigest(), "summary.json": None}
     chosen = read["regression"]["chosen"]
     assert (chosen["n"], chosen["m"]) == (4, 3)
     assert read["training"][0]["sensor_rms_m"] == [0.0001, 0.0004, None]

@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import MechanicsError, RecordingError, ResultsError
+from onebend.files.manifest import files_in, seal
 from onebend.lab.designs import DESIGNS
 from onebend.learning.paper.selection import information_criterion
 from onebend.records import Observations
-from onebend.results.folder import files_in
+from onebend.report.figures.pictures import Pictures
 from onebend.results.observations_file import save_observations
 from onebend.studies.figures import draw_figures, ranked
 from onebend.studies.films import FilmJob, film_jobs, make_recording
@@ -222,7 +223,7 @@ def test_tables_hold_what_was_printed_and_what_was_found(found: StudyOutcome) ->
 
 
 def test_figures_are_pictures_and_the_worst_is_the_worst(found: StudyOutcome) -> None:
-    figures = draw_figures(found)
+    figures = draw_figures(found).drawn
     assert set(figures) == {"summary", "figure-3", "training", "figure-6", "figure-7", "figure-8"}
     assert all(png.startswith(b"\x89PNG") and len(png) > 5000 for png in figures.values())
     words = [word for word, _, _ in ranked(found)]
@@ -246,9 +247,12 @@ def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
     (work / "learned").mkdir(parents=True)
     (work / "learned" / "model.json").write_text("{}", encoding="utf-8")
     out.mkdir()
-    writer(found, {"summary": b"\x89PNG"}, summary_of(found, written_by="a test"), work, version="0")(out)
+    pictures = Pictures({"summary": b"\x89PNG"})
+    writer(found, pictures, summary_of(found, written_by="a test"), work, version="0")(out)
+    seal(out, {})
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert set(files_in(out)) == {*summary["files"], "summary.json"}
+    assert set(files_in(out)) == set(summary["files"])
+    assert (work / "learned" / "model.json").exists()
     assert (out / "learned" / "model.json").exists()
     assert summary["tables"]["table-II"]["rows"][5]["printed_M3_m"] == 0.0021
     for table in all_tables(found):
@@ -281,4 +285,4 @@ def test_the_whole_paper_without_films(tmp_path: Path) -> None:
         assert row["fit_log_k_rms_percent"] < 10.0
         assert row["band_holds_percent"] > 90.0
     assert (out / "report.html").stat().st_size > 500_000
-    assert not out.with_name("out.partial").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

@@ -1,20 +1,25 @@
 """The command line. Results go to standard output, progress and errors to standard error.
 
-Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do; 130 interrupted.
+Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do, or a fault of
+onebend itself, with the file that says more; 130 interrupted.
 The list of commands stands here as text, so that `--version` and `--help` load no command; each loads what it needs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import wraps
 from importlib import import_module
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 import onebend
 from onebend.blas import one_blas_thread
+from onebend.crash import guarded
 
 BY = f"onebend {onebend.__version__}"
 
@@ -117,6 +122,20 @@ COMMANDS = {
 }
 
 
+GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the command that runs, by name
+
+
+def remembered(command: Callable[..., None]) -> Callable[..., None]:
+    """The command; its options are in `GIVEN` while it runs, for what it writes."""
+
+    @wraps(command)
+    def inside(**options: Any) -> None:
+        GIVEN.set(options)
+        command(**options)
+
+    return inside
+
+
 class Command(TyperCommand):
     """A name and a line of help; what the command does, and its options, are loaded when it is called."""
 
@@ -128,7 +147,7 @@ class Command(TyperCommand):
         """The command itself. It works with one BLAS thread."""
         module = import_module(f"onebend.cli.{self.place.module}")
         single = typer.Typer(add_completion=False)
-        single.command(self.name)(one_blas_thread(getattr(module, self.place.function)))
+        single.command(self.name)(one_blas_thread(remembered(getattr(module, self.place.function))))
         return typer.main.get_command(single)
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
@@ -166,6 +185,6 @@ def _all_commands(
     pass
 
 
-def main() -> None:
+def main() -> NoReturn:
     """The entry point of `onebend`."""
-    app()
+    guarded(app, onebend.__version__)

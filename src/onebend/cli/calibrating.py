@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
-from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of
+from onebend.cli.common import clean_errors, print_json, progress_of, screen
 from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.errors import RecordingError
+from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.calibration.boards import Board, BoardKind
 from onebend.recording.calibration.intrinsics import calibrate as calibrate_camera
-from onebend.results.single_file import check_free, write_file
 from onebend.terminal.calibrating import show_calibration
 
 Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]
@@ -55,7 +54,7 @@ def calibrate(
     """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
     with clean_errors():
         wanted = _board(board, square, marker, dictionary)
-        check_free(output, overwrite=overwrite)
+        check_name_free(output, overwrite=overwrite)
         with progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
@@ -63,7 +62,7 @@ def calibrate(
         said = {"format": CALIBRATE_FORMAT, "written_by": BY, "video": str(video), **found.as_dict()}
         print_json({**said, "output": str(output)})
     else:
-        show_calibration(Console(), found, output)
+        show_calibration(screen(), found, output)
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -11,11 +12,15 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
+from onebend.cli import GIVEN
 from onebend.errors import OnebendError
+from onebend.escaping import printable
+from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
-from onebend.results.folder import OutputFolder, abandon, prepare
+from onebend.report.figures.pictures import Pictures
+from onebend.results.provenance import InputFile, provenance
 from onebend.strict_json import to_json
-from onebend.terminal.bars import Bars
+from onebend.terminal.bars import Bars, text_alone
 
 
 @contextmanager
@@ -35,8 +40,19 @@ def _fail(message: str, error: BaseException, code: int) -> NoReturn:
     """Say what is wrong, and what was added to the error on its way here."""
     sentences = [message, *getattr(error, "__notes__", ())]
     text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
-    typer.echo(f"onebend: {text}", err=True)
+    say(f"onebend: {text}", err=True)
     raise typer.Exit(code) from None
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """A line for people; what somebody named in it is text, and not for the terminal to act on."""
+    typer.echo(printable(text), err=err)
+
+
+def screen() -> Console:
+    """Where tables go: standard output, with what somebody named as text. (To look for numbers in a long
+    name, so as to colour them, takes minutes.)"""
+    return text_alone(Console(highlight=False))
 
 
 @contextmanager
@@ -45,14 +61,46 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
     place = prepare(out, kind=kind, overwrite=overwrite)
     try:
         yield place
-    except (OnebendError, KeyboardInterrupt, OSError) as error:
-        if abandon(place):
+    except BaseException as error:
+        kept = abandon(place)
+        if place.published:
+            error.add_note(f"The results are in {out}, but for the pictures.")
+        if (whole := unplaced(place)) is not None:
+            error.add_note(f"The results themselves are in {whole}.")
+        if kept:
+            again = " with --force" if place.published else ""
             error.add_note(
-                f"What was found so far is kept in {place.partial}; the next run for {out} goes on from there."
+                f"What was found so far is kept in {place.work}; the next run for {out}{again} goes on from there."
             )
-        elif isinstance(error, KeyboardInterrupt):
+        elif isinstance(error, KeyboardInterrupt) and not place.published:
             error.add_note("Nothing was written.")
         raise
+    finish(place)
+
+
+def put_in_place(
+    place: OutputFolder,
+    write: Callable[[Path], None],
+    pictures: Pictures = Pictures(),
+    *,
+    inputs: Sequence[InputFile] = (),
+    settings: Mapping[str, Any] = {},
+) -> None:
+    """Publish what `write` writes, with where it comes from; say which pictures are missing, and why."""
+    made_from = provenance(inputs, GIVEN.get({}), settings)
+    again = place.published
+    left = publish(place, write, made_from | {"pictures_failed": pictures.failed})
+    say_failed(pictures)
+    if left is not None:
+        say(f"onebend: warning: files that appeared in {place.out} during the run are in {left}.", err=True)
+    for path in () if again else made_from["provenance"]["changed_meanwhile"]:
+        say(f"onebend: warning: {path} was changed while it was read. Run again to learn from it as it is.", err=True)
+
+
+def say_failed(pictures: Pictures) -> None:
+    """A warning on standard error for each picture that could not be drawn."""
+    for name, why in pictures.failed.items():
+        say(f"onebend: warning: the picture {name!r} could not be drawn ({why}). All else is there.", err=True)
 
 
 @contextmanager
@@ -61,12 +109,18 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield Silent()
         return
-    with Bars(Console(stderr=True)) as bars:
+    with Bars(text_alone(Console(stderr=True, highlight=False))) as bars:
         yield bars
 
 
 def print_json(data: object) -> None:
-    typer.echo(to_json(data))
+    """One JSON object on standard output, in characters that it can take."""
+    text = to_json(data)
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        text = to_json(data, ascii_only=True)
+    typer.echo(text)
 
 
 def print_summary(summary: dict[str, Any], output: Path | None) -> None:

@@ -7,10 +7,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 import typer
-from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_summary, workplace
+from onebend.cli.common import clean_errors, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.reach.reach import Reach, ReachSettings
@@ -18,7 +17,9 @@ from onebend.control.reach.reach import reach as solve_reach
 from onebend.control.reach.reachable import ReachableSet, reachable
 from onebend.control.reach.uncertainty import predicted_error
 from onebend.errors import ControlError
-from onebend.results.folder import publish
+from onebend.report.figures.pictures import draw
+from onebend.results.model import model_file
+from onebend.results.provenance import inputs_of
 from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
 from onebend.terminal.reaching import show_reach
 
@@ -75,15 +76,15 @@ def reach(
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             from onebend.report.figures.reaching import reaching  # here: Matplotlib is for pictures alone
-            from onebend.report.figures.style import png_of
 
             with workplace(output, REACH_FORMAT, overwrite) as place:
-                picture = png_of(reaching(found, error, _within(found)))
-                publish(place, reach_writer(found, picture, summary))
+                pictures = draw({"reach": lambda: reaching(found, error, _within(found))})
+                inputs = inputs_of([model_file(model)])
+                put_in_place(place, reach_writer(found, pictures, summary), pictures, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
-        show_reach(Console(), found, error, output)
+        show_reach(screen(), found, error, output)
 
 
 def _within(found: Reach) -> ReachableSet | None:

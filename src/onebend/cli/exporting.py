@@ -6,19 +6,18 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from onebend.cli.common import clean_errors, progress_of
+from onebend.cli.common import clean_errors, progress_of, say
 from onebend.cli.models import read_trusted
 from onebend.cli.options import Model, Overwrite, Quiet, Recording, Threads
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
+from onebend.files.single_file import fresh_file, write_file
 from onebend.pipeline import compare
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.model import StoredModel
-from onebend.results.single_file import fresh_file, write_file
 
 ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
 OutFile = Annotated[
@@ -70,8 +69,8 @@ def export_command(
             sites=() if stored.origin is None else stored.origin.marker_s,
         )
         write_file(path, content, overwrite=overwrite)
-    Console().print(f"Wrote {path}: {KINDS[kind].says}.", highlight=False, soft_wrap=True)
-    typer.echo(KINDS[kind].use.format(path=path))
+    say(f"Wrote {path}: {KINDS[kind].says}.")
+    say(KINDS[kind].use.format(path=path))
 
 
 def _damping_time(asked: float | None, stored: StoredModel) -> float:
@@ -101,4 +100,4 @@ def rerun_command(
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)
-    Console().print(f"Wrote {path}. Look at it with: rerun {path}", highlight=False, soft_wrap=True)
+    say(f"Wrote {path}. Look at it with: rerun {path}")

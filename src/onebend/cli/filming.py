@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,15 +12,16 @@ import numpy as np
 import typer
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, or_nan, print_json, progress_of
+from onebend.cli.common import clean_errors, or_nan, print_json, progress_of, put_in_place, say, workplace
 from onebend.cli.options import Json, Quiet
 from onebend.lab.design_file import find_design
 from onebend.lab.effects.real_bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
 from onebend.lab.filming.film import film as make_film
-from onebend.lab.filming.film_setup import Filming
+from onebend.lab.filming.film_setup import Filming, check
 from onebend.lab.random_bench import BenchRanges, design_with_effects, random_bench
 from onebend.lab.random_effects import LABORATORY
+from onebend.progress import Progress
 
 Design = Annotated[
     str,
@@ -128,16 +130,22 @@ def film(
         filming, folder = _filming(design, request, seed, output, effects)
         if effect:
             filming = _with_effects(filming, effect, effects)
-        make_film(filming, folder, seed=seed, progress=progress)
+        check(filming, folder)
+        with workplace(folder, FILM_FORMAT, overwrite=False) as place:
+            put_in_place(place, partial(_make, filming, seed=seed, progress=progress))
     bench = filming.bench
     if as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
         print_json({"format": FILM_FORMAT, "written_by": BY, "output": str(folder), "seed": seed, **data})
         return
-    typer.echo(
+    say(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
         f"s = {bench.push.at_s:g}. Learn from it with: onebend learn {folder}"
     )
+
+
+def _make(filming: Filming, folder: Path, *, seed: int, progress: Progress) -> None:
+    make_film(filming, folder, seed=seed, progress=progress)
 
 
 def _with_effects(filming: Filming, named: list[str], drawn: bool) -> Filming:

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, workplace
+from onebend.cli.common import clean_errors, print_json, progress_of, put_in_place, screen, workplace
 from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
@@ -25,10 +24,13 @@ from onebend.pipeline import compare, plan_next
 from onebend.pipeline import learn as learn_from
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
-from onebend.report.figures.drawing import draw, draw_all, validation_figures
+from onebend.report.figures.drawing import draw_all, validation_figures
+from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import DetectionCache
-from onebend.results.folder import publish
 from onebend.results.learned_files import learned_writer, validation_writer
+from onebend.results.model import model_file
+from onebend.results.provenance import inputs_of
+from onebend.results.recording_files import recording_files
 from onebend.results.summary import (
     LEARN_FORMAT,
     PLAN_FORMAT,
@@ -116,25 +118,31 @@ def learn(
     out = output or Path(f"{recordings[0].resolve().name}-results")
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
-    fitting = _fitting(clamp_sd) if method == "fit" else None
+    fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+        inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
         run = learn_from(
             *recordings,
             settings=settings,
             fitting=fitting,
-            observing=_observing(threads, epsilon),
+            observing=observing,
             validate_on=validate_on or (),
-            detect=DetectionCache(place.partial, onebend.__version__).detect,
+            detect=DetectionCache(place.work, onebend.__version__).detect,
             progress=progress,
         )
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
-        publish(place, learned_writer(run, draw_all(run, progress=progress), summary, version=onebend.__version__))
+        settled = {"fit": fitting, "regression": settings, "observing": observing}
+        put = partial(put_in_place, place, inputs=inputs, settings=settled)
+        write = partial(learned_writer, run, summary=summary, version=onebend.__version__)
+        put(write(Pictures()))  # the fit is safe before a picture is drawn
+        pictures = draw_all(run, progress=progress)
+        put(write(pictures), pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
         print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     else:
-        show_run(Console(), run, seconds, out)
+        show_run(screen(), run, seconds, out)
 
 
 def validate(
@@ -158,13 +166,15 @@ def validate(
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-                pairs = work(detect=DetectionCache(place.partial, onebend.__version__).detect, progress=progress)
+                inputs = inputs_of([model_file(model), *recording_files(recordings)])
+                pairs = work(detect=DetectionCache(place.work, onebend.__version__).detect, progress=progress)
                 summary = validation_summary(str(model), pairs, written_by=BY)
-                publish(place, validation_writer(pairs, draw(validation_figures(beam, pairs), progress), summary))
+                pictures = draw(validation_figures(beam, pairs), progress)
+                put_in_place(place, validation_writer(pairs, pictures, summary), pictures, inputs=inputs)
     if as_json:
         print_json(summary)
     else:
-        show_validation(Console(), pairs, output)
+        show_validation(screen(), pairs, output)
 
 
 def plan(
@@ -185,7 +195,7 @@ def plan(
     if as_json:
         print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})
     else:
-        show_plan(Console(), found)
+        show_plan(screen(), found)
 
 
 def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:

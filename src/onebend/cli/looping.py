@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, or_unlimited, print_summary, workplace
+from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.loop.controller import ControllerSettings, controller
@@ -16,8 +15,10 @@ from onebend.control.loop.margins import Timing
 from onebend.control.loop.robustness import simulate_range
 from onebend.control.loop.simulation import LoopCamera
 from onebend.control.loop.tuning import RequiredMargins
-from onebend.results.folder import publish
+from onebend.report.figures.pictures import draw
 from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
+from onebend.results.model import model_file
+from onebend.results.provenance import inputs_of
 from onebend.terminal.looping import show_loop
 
 KError = Annotated[
@@ -73,11 +74,12 @@ def loop(
         summary = loop_summary(str(model), control, known, trials, written_by=BY)
         if output is not None:
             from onebend.report.figures.looping import looping  # here: Matplotlib is for pictures alone
-            from onebend.report.figures.style import png_of
 
             with workplace(output, LOOP_FORMAT, overwrite) as place:
-                publish(place, loop_writer(trials, png_of(looping(control, trials)), summary))
+                pictures = draw({"loop": lambda: looping(control, trials)})
+                inputs = inputs_of([model_file(model)])
+                put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
-        show_loop(Console(), control, known, trials, output)
+        show_loop(screen(), control, known, trials, output)

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, workplace
+from onebend.cli.common import clean_errors, print_json, put_in_place, say, say_failed, screen, workplace
 from onebend.cli.options import Json, Overwrite
 from onebend.errors import MechanicsError
+from onebend.files.single_file import check_name_free, write_file
 from onebend.lab.design_file import find_design, write_design_template
 from onebend.lab.designs import Design
 from onebend.lab.expected import expect
@@ -27,7 +28,7 @@ from onebend.lab.materials import ModulusEstimate, from_shore_00, from_shore_a, 
 from onebend.recording.folder import read_recording
 from onebend.recording.toml.entries import FAMILIES
 from onebend.report.figures.parts import design_figure, parts_figure
-from onebend.report.figures.style import png_of
+from onebend.report.figures.pictures import Draw, draw
 from onebend.results.fabrication import (
     DESIGN_FORMAT,
     MOULD_FORMAT,
@@ -36,9 +37,8 @@ from onebend.results.fabrication import (
     parts_summary,
     parts_writer,
 )
-from onebend.results.folder import publish
 from onebend.results.model import StoredModel, model_text
-from onebend.results.single_file import check_free, write_file
+from onebend.results.provenance import inputs_of
 from onebend.terminal.making import show_design, show_parts
 
 DesignName = Annotated[
@@ -116,7 +116,7 @@ def design(
     """Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration."""
     with clean_errors():
         if new is not None:
-            typer.echo(f"Wrote {write_design_template(new)}. Fill it in, then: onebend design {new}")
+            say(f"Wrote {write_design_template(new)}. Fill it in, then: onebend design {new}")
             return
         if name is None:
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
@@ -126,7 +126,7 @@ def design(
     if as_json:
         print_json({"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()})
     else:
-        show_design(Console(), expected)
+        show_design(screen(), expected)
 
 
 def mould(
@@ -147,7 +147,7 @@ def mould(
     """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
     with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
         if picture is not None:
-            check_free(picture, overwrite=overwrite)
+            check_name_free(picture, overwrite=overwrite)
         settings = MouldSettings(
             kind=kind,
             wall=1e-3 * wall,
@@ -160,13 +160,12 @@ def mould(
         others = (*clamp(made.design, settings, seat), carriers(made.design, settings, seat))
         parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
         summary = parts_summary(made, parts, written_by=BY)
-        publish(place, parts_writer(parts, shape, summary))
-        if picture is not None:
-            write_file(picture, png_of(parts_figure(parts)), overwrite=overwrite)
+        put_in_place(place, parts_writer(parts, shape, summary), inputs=inputs_of([Path(name)]))
+        _write_all(_picture(picture, partial(parts_figure, parts)), overwrite=overwrite)
     if as_json:
         print_json(summary)
     else:
-        show_parts(Console(), made, parts, output)
+        show_parts(screen(), made, parts, output)
 
 
 def tags(
@@ -206,7 +205,7 @@ def tags(
         print_json({**data, "pages": len(pages), "files": [str(path) for path in written]})
     else:
         what = f"{len(numbers)} tag{'s' if len(numbers) > 1 else ''} of {named}, {1e3 * side:g} mm"
-        typer.echo(f"Wrote {', '.join(map(str, written))}: {what}. Print at 100 % and measure both rulers.")
+        say(f"Wrote {', '.join(map(str, written))}: {what}. Print at 100 % and measure both rulers.")
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
@@ -247,16 +246,24 @@ def _design_files(
     files: dict[Path, str | bytes] = {}
     if csv_file is not None:
         files[csv_file] = design_csv(found)
-    if picture is not None:
-        files[picture] = png_of(design_figure(found))
+    files |= _picture(picture, partial(design_figure, found))
     if model is not None:
         files[model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
     return files
 
 
+def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
+    """A picture by where it goes, where one is wanted and can be drawn."""
+    if path is None:
+        return {}
+    pictures = draw({path.name: make})
+    say_failed(pictures)
+    return {path: pictures.drawn[path.name]} if pictures.drawn else {}
+
+
 def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
     """Each file whole; none where one of them must not be replaced."""
     for path in files:
-        check_free(path, overwrite=overwrite)
+        check_name_free(path, overwrite=overwrite)
     for path, data in files.items():
         write_file(path, data, overwrite=overwrite)

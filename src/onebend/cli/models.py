@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import typer
-from rich.console import Console
-
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import has_mass
-from onebend.cli.common import clean_errors, print_json
+from onebend.cli.common import clean_errors, print_json, say, screen
 from onebend.cli.options import Json, Model
 from onebend.errors import ControlError
-from onebend.results.model import StoredModel, read_model
+from onebend.results.model import StoredModel, model_file, read_model
 
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
@@ -26,19 +23,27 @@ def show(model: Model, *, as_json: Json = False) -> None:
 
     with clean_errors():
         stored = read_model(model)
+        say_changed(model, stored)
     if as_json:
         print_json(model_summary(stored))
     else:
-        show_model(Console(), stored)
+        show_model(screen(), stored)
 
 
 def read_trusted(model: Path) -> StoredModel:
     """The model; a warning on standard error where its k(s) is in doubt."""
     stored = read_model(model)
+    say_changed(model, stored)
     doubts = () if stored.uncertain is None else stored.uncertain.doubts
     if doubts:
-        typer.echo(f"onebend: warning: k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", err=True)
+        say(f"onebend: warning: k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", err=True)
     return stored
+
+
+def say_changed(model: Path, stored: StoredModel) -> None:
+    """A warning on standard error where the file is not as it was written, or another than its folder's."""
+    for words in filter(None, (stored.changed, stored.swapped)):
+        say(f"onebend: warning: {model_file(model)} {words}.", err=True)
 
 
 def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:

@@ -7,19 +7,19 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of
+from onebend.cli.common import clean_errors, print_json, progress_of, screen
 from onebend.cli.models import read_trusted
 from onebend.cli.options import Json, Model, Overwrite, Quiet, Recording, Threads
+from onebend.files.publish import amend
+from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.results.model import model_text
-from onebend.results.single_file import check_free, write_file
 from onebend.results.summary import damp_summary
 from onebend.terminal.damping import show_damping
 
@@ -61,7 +61,7 @@ def damp(
     with clean_errors():
         stored = read_trusted(model)
         if output is not None:
-            check_free(output, overwrite=overwrite)
+            check_name_free(output, overwrite=overwrite)
         files = read_recording(recording)
         check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
@@ -76,8 +76,10 @@ def damp(
             )
         if output is not None:
             whole = replace(stored, beam=fit.beam, damping=fit.damping)
-            write_file(output, model_text(whole, written_by=BY), overwrite=overwrite)
+            text = model_text(whole, written_by=BY)
+            if not (overwrite and amend(output, text.encode())):  # a file of a results folder: the folder stays whole
+                write_file(output, text, overwrite=overwrite)
     if as_json:
         print_json({**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)})
     else:
-        show_damping(Console(), fit, output)
+        show_damping(screen(), fit, output)

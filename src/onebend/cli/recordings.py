@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from onebend.cli.common import clean_errors, print_json
+from onebend.cli.common import clean_errors, print_json, say, screen
 from onebend.cli.options import Json, Recording
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
@@ -36,7 +35,7 @@ def new(folder: Folder) -> None:
     """Write a recording.toml to fill in."""
     with clean_errors():
         path = write_template(folder)
-    typer.echo(f"Wrote {path}. Fill it in, put the video and the force log beside it, then: onebend check {folder}")
+    say(f"Wrote {path}. Fill it in, put the video and the force log beside it, then: onebend check {folder}")
 
 
 def check(recording: Recording, *, as_json: Json = False) -> None:
@@ -46,7 +45,7 @@ def check(recording: Recording, *, as_json: Json = False) -> None:
     if as_json:
         print_json(found.as_dict())
     else:
-        show_overview(Console(), found)
+        show_overview(screen(), found)
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:
@@ -56,8 +55,8 @@ def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = Fal
     if as_json:
         print_json(as_data(found))
     else:
-        show_bag(Console(), found)
-        typer.echo(lines_to_write(found))
+        show_bag(screen(), found)
+        say(lines_to_write(found))
 
 
 def as_data(found: BagContents) -> dict[str, object]:

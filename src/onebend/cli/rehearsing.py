@@ -10,19 +10,20 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, or_nan, print_json, progress_of, workplace
+from onebend.cli.common import clean_errors, or_nan, print_json, progress_of, put_in_place, say, screen, workplace
 from onebend.cli.filming import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
 from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.errors import RecordingError
+from onebend.forecast.figure import rehearsal_figure
 from onebend.forecast.rehearsal import Rehearsal
 from onebend.forecast.rehearsal import rehearse as make_rehearsal
 from onebend.forecast.setup import Setup, known_beam, setup_of
 from onebend.forecast.writing import REHEARSE_FORMAT, summary_of, writer_of
 from onebend.lab.film_request import FilmRequest, PushName
-from onebend.results.folder import publish
+from onebend.report.figures.pictures import draw
+from onebend.results.provenance import inputs_of
 from onebend.terminal.rehearsals import show_rehearsal
 from onebend.workers import available_cores
 
@@ -119,23 +120,27 @@ def rehearse(
             clock_sd=or_nan(clock_sd),
         )
         work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
-        found = _carried_out(work, output, overwrite=overwrite, quiet=quiet)
+        found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
     if as_json:
         print_json(summary_of(found, written_by=BY))
         return
-    show_rehearsal(Console(), found)
+    show_rehearsal(screen(), found)
     if output is not None:
-        typer.echo(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+        say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
 
 
-def _carried_out(work: Callable[..., Rehearsal], output: Path | None, *, overwrite: bool, quiet: bool) -> Rehearsal:
+def _carried_out(
+    work: Callable[..., Rehearsal], source: Path, output: Path | None, *, overwrite: bool, quiet: bool
+) -> Rehearsal:
     """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
     if output is None:
         with progress_of(quiet) as progress:
             return work(progress=progress)
     with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-        found = work(keep=place.partial, progress=progress)
-        publish(place, writer_of(found, written_by=BY))
+        inputs = inputs_of([source])
+        found = work(keep=place.work, progress=progress)
+        pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
+        put_in_place(place, writer_of(found, pictures, written_by=BY), pictures, inputs=inputs)
     return found
 
 

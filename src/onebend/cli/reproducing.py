@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, workplace
+from onebend.cli.common import clean_errors, print_json, progress_of, put_in_place, screen, workplace
 from onebend.cli.options import Json, Overwrite, Quiet
-from onebend.results.folder import publish
 from onebend.studies.figures import draw_figures
 from onebend.studies.run import reproduce as run
 from onebend.studies.settings import SensorKind, StudySettings
@@ -51,11 +49,12 @@ def reproduce(
     """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
     with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
         setting = StudySettings(seed=seed, quick=quick, video=not without_video, sensor=sensor)
-        found = run(place.partial, setting, written_by=BY, processes=processes or 0, progress=progress)
-        figures = draw_figures(found, progress=progress)
+        found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
+        pictures = draw_figures(found, progress=progress)
         summary = summary_of(found, written_by=BY)
-        publish(place, writer(found, figures, summary, place.partial, version=onebend.__version__))
+        write = writer(found, pictures, summary, place.work, version=onebend.__version__)
+        put_in_place(place, write, pictures, settings={"study": setting})
     if as_json:
         print_json(summary | {"output": str(output)})
     else:
-        show_reproduced(Console(), found, output)
+        show_reproduced(screen(), found, output)

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 
 from onebend.beam.model import Beam
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, or_unlimited, print_summary, workplace
+from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Gravity, Json, Model, Output, Overwrite
 from onebend.control.goals.moving_goals import Between, Goals
@@ -25,7 +24,9 @@ from onebend.control.shape.actuators import Grip, Pusher
 from onebend.control.shape.shape import ShapeSettings
 from onebend.control.shape.shape import shape as solve_shape
 from onebend.errors import ControlError
-from onebend.results.folder import publish
+from onebend.report.figures.pictures import draw
+from onebend.results.model import model_file
+from onebend.results.provenance import inputs_of
 from onebend.results.shaping import PATH_FORMAT, SHAPE_FORMAT, path_summary, path_writer, shape_summary, shape_writer
 from onebend.terminal.shaping import show_path, show_shape
 
@@ -125,14 +126,15 @@ def shape(
         summary = shape_summary(str(model), found, written_by=BY)
         if output is not None:
             from onebend.report.figures.shaping import shaping  # here: Matplotlib is for pictures alone
-            from onebend.report.figures.style import png_of
 
             with workplace(output, SHAPE_FORMAT, overwrite) as place:
-                publish(place, shape_writer(found, png_of(shaping(stored.beam, found)), summary))
+                pictures = draw({"shape": lambda: shaping(stored.beam, found)})
+                inputs = inputs_of([model_file(model), targets])
+                put_in_place(place, shape_writer(found, pictures, summary), pictures, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
-        show_shape(Console(), found, output)
+        show_shape(screen(), found, output)
 
 
 def path(
@@ -160,6 +162,8 @@ def path(
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
     with clean_errors():
         stored = read_trusted(model)
+        if not frame or not frame.isprintable():
+            raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
         _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
         pushes, holding = _actuators(grip, push_at, max_force, max_moment)
         if not pushes and max_force_rate is not None:
@@ -179,14 +183,15 @@ def path(
         summary = path_summary(str(model), way, sure, written_by=BY)
         if output is not None:
             from onebend.report.figures.shaping import path_figure  # here: Matplotlib is for pictures alone
-            from onebend.report.figures.style import png_of
 
             with workplace(output, PATH_FORMAT, overwrite) as place:
-                publish(place, path_writer(way, png_of(path_figure(way)), summary, frame=frame))
+                pictures = draw({"path": lambda: path_figure(way)})
+                inputs = inputs_of([model_file(model), goals])
+                put_in_place(place, path_writer(way, pictures, summary, frame=frame), pictures, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
-        show_path(Console(), way, sure, output)
+        show_path(screen(), way, sure, output)
 
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.beam.profiles.uncertain import half_width
+from onebend.escaping import figure_text
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Rehearsal
 from onebend.forecast.runs import errors_of
 from onebend.learning.design.proposals import PLACES
@@ -46,7 +47,7 @@ def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
     top = np.where(p.identified, k * wide, k) if np.any(p.identified) else k * wide
     axes.set_ylim(0.0, 1.45 * float(np.max(top)))
     axes.set_ylabel("k [N m]")
-    axes.set_title(f"{rehearsal.setup.name}: how well k(s) would come out")
+    axes.set_title(f"{figure_text(rehearsal.setup.name)}: how well k(s) would come out")
     axes.legend(ncols=2, loc="upper left")
 
 

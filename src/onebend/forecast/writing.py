@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from onebend.forecast.figure import rehearsal_figure
+from onebend.files.manifest import write_summary
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Rehearsal
 from onebend.learning.design.proposals import PLACES
-from onebend.report.figures.style import png_of
-from onebend.results.folder import files_in, write_summary
+from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv
 
 REHEARSE_FORMAT = "onebend-rehearse-1"
@@ -36,15 +35,15 @@ def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
     return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
 
 
-def writer_of(rehearsal: Rehearsal, *, written_by: str) -> Callable[[Path], None]:
+def writer_of(rehearsal: Rehearsal, pictures: Pictures, *, written_by: str) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder."""
 
     def write(folder: Path) -> None:
         write_table(folder / "rehearsal.csv", rehearsal)
-        (folder / "rehearsal.png").write_bytes(png_of(rehearsal_figure(rehearsal)))
+        pictures.write(folder)
         runs = [run.as_dict() for run in rehearsal.runs]
         whole = {**summary_of(rehearsal, written_by=written_by), "runs": runs}
-        write_summary(folder / "summary.json", whole, files_in(folder))
+        write_summary(folder, whole)
 
     return write
 

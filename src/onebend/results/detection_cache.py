@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import zipfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from onebend.errors import ResultsError
+from onebend.files.single_file import write_file
 from onebend.progress import Progress, Silent
 from onebend.recording.bags.reader import files_of
 from onebend.recording.tags.detection import detect_tags
@@ -51,20 +55,21 @@ class DetectionCache:
             return None
 
     def save(self, key: str, detections: Detections) -> None:
-        """Write `detections` under `key`; the file appears only once it is complete."""
-        file = self._file(key)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = file.with_suffix(".tmp")
-        with unfinished.open("wb") as stream:
-            np.savez_compressed(
-                stream,
-                time=detections.time,
-                tag_id=detections.tag_id,
-                corners=detections.corners,
-                size=np.array([detections.width, detections.height]),
-                remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
-            )
-        unfinished.replace(file)
+        """Write `detections` under `key`; the file appears only once it is complete.
+
+        A disk that is full costs the cache alone.
+        """
+        content = io.BytesIO()
+        np.savez_compressed(
+            content,
+            time=detections.time,
+            tag_id=detections.tag_id,
+            corners=detections.corners,
+            size=np.array([detections.width, detections.height]),
+            remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
+        )
+        with suppress(ResultsError):
+            write_file(self._file(key), content.getvalue(), overwrite=True)
 
     def _file(self, key: str) -> Path:
         return self.folder / f"detections-{key}.npz"

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from onebend.files.manifest import write_summary
 from onebend.lab.designs import Design
 from onebend.lab.fabrication.mould import Mould, PrintedPart
 from onebend.lab.fabrication.solids import write_mesh
-from onebend.results.folder import SUMMARY, files_in, write_summary
 from onebend.results.tables import PLACES, csv_rows
 
 DESIGN_FORMAT = "onebend-design-1"
@@ -49,6 +49,6 @@ def parts_writer(parts: tuple[PrintedPart, ...], shape: str, summary: dict[str, 
     def write(folder: Path) -> None:
         for part in parts:
             write_mesh(folder / f"{part.name}.{shape}", part.mesh)
-        write_summary(folder / SUMMARY, summary, files_in(folder))
+        write_summary(folder, summary)
 
     return write

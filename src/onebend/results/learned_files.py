@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from onebend.files.manifest import write_summary
 from onebend.learning.design.instruments import instruments_if_pushed
 from onebend.learning.outcome import Comparison
 from onebend.records import Observations
+from onebend.report.figures.pictures import Pictures
 from onebend.report.findings import Findings
 from onebend.report.page.page import page
-from onebend.results.folder import files_in, write_summary
 from onebend.results.model import FILE_NAME, origin_of, save_model
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import (
@@ -24,7 +25,7 @@ from onebend.results.tables import (
 
 
 def learned_writer(
-    findings: Findings, figures: Mapping[str, bytes], summary: Mapping[str, Any], *, version: str
+    findings: Findings, pictures: Pictures, summary: Mapping[str, Any], *, version: str
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with the results of learning."""
 
@@ -45,15 +46,15 @@ def learned_writer(
             write_validation(folder / "validation.csv", findings.validations)
         for i, recording in enumerate(findings.recordings, start=1):
             save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
-        (folder / "report.html").write_text(page(findings, figures, version=version), encoding="utf-8")
-        _write_figures(folder, figures)
-        write_summary(folder / "summary.json", summary, files_in(folder))
+        (folder / "report.html").write_text(page(findings, pictures.drawn, version=version), encoding="utf-8")
+        _write_figures(folder, pictures)
+        write_summary(folder, summary)
 
     return write
 
 
 def validation_writer(
-    pairs: Sequence[tuple[Comparison, Observations]], figures: Mapping[str, bytes], summary: Mapping[str, Any]
+    pairs: Sequence[tuple[Comparison, Observations]], pictures: Pictures, summary: Mapping[str, Any]
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a validation."""
 
@@ -62,13 +63,12 @@ def validation_writer(
     def write(folder: Path) -> None:
         write_validation(folder / "validation.csv", comparisons)
         write_markers(folder / "markers.csv", comparisons)
-        _write_figures(folder, figures)
-        write_summary(folder / "summary.json", summary, files_in(folder))
+        _write_figures(folder, pictures)
+        write_summary(folder, summary)
 
     return write
 
 
-def _write_figures(folder: Path, figures: Mapping[str, bytes]) -> None:
+def _write_figures(folder: Path, pictures: Pictures) -> None:
     (folder / "figures").mkdir()
-    for name, png in figures.items():
-        (folder / "figures" / f"{name}.png").write_bytes(png)
+    pictures.write(folder / "figures")

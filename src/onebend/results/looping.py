@@ -10,7 +10,8 @@ from typing import Any
 from onebend.control.loop.controller import Controller
 from onebend.control.loop.margins import Margins
 from onebend.control.loop.robustness import SETTLED, LoopTrial
-from onebend.results.folder import files_in, write_summary
+from onebend.files.manifest import write_summary
+from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv
 
 LOOP_FORMAT = "onebend-loop-1"
@@ -68,12 +69,14 @@ def write_loop(path: Path, trials: tuple[LoopTrial, ...]) -> None:
     write_csv(path, LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))
 
 
-def loop_writer(trials: tuple[LoopTrial, ...], picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def loop_writer(
+    trials: tuple[LoopTrial, ...], pictures: Pictures, summary: Mapping[str, Any]
+) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder."""
 
     def write(folder: Path) -> None:
         write_loop(folder / "loop.csv", trials)
-        (folder / "loop.png").write_bytes(picture)
-        write_summary(folder / "summary.json", summary, files_in(folder))
+        pictures.write(folder)
+        write_summary(folder, summary)
 
     return write

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
+from onebend.files.manifest import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
 from onebend.learning.outcome import Comparison, Learned
 
 if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to load
@@ -22,10 +24,10 @@ if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to
     from onebend.learning.swing.damping import Damping
 
 FORMAT = "onebend-model"
-VERSION = 3
-READABLE = (1, 2, 3)  # 1 had no `uncertain`, 2 no `damping`
+VERSION = 4
+READABLE = (1, 2, 3, 4)  # 1 had no `uncertain`, 2 no `damping`, 3 no checksum
 FILE_NAME = "model.json"
-KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping"}
+KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", OWN_CHECKSUM}
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ class StoredModel:
     uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
     bench: Instruments | None = None  # what the recordings were made with, where the band is known
     damping: Damping | None = None  # where a free swing was filmed
+    changed: str = ""  # in words, where the file is not as onebend wrote it; its k(s) is in doubt then
+    swapped: str = ""  # in words, where it is not the one that the run of this folder wrote
 
 
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
@@ -110,7 +114,7 @@ def model_text(stored: StoredModel, *, written_by: str) -> str:
         if part is not None:
             data[name] = part.as_dict()
     try:
-        return json.dumps(data, indent=2, allow_nan=False) + "\n"
+        return json.dumps(with_checksum(data), indent=2, allow_nan=False) + "\n"
     except ValueError as error:
         raise ResultsError("the beam holds a number that is not finite, so it was not written") from error
 
@@ -118,17 +122,21 @@ def model_text(stored: StoredModel, *, written_by: str) -> str:
 def load_model(path: Path | str) -> Beam:
     """The beam in `path`, a `model.json` or the results folder that holds one.
 
+    Warns where the file was changed since it was written.
+
     Raises `ResultsError` where there is no such file, or it is damaged, of another version, or describes no beam.
     """
-    return read_model(path).beam
+    return _read_and_warn(path).beam
 
 
 def load_uncertain(path: Path | str) -> UncertainStiffness:
     """k(s) with its band from `path`, a `model.json` or the results folder that holds one.
 
+    Warns where the file was changed since it was written; that is among the doubts of the band, too.
+
     Raises `ResultsError` as `load_model` does, and where the model was learned without a band.
     """
-    stored = read_model(path)
+    stored = _read_and_warn(path)
     if stored.uncertain is None:
         raise ResultsError(
             f"{path}: this model has no band: it was learned by the regression alone, or by an earlier onebend. "
@@ -137,24 +145,54 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
     return stored.uncertain
 
 
+def model_file(path: Path | str) -> Path:
+    """The `model.json` that `path` is, or holds."""
+    file = Path(path)
+    return file / FILE_NAME if file.is_dir() else file
+
+
+def _read_and_warn(path: Path | str) -> StoredModel:
+    stored = read_model(path)
+    for words in filter(None, (stored.changed, stored.swapped)):
+        warnings.warn(f"{model_file(path)}: {words}", UserWarning, stacklevel=3)
+    return stored
+
+
 def read_model(path: Path | str) -> StoredModel:
     """As `load_model`, with the band and the model's origin."""
-    file = Path(path)
-    if file.is_dir():
-        file = file / FILE_NAME
+    file = model_file(path)
     data = _json_object(file)
     _check_kind(file, data)
     unknown = sorted(set(data) - KEYS)
     if unknown:
         raise ResultsError(f"{file}: key '{unknown[0]}' is not known. {_ADVICE}")
     beam = _beam(file, data.get("beam"))
+    uncertain, changed = _uncertain(file, data.get("uncertain"), beam), _changed(data)
+    if uncertain is not None and changed:
+        uncertain = replace(uncertain, doubts=(*uncertain.doubts, f"{file.name} {changed}"))
     return StoredModel(
         beam=beam,
         origin=_origin(file, data.get("origin")),
-        uncertain=_uncertain(file, data.get("uncertain"), beam),
+        uncertain=uncertain,
         bench=_bench(file, data.get("bench")),
         damping=_damping(file, data.get("damping")),
+        changed=changed,
+        swapped=_swapped(file),
     )
+
+
+def _changed(data: dict[str, Any]) -> str:
+    """What is to be said where the content is not what onebend wrote (files before version 4 do not tell)."""
+    if (data["version"] < 4 and OWN_CHECKSUM not in data) or is_unchanged(data):
+        return ""
+    return "was changed after onebend wrote it, so what it says of k(s) is not what was learned"
+
+
+def _swapped(file: Path) -> str:
+    """What is to be said where the summary beside the file lists another."""
+    if not is_listed_otherwise(file):
+        return ""
+    return f"is not the file that the run of this folder wrote ({SUMMARY} lists another checksum)"
 
 
 _VERSIONS = f"{', '.join(map(str, READABLE[:-1]))} and {READABLE[-1]}"
@@ -178,6 +216,8 @@ def _json_object(file: Path) -> dict[str, Any]:
         raise ResultsError(f"{file}, line {error.lineno}: not valid JSON ({error.msg}). {_ADVICE}") from error
     except RecursionError as error:
         raise ResultsError(f"{file}: nested too deeply to be a model. {_ADVICE}") from error
+    except ValueError as error:  # an integer of thousands of digits
+        raise ResultsError(f"{file}: holds what is no number of a model. {_ADVICE}") from error
     if not isinstance(data, dict):
         raise ResultsError(f"{file}: holds a JSON {type(data).__name__}, not an object. {_ADVICE}")
     return data
@@ -233,7 +273,7 @@ def _beam(file: Path, data: Any) -> Beam:
             _check_profile(f"{file}, beam.{name}", getattr(beam, name))
         if not np.isfinite([beam.length, beam.clamp_angle]).all():
             raise ResultsError(f"{file}: the beam's length or clamp angle is not finite. {_ADVICE}")
-    except (MechanicsError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (MechanicsError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
         raise ResultsError(f"{file}: describes no beam ({error}). {_ADVICE}") from error
     return beam
 
@@ -248,7 +288,7 @@ def _uncertain(file: Path, data: Any, beam: Beam) -> UncertainStiffness | None:
         if spread[0] < -1e-9 * spread[-1] or not np.allclose(uncertain.covariance, uncertain.covariance.T):
             raise MechanicsError("its covariance is none")
         fits = np.allclose(uncertain.band(s).k, beam.stiffness(s), rtol=1e-9)
-    except (MechanicsError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (MechanicsError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise ResultsError(f"{file}: key 'uncertain' describes no stiffness ({error!r}). {_ADVICE}") from error
     if not fits:
         raise ResultsError(f"{file}: key 'uncertain' is not the band of the beam's stiffness. {_ADVICE}")

@@ -8,6 +8,7 @@ behind its filter, with as many rows as the filter leaves it something to say.
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from onebend.errors import ResultsError
+from onebend.files.manifest import SUMMARY, is_listed_otherwise
 from onebend.records import Array, CleanForce, Observations
 from onebend.results.record_json import fields_from, to_data
 
@@ -59,6 +61,8 @@ def save_observations(path: Path, observations: Observations) -> None:
 def load_observations(path: Path | str) -> Observations:
     """What `save_observations` wrote (a file, or the results folder that holds it).
 
+    Warns where the summary beside it lists another content.
+
     Raises `ResultsError` where the file is missing, damaged, of another version, or was not written by onebend.
     """
     file = Path(path)
@@ -66,6 +70,9 @@ def load_observations(path: Path | str) -> Observations:
         file = file / FILE_NAME
     if not file.is_file():
         raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
+    if is_listed_otherwise(file):
+        words = f"is not the file that the run of this folder wrote ({SUMMARY} lists another checksum)"
+        warnings.warn(f"{file}: {words}", UserWarning, stacklevel=2)
     try:
         table = pq.read_table(file)
         metadata = json.loads(table.schema.metadata[_KEY])

@@ -10,7 +10,8 @@ import numpy as np
 
 from onebend.control.reach.reach import Reach
 from onebend.control.reach.uncertainty import SURE, PredictedError
-from onebend.results.folder import files_in, write_summary
+from onebend.files.manifest import write_summary
+from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
@@ -62,12 +63,12 @@ def write_path(path: Path, result: Reach) -> None:
     write_csv(path, PATH_COLUMNS, rows)
 
 
-def reach_writer(result: Reach, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def reach_writer(result: Reach, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder."""
 
     def write(folder: Path) -> None:
         write_path(folder / "path.csv", result)
-        (folder / "reach.png").write_bytes(picture)
-        write_summary(folder / "summary.json", summary, files_in(folder))
+        pictures.write(folder)
+        write_summary(folder, summary)
 
     return write

@@ -12,7 +12,8 @@ from onebend.control.path.follow import FollowedPath
 from onebend.control.path.path_spread import PathSpread
 from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
 from onebend.control.shape.shape import ShapeResult
-from onebend.results.folder import files_in, write_summary
+from onebend.files.manifest import write_summary
+from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv
 
 SHAPE_FORMAT = "onebend-shape-1"
@@ -60,7 +61,7 @@ def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[s
     }
 
 
-def shape_writer(result: ShapeResult, picture: bytes, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+def shape_writer(result: ShapeResult, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a shape."""
 
     def write(folder: Path) -> None:
@@ -70,8 +71,8 @@ def shape_writer(result: ShapeResult, picture: bytes, summary: Mapping[str, Any]
         _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
         s = np.linspace(0.0, 1.0, 201)
         _rows(folder / "shape.csv", SHAPE_ROWS, (s, *result.xy(s).T, result.angle(s)))
-        (folder / "shape.png").write_bytes(picture)
-        write_summary(folder / "summary.json", summary, files_in(folder))
+        pictures.write(folder)
+        write_summary(folder, summary)
 
     return write
 
@@ -96,15 +97,17 @@ def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, writ
     }
 
 
-def path_writer(way: FollowedPath, picture: bytes, summary: Mapping[str, Any], *, frame: str) -> Callable[[Path], None]:
+def path_writer(
+    way: FollowedPath, pictures: Pictures, summary: Mapping[str, Any], *, frame: str
+) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a ROS 2 bag, a picture."""
 
     def write(folder: Path) -> None:
         write_samples(folder / "path.csv", way)
         write_yaml(folder, way, frame=frame)
         write_bag(folder / "bag", way, frame=frame)
-        (folder / "path.png").write_bytes(picture)
-        write_summary(folder / "summary.json", summary, files_in(folder))
+        pictures.write(folder)
+        write_summary(folder, summary)
 
     return write
 

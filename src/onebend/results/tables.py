@@ -14,6 +14,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.escaping import csv_cell
 from onebend.learning.outcome import Comparison, Learned
 
 if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to load
@@ -122,7 +123,7 @@ def _number(value: float) -> str:
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
-    """One header line, then the rows, each cell as `str` gives it; lines end as on Unix."""
+    """One header line, then the rows, each cell as `csv_cell` gives it; lines end as on Unix."""
     with path.open("w", newline="", encoding="utf-8") as file:
         csv_rows(file, header, rows)
 
@@ -131,4 +132,4 @@ def csv_rows(stream: TextIO, header: Sequence[str], rows: Iterable[Iterable[Any]
     """As `write_csv`, into a stream that is open."""
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows(rows)
+    writer.writerows(map(csv_cell, row) for row in rows)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.progress import Progress, Silent, track
+from onebend.progress import Progress, Silent
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import frame_at
+from onebend.report.figures.pictures import Draw, Pictures, draw
 from onebend.report.figures.reaching import draw_reach
 from onebend.report.figures.simulated import centreline, largest_push
-from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, png_of, shape, styled
+from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
 from onebend.studies.films import RECORDINGS
 from onebend.studies.outcome import BeamOutcome, S, StudyOutcome, ValidatedFilm
 from onebend.studies.printed import printed_m3
@@ -24,9 +24,9 @@ WORST, MIDDLE, BEST = "worst", "average", "best"
 SHOWN = ("slow", "s06")  # Fig. 4
 
 
-def draw_figures(outcome: StudyOutcome, *, progress: Progress = Silent()) -> dict[str, bytes]:
-    """PNGs by name; Fig. 4 only where there are films."""
-    wanted: dict[str, Callable[[], Figure]] = {
+def draw_figures(outcome: StudyOutcome, *, progress: Progress = Silent()) -> Pictures:
+    """By name; Fig. 4 only where there are films."""
+    wanted: dict[str, Draw] = {
         "summary": partial(summary, outcome),
         "figure-3": partial(designs, outcome),
         "training": partial(training, outcome),
@@ -36,10 +36,7 @@ def draw_figures(outcome: StudyOutcome, *, progress: Progress = Silent()) -> dic
     }
     if outcome.setting.video:
         wanted["figure-4"] = partial(frames, outcome)
-    out = {}
-    for name, draw in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
-        out[name] = png_of(draw())
-    return out
+    return draw(wanted, progress)
 
 
 @styled

@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from onebend.results.folder import files_in, write_summary
+from onebend.files.manifest import write_summary
+from onebend.files.renames import link_tree
+from onebend.report.figures.pictures import Pictures
 from onebend.studies.films import OBSERVED, RECORDINGS
 from onebend.studies.outcome import StudyOutcome
 from onebend.studies.page import page
@@ -31,22 +33,20 @@ def summary_of(outcome: StudyOutcome, *, written_by: str) -> dict[str, Any]:
 
 
 def writer(
-    outcome: StudyOutcome, figures: Mapping[str, bytes], summary: Mapping[str, Any], work: Path, *, version: str
+    outcome: StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
 ) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder; recordings and models move there from `work`, last."""
+    """What `publish` needs to fill a folder; recordings and models come there from `work`."""
 
     def write(folder: Path) -> None:
-        (folder / "report.html").write_text(page(outcome, figures, version=version), encoding="utf-8")
+        (folder / "report.html").write_text(page(outcome, pictures.drawn, version=version), encoding="utf-8")
         for name in ("tables", "figures"):
             (folder / name).mkdir()
         for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
             write_table(folder / "tables" / f"{table.key}.csv", table)
-        for name, png in figures.items():
-            (folder / "figures" / f"{name}.png").write_bytes(png)
-        moved = [name for name in (RECORDINGS, OBSERVED, LEARNED) if (work / name).exists()]
-        later = [f"{name}/{file}" for name in moved for file in files_in(work / name)]
-        write_summary(folder / "summary.json", summary, sorted([*files_in(folder), *later]))
-        for name in moved:
-            (work / name).rename(folder / name)
+        pictures.write(folder / "figures")
+        for name in (RECORDINGS, OBSERVED, LEARNED):
+            if (work / name).exists():
+                link_tree(work / name, folder / name)
+        write_summary(folder, summary)
 
     return write

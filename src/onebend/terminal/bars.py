@@ -1,10 +1,11 @@
-"""Progress: bars on a screen, lines on a pipe."""
+"""The screen: on it what a person named is text alone. Progress: bars on a screen, lines on a pipe."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from time import monotonic
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
@@ -17,9 +18,34 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.progress import Progress as RichProgress
+from rich.segment import Segment
 from rich.text import Text
 
+from onebend.escaping import printable
+
 QUIET_SECONDS = 1.0  # a stage that took less leaves no line behind where there is no screen to draw a bar on
+
+
+class _Text:
+    """A renderable whose text is escaped; colours and the like are the console's own."""
+
+    def __init__(self, inside: RenderableType) -> None:
+        self._inside = inside
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        for segment in console.render(self._inside, options):
+            yield segment if segment.control else Segment(printable(segment.text), segment.style)
+
+
+class _Escape(RenderHook):
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Text(one) for one in renderables]
+
+
+def text_alone(console: Console) -> Console:
+    """The console, from now on with all text escaped."""
+    console.push_render_hook(_Escape())
+    return console
 
 
 class RateColumn(ProgressColumn):
@@ -56,7 +82,7 @@ class Bars:
         self._bars.stop()
 
     def start(self, stage: str, total: int | None) -> None:
-        task = self._bars.add_task(escape(stage), total=total)
+        task = self._bars.add_task(escape(printable(stage)), total=total)
         self._open.append((task, stage, monotonic()))
 
     def advance(self, count: int = 1) -> None:

@@ -78,7 +78,7 @@ def bends_table(expected: Expected) -> Table:
 
 def show_parts(console: Console, made: Mould, parts: Sequence[PrintedPart], out: Path) -> None:
     """The parts and what to pour."""
-    table = Table(title=f"Parts of {made.design.name}", title_justify="left", box=None)
+    table = Table(title=f"Parts of {escape(made.design.name)}", title_justify="left", box=None)
     for name in ("part", "size \\[mm]", "plastic \\[cm^3]"):
         table.add_column(name, justify="left" if name == "part" else "right")
     for part in parts:

@@ -53,7 +53,7 @@ def cells(row: TopicRow, first: float) -> tuple[str, ...]:
 
 def show_overview(console: Console, overview: Overview) -> None:
     """What `onebend check` understood."""
-    table = Table(title=overview.name, title_justify="left", box=None, show_header=False)
+    table = Table(title=escape(overview.name), title_justify="left", box=None, show_header=False)
     table.add_column(no_wrap=True, style="dim")
     table.add_column(overflow="fold")
     for what, understood in overview.rows:

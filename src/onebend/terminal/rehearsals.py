@@ -68,7 +68,7 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
     for name in ("known exactly", "band then", "removes"):
         table.add_column(name, justify="left" if name == "known exactly" else "right")
     for entry in budget:
-        table.add_row(entry.name, width_words(entry.mean_width), share_words(entry.share))
+        table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
     return table
 
 

@@ -17,7 +17,7 @@ from onebend.report.wording import bic_words, millimetres, percent, significant,
 
 def selection_table(learned: Learned) -> Table:
     """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
-    title = f"{learned.training.name}: the paper's regression, RMS per marker and BIC"
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS per marker and BIC"
     table = Table(title=title, title_justify="left", box=None)
     table.add_column("")
     for name in ("n", "m", *_marker_names(learned.training), "BIC"):

@@ -48,7 +48,7 @@ class Links(HTMLParser):
 
 @pytest.fixture(scope="module")
 def drawn() -> dict[str, bytes]:
-    return draw_all(made_up.findings(2))
+    return draw_all(made_up.findings(2)).drawn
 
 
 def test_every_figure_of_the_findings_is_drawn_and_shown(drawn: dict[str, bytes]) -> None:
@@ -118,7 +118,7 @@ def test_bare_findings_make_a_page_without_empty_sections(fitted: bool) -> None:
     )
     bare = replace(found, recordings=(seen,), remarks=(), video_seconds=float("nan"))
     bare = replace(bare, learned=None) if fitted else bare  # the regression found no beam
-    links = Links(page(bare, draw_all(bare), version="1.2.3"))
+    links = Links(page(bare, draw_all(bare).drawn, version="1.2.3"))
     assert "Validation" not in links.text
     assert ("What else was fitted" in links.text) == fitted
     assert ("how n and m were chosen" in links.text) != fitted

@@ -8,6 +8,7 @@ count from the start of the path.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +22,13 @@ from rosbags.typesys.store import Typestore
 
 from onebend.control.path.follow import FollowedPath
 from onebend.records import Array
+from onebend.strict_json import to_json
 
 FRAME = "beam_base"  # the beam's frame: origin at the base tag, x along the undeformed beam, y to its left
 JOINT = "gripper"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
+NO_NAMES = ("true", "false", "null")  # what YAML takes for something else, of four letters or more
 BAG_VERSION: Final = 9
 
 
@@ -172,12 +175,20 @@ def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
             for item in value:
                 yield from _item(item, indent)
         else:
-            yield f"{indent}{key}: {'[]' if isinstance(value, list) else value}"
+            yield f"{indent}{key}: {'[]' if isinstance(value, list) else _scalar(value)}"
+
+
+def _scalar(value: Any) -> str:
+    """A name as it is; any other text in quotes, as JSON has it and YAML takes it."""
+    plain = not isinstance(value, str) or (
+        re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{3,}", value) and value.lower() not in NO_NAMES
+    )
+    return str(value) if plain else to_json(value)
 
 
 def _item(value: Any, indent: str) -> Iterator[str]:
     if not isinstance(value, dict):
-        yield f"{indent}- {value}"
+        yield f"{indent}- {_scalar(value)}"
         return
     lines = list(_block(value, indent + "  "))
     yield f"{indent}- {lines[0][len(indent) + 2 :]}"

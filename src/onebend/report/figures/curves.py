@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
+from onebend.escaping import figure_text
 from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
 from onebend.report.figures.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, shape, styled
@@ -129,7 +130,7 @@ def nuisances(rows: Sequence[Nuisance]) -> Figure:
         axes.errorbar(n.value / n.prior_sd, y, xerr=n.sd / n.prior_sd, fmt="o", color=BLUE, markersize=4.5,
                       elinewidth=1.6, capsize=2.5)  # fmt: skip
     axes.axvline(0.0, color=MUTED, linewidth=0.8)
-    axes.set_yticks(range(len(rows)), [n.name for n in rows], color=INK)
+    axes.set_yticks(range(len(rows)), [figure_text(n.name) for n in rows], color=INK)
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in rows)

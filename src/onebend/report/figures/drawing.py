@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -12,20 +12,18 @@ from onebend.beam.model import Beam
 from onebend.errors import OnebendError
 from onebend.learning.explained import explained
 from onebend.learning.outcome import Comparison, Explained
-from onebend.progress import Progress, Silent, track
+from onebend.progress import Progress, Silent
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.records import Observations
 from onebend.report.figures import curves, recordings
+from onebend.report.figures.pictures import Draw, Pictures, draw
 from onebend.report.figures.simulated import largest_push
-from onebend.report.figures.style import png_of
 from onebend.report.findings import Findings
 
-Draw = Callable[[], Figure | None]
 
-
-def draw_all(findings: Findings, *, progress: Progress = Silent()) -> dict[str, bytes]:
-    """PNGs of every figure that the findings allow, in the order of the page."""
+def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
+    """Every figure that the findings allow, in the order of the page."""
     beam, learned, posterior = findings.beam, findings.learned, findings.posterior
     training, recording = findings.trainings[0], findings.recordings[0]
     fits: Sequence[Explained | None] = [None] * len(findings.trainings)
@@ -82,16 +80,6 @@ def validation_figures(
         wanted[f"validation-{i}-shapes"] = partial(recordings.shapes, beam, one, where)
         wanted[f"validation-{i}-residuals"] = partial(recordings.residuals, one)
     return wanted
-
-
-def draw(wanted: dict[str, Draw], progress: Progress) -> dict[str, bytes]:
-    """PNGs of what could be drawn."""
-    drawn = {}
-    for name, make in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
-        figure = make()
-        if figure is not None:
-            drawn[name] = png_of(figure)
-    return drawn
 
 
 def fit(

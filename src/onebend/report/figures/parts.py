@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from onebend.beam.profiles.uncertain import half_width
+from onebend.escaping import figure_text
 from onebend.lab.designs import Design
 from onebend.lab.fabrication.mould import PrintedPart
 from onebend.records import Array
@@ -32,7 +33,7 @@ def design_figure(design: Design) -> Figure:
     outline.set_aspect("equal")
     outline.set_xlabel("along the beam [mm]")
     outline.set_ylabel("across [mm]")
-    outline.set_title(f"{design.name}: {MM * design.length:g} mm long, {MM * design.depth:g} mm deep")
+    outline.set_title(f"{figure_text(design.name)}: {MM * design.length:g} mm long, {MM * design.depth:g} mm deep")
     k = np.asarray(design.along.stiffness(S))
     stiffness.plot(S, k, color=INK)
     if design.modulus_log_sd > 0.0:
@@ -43,7 +44,7 @@ def design_figure(design: Design) -> Figure:
     stiffness.set_ylim(bottom=0.0)
     stiffness.set_xlabel("place along the beam s")
     stiffness.set_ylabel("k [N m]")
-    stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({design.source})")
+    stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({figure_text(design.source)})")
     return figure
 
 

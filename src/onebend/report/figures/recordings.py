@@ -14,6 +14,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from onebend.beam.model import Beam
+from onebend.escaping import figure_text
 from onebend.learning.model.frames import distances
 from onebend.learning.outcome import Comparison, Explained, Learned, Trial
 from onebend.recording.camera.lens import project
@@ -67,7 +68,7 @@ def fit_over_frame(
     points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
     size = f"{significant(float(np.linalg.norm(shown.force[t])))} N" + (" as fitted," if fitted is not None else "")
-    axes.set_title(f"{comparison.name}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
+    axes.set_title(f"{figure_text(comparison.name)}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4 if fitted is not None else 3, columnspacing=1.2)
     return figure
 
@@ -119,7 +120,7 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
     if fitted is not None:
         axes.plot([], [], color=MUTED, linewidth=1.0, **_DASHED, label="under the force\nas logged")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    axes.set_title(f"{comparison.name}: shapes under growing force")
+    axes.set_title(f"{figure_text(comparison.name)}: shapes under growing force")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
@@ -144,7 +145,7 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel(_time_label(comparison))
     lines = "lines simulated" if fitted is None else "lines fitted, dashed under the force as logged"
-    above.set_title(f"{comparison.name}: dots measured, {lines}")
+    above.set_title(f"{figure_text(comparison.name)}: dots measured, {lines}")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(comparison.tag_id)))
     return figure
 
@@ -177,7 +178,7 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
         left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=label, **_marked(i, time))
         right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
-    left.set_title(f"{comparison.name}: {title}")
+    left.set_title(f"{figure_text(comparison.name)}: {title}")
     left.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(comparison.tag_id))), fontsize=8
     )
@@ -267,7 +268,7 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
             end = np.nanmax([rms, MM * comparison.sensor_rms[i], 0.0])
             text = f"{millimetres(comparison.rms[i])} ({millimetres(comparison.sensor_rms[i])})"
             axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
-            ticks.append((y, f"{comparison.name}  M{i + 1}" if i == 0 else f"M{i + 1}"))
+            ticks.append((y, f"{figure_text(comparison.name)}  M{i + 1}" if i == 0 else f"M{i + 1}"))
             y += 1.0
         y += 0.7
     axes.set_yticks(*zip(*ticks, strict=True))

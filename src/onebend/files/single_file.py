@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from onebend.errors import ResultsError
+from onebend.files.renames import move_in, sync_file, sync_folder, umask
 
 
 def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> None:
@@ -17,7 +18,7 @@ def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> Non
     Raises:
         ResultsError: the file exists and `overwrite` is False, or it cannot be written.
     """
-    with fresh_file(path, overwrite=overwrite) as beside:
+    with fresh_file(path, overwrite=overwrite) as beside, _as_results_error(path):
         beside.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
 
 
@@ -28,25 +29,35 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         ResultsError: as `write_file`.
     """
-    check_free(path, overwrite=overwrite)
+    check_name_free(path, overwrite=overwrite)
     with _as_results_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}.", suffix=path.suffix, dir=path.parent)
         os.close(handle)
     beside = Path(name)
     try:
         yield beside
         with _as_results_error(path):
-            beside.chmod(0o666 & ~_umask())
-            beside.replace(path)
+            beside.chmod(0o666 & ~umask())
+            sync_file(beside)
+            check_name_free(path, overwrite=overwrite)
+            if overwrite:
+                beside.replace(path)
+            elif not move_in(beside, path):
+                check_name_free(path, overwrite=False)
+            sync_folder(path.parent)
     finally:
         beside.unlink(missing_ok=True)
 
 
-def check_free(path: Path, *, overwrite: bool) -> None:
-    """Raises `ResultsError` where `path` is a folder, or a file that is not to be replaced. Before long work."""
+def check_name_free(path: Path, *, overwrite: bool) -> None:
+    """Raises `ResultsError` where `path` is not a plain file, or one that is not to be replaced. Before long work."""
     if path.is_dir():
         raise ResultsError(f"{path}: this is a folder. Name a file in it")
+    if path.is_symlink():
+        raise ResultsError(f"{path}: this is a link. Name the file that it leads to, or another one")
+    if path.exists() and not path.is_file():
+        raise ResultsError(f"{path}: this is no plain file, so it is not replaced. Name another one")
     if path.exists() and not overwrite:
         raise ResultsError(f"{path}: exists already. Choose another name, or add --force to replace it")
 
@@ -56,11 +67,4 @@ def _as_results_error(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ResultsError(f"{path}: cannot be written ({error.strerror}). Choose another place") from error
-
-
-def _umask() -> int:
-    """The process's mask for new files; it can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+        raise ResultsError(f"{path}: cannot be written ({error.strerror or error}). Choose another place") from error

@@ -1,0 +1,245 @@
+"""Files of others near a result: nothing of theirs is deleted, moved or written to, whatever it is called."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from onebend.cli import app
+from onebend.errors import ResultsError
+from onebend.files.manifest import OWN_CHECKSUM, own_files, seal, sha256_of, with_checksum, write_summary
+from onebend.files.publish import abandon, prepare
+from onebend.files.single_file import write_file
+from onebend.files.workplace import FORMAT
+from onebend.records import Detections
+from onebend.results.detection_cache import DetectionCache
+from tests.attack.killing import KIND, run, state_of
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Everything below, links as where they lead."""
+    return {
+        str(path.relative_to(folder)): str(path.readlink()) if path.is_symlink() else path.read_text()
+        for path in folder.rglob("*")
+        if path.is_symlink() or path.is_file()
+    }
+
+
+def sealed(folder: Path, files: dict[str, Any]) -> None:
+    """A summary as onebend would write it, that lists these files."""
+    write_summary(folder, with_checksum({"format": KIND, "mark": "forged", "files": {**files, "summary.json": None}}))
+
+
+@pytest.mark.parametrize(
+    "name", ["R.partial", "R.tmp", ".R.tmp", "unfinished", "complete", "replaced", ".R.onebend-thesis", "R.onebend"]
+)
+def test_a_folder_of_any_name_beside_the_target_is_left_alone(tmp_path: Path, name: str) -> None:
+    thesis = tmp_path / name
+    (thesis / "unfinished").mkdir(parents=True)
+    (thesis / "replaced").mkdir()
+    for file in ("thesis.tex", "unfinished/chapter.tex", "replaced/notes.txt", "draft.tmp", "workplace.json"):
+        (thesis / file).write_text("three years")
+    before = tree(thesis)
+    run(tmp_path / "R", "old")
+    run(tmp_path / "R", "new")
+    place = prepare(tmp_path / "R", kind=KIND, overwrite=True)
+    abandon(place)
+    assert tree(thesis) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["R", name])
+
+
+@pytest.mark.parametrize("how", ["link", "folder link", "above", "absolute", "backslash", "drive"])
+def test_a_manifest_cannot_reach_outside(tmp_path: Path, how: str) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    out.mkdir()
+    elsewhere.mkdir()
+    precious = elsewhere / "precious.txt"
+    precious.write_text("precious")
+    name = {
+        "link": "link.txt",
+        "folder link": "link/precious.txt",
+        "above": "../elsewhere/precious.txt",
+        "absolute": str(precious),
+        "backslash": "..\\elsewhere\\precious.txt",
+        "drive": "C:precious.txt",
+    }[how]
+    (out / "link.txt").symlink_to(precious)
+    (out / "link").symlink_to(elsewhere)
+    sealed(out, {name: sha256_of(precious)})
+    assert own_files(out) == {"summary.json"}
+    try:
+        run(out, "new")
+    except ResultsError:
+        pass
+    else:
+        assert state_of(out) == "new"
+    assert precious.read_text() == "precious"
+    assert (out / "link").readlink() == elsewhere
+    assert (out / "link.txt").readlink() == precious
+
+
+def test_a_name_alone_does_not_make_a_file_ours(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "thesis.tex").write_text("three years")
+    sealed(out, {"thesis.tex": "0" * 64})
+    with pytest.raises(ResultsError, match="--force does not replace"):
+        run(out, "new")
+    write_summary(out, {"format": KIND, "files": ["thesis.tex"]})  # as an earlier onebend listed files
+    with pytest.raises(ResultsError, match="--force does not replace"):
+        run(out, "new")
+    assert (out / "thesis.tex").read_text() == "three years"
+
+
+@pytest.mark.parametrize("what", ["figures", "figures/k.png", "model.json", "summary.json", "only-new.txt"])
+def test_a_link_where_results_go_is_not_followed(tmp_path: Path, what: str) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    run(out, "old")
+    elsewhere.mkdir()
+    for name in ("k.png", "model.json"):
+        (elsewhere / name).write_text("precious")
+    place = out / what
+    if place.is_dir():
+        for file in place.iterdir():
+            file.unlink()
+        place.rmdir()
+    else:
+        place.unlink(missing_ok=True)
+    place.symlink_to(elsewhere if what == "figures" else elsewhere / "k.png")
+    before, mine = tree(elsewhere), tree(out)
+    with pytest.raises(ResultsError):
+        run(out, "new")
+    assert tree(elsewhere) == before
+    assert tree(out) == mine
+
+
+@pytest.mark.parametrize("inside", ["replaced", "complete", "swapping.json", "whole"])
+def test_a_planted_workplace_leads_nowhere(tmp_path: Path, inside: str) -> None:
+    """One that claims to be ours, with links in it, or is a link itself."""
+    elsewhere, planted = tmp_path / "elsewhere", tmp_path / ".out.onebend-planted1"
+    elsewhere.mkdir()
+    marker = {"format": FORMAT, "target": "out", "kind": KIND, "locked": True}
+    (elsewhere / "precious.txt").write_text("precious")
+    run(tmp_path / "out", "old")
+    if inside == "whole":
+        (elsewhere / "workplace.json").write_text(json.dumps(marker))
+        planted.symlink_to(elsewhere)
+    else:
+        planted.mkdir()
+        (planted / "workplace.json").write_text(json.dumps(marker))
+        (planted / "swapping.json").write_text('{"new": [0, 0]}')
+        (planted / inside).unlink(missing_ok=True)
+        (planted / inside).symlink_to(elsewhere)
+    before = tree(elsewhere)
+    run(tmp_path / "out", "new")
+    assert state_of(tmp_path / "out") == "new"
+    assert tree(elsewhere) == before
+
+
+def test_the_cache_writes_through_no_link(tmp_path: Path) -> None:
+    precious = tmp_path / "precious.txt"
+    precious.write_text("precious")
+    cache = DetectionCache(tmp_path / "work", "1")
+    cache.folder.mkdir()
+    for ending in ("npz", "tmp"):
+        (cache.folder / f"detections-key.{ending}").symlink_to(precious)
+    cache.save("key", Detections(np.zeros(1), np.array([1]), np.zeros((1, 1, 4, 2)), 640, 480, ()))
+    assert precious.read_text() == "precious"
+
+
+def test_a_single_file_replaces_plain_files_only(tmp_path: Path) -> None:
+    precious, link, pipe = tmp_path / "precious.txt", tmp_path / "link.json", tmp_path / "pipe"
+    precious.write_text("precious")
+    link.symlink_to(precious)
+    os.mkfifo(pipe)
+    for path in (link, pipe, tmp_path, Path("/dev/null")):
+        with pytest.raises(ResultsError):
+            write_file(path, "new", overwrite=True)
+    with pytest.raises(ResultsError, match="exists already"):
+        write_file(precious, "new")
+    assert precious.read_text() == "precious"
+    assert link.is_symlink()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.json", "pipe", "precious.txt"]
+
+
+def test_a_forged_summary_is_known_by_its_own_checksum(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("a")
+    write_summary(tmp_path, {"format": KIND})
+    seal(tmp_path, {})
+    assert own_files(tmp_path) == {"a.txt", "summary.json"}
+    data = json.loads((tmp_path / "summary.json").read_text())
+    (tmp_path / "mine.txt").write_text("mine")
+    data["files"]["mine.txt"] = sha256_of(tmp_path / "mine.txt")
+    assert len(data[OWN_CHECKSUM]) == 64
+    write_summary(tmp_path, data)
+    assert own_files(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    "name", ["a[b]*?", "x" * 240, "é\n\x1b[31m", "-o", ".hidden", "a b'\"$", "梁" * 80, "[!a]", "R.onebend-", "\udcff"]
+)
+def test_a_target_of_any_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / "ab").mkdir()
+    out = tmp_path / name
+    run(out, "old")
+    (out / "notes.txt").write_text("mine")
+    place = prepare(out, kind=KIND, overwrite=True)
+    (place.work / "kept.npz").write_bytes(b"found so far")
+    with pytest.raises(ResultsError, match="is being written by process"):
+        prepare(out, kind=KIND, overwrite=True)
+    assert abandon(place)
+    run(out, "new")
+    assert state_of(out) == "new"
+    assert (out / "notes.txt").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["ab", name])
+
+
+def test_targets_with_the_same_beginning_do_not_hinder_each_other(tmp_path: Path) -> None:
+    one, other = tmp_path / ("x" * 100 + "1"), tmp_path / ("x" * 100 + "2")
+    first = prepare(one, kind=KIND, overwrite=True)
+    (first.work / "kept.npz").write_bytes(b"of the first")
+    run(other, "new")
+    abandon(first)
+    run(other, "newer")
+    assert (first.work / "kept.npz").exists()
+
+
+@pytest.mark.parametrize("kind", ["pipe", "huge", "folder", "nested", "text"])
+def test_a_marker_that_is_none_is_passed_over(tmp_path: Path, kind: str) -> None:
+    """It is in nobody's way, hangs nobody, and stays."""
+    planted = tmp_path / ".out.onebend-planted1"
+    planted.mkdir()
+    marker = planted / "workplace.json"
+    if kind == "pipe":
+        os.mkfifo(marker)
+    elif kind == "folder":
+        marker.mkdir()
+    else:
+        marker.write_text({"huge": " " * 10_000_000, "nested": "[" * 9_000, "text": "thesis"}[kind])
+    run(tmp_path / "out", "new")
+    assert state_of(tmp_path / "out") == "new"
+    assert os.path.lexists(marker)
+
+
+def test_what_a_marker_says_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planted = tmp_path / ".out.onebend-planted1"
+    planted.mkdir()
+    said = {
+        "format": FORMAT,
+        "target": "out",
+        "kind": KIND,
+        "process": "\x1b[2J",
+        "host": "\x1b[31m",
+        "since": "x" * 900,
+    }
+    (planted / "workplace.json").write_text(json.dumps(said))
+    monkeypatch.setattr("onebend.files.workplace._probe", lambda _: (_ for _ in ()).throw(BlockingIOError()))
+    result = CliRunner().invoke(app, ["learn", "REC", "-o", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "is being written by process \\x1b[2J on \\x1b[31m" in result.stderr
