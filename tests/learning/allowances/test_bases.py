@@ -25,7 +25,7 @@ RUN = course(MADE, np.ones(20, dtype=bool))
 
 
 def test_the_contact_slides_by_the_turn_of_the_beam_there() -> None:
-    basis = sliding(MADE, RUN, np.full(21, PUSH_S)).basis
+    basis = sliding(TAGS, RUN, np.full(21, PUSH_S)).basis
     here = (PUSH_S - TAGS[1]) / (TAGS[2] - TAGS[1])
     turn = MADE.angle - MADE.rest_angle
     np.testing.assert_allclose(basis[:20, 0], (1.0 - here) * turn[:, 1] + here * turn[:, 2], atol=1e-12)
@@ -33,7 +33,7 @@ def test_the_contact_slides_by_the_turn_of_the_beam_there() -> None:
 
 
 def test_below_the_first_tag_it_slides_by_a_share_of_its_turn() -> None:
-    basis = sliding(MADE, RUN, np.full(21, 0.5 * TAGS[0])).basis
+    basis = sliding(TAGS, RUN, np.full(21, 0.5 * TAGS[0])).basis
     np.testing.assert_allclose(basis[:20, 0], 0.5 * (MADE.angle - MADE.rest_angle)[:, 0], atol=1e-12)
 
 
