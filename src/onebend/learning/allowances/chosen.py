@@ -27,6 +27,7 @@ AllowanceName = Literal[
     "posture",
     "patches",
     "length",
+    "inertia",
     "heights",
     "camera",
     "rolling shutter",

@@ -164,7 +164,7 @@ class OnlineLearner:
     def left_out(self) -> tuple[str, ...]:
         """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
         and its band holds no more of it than what the discrepancy takes in."""
-        return (*sorted(EVERY_ALLOWANCE - self._session.carried - self._held), "inertia")
+        return tuple(sorted(EVERY_ALLOWANCE - self._session.carried - self._held))
 
     @property
     @one_blas_thread

@@ -120,6 +120,8 @@ def allowance_changes(recording: FitData, beam: BentBeam) -> dict[str, Perturbat
             changes[a.name] = pushed_by(beam, a.basis)
         elif a.enters == "place":
             changes[a.name] = placed_by(beam, a.basis)
+        elif a.enters == "load":
+            changes[a.name] = Perturbation(a.basis, None, None, np.zeros(a.count))
     return changes
 
 
