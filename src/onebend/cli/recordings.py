@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,8 +15,10 @@ from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
 from onebend.recording.template import write_template
-from onebend.report.overview import Overview, overview
 from onebend.terminal.recordings import show_bag, show_overview
+
+if TYPE_CHECKING:
+    from onebend.report.overview import Overview
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
@@ -51,6 +53,8 @@ def check(
     recording: Recording, *, output: Picture = Path(PICTURE), overwrite: Overwrite = False, as_json: Json = False
 ) -> None:
     """Read a recording's files, look for the tags in some frames, say and draw what was understood."""
+    from onebend.report.overview import overview  # here: `new` and `topics` read no films
+
     with clean_errors():
         check_replaceable(output, overwrite)
         found = overview(recording)
