@@ -18,13 +18,14 @@ from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import frame_at, frames_at
 from onebend.records import Observations
 from onebend.report.figures import drawing, film
-from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip
+from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip, shape_band
 from onebend.report.page.page import page
 from tests import made_up
 from tests.made_up import with_source
 from tests.recording.test_video import write_video
 from tests.report.page.browser import after_script
 
+BEAM, UNCERTAIN = made_up.posterior().beam, made_up.posterior().stiffness
 FIT = explained(made_up.posterior())[0]
 
 
@@ -52,7 +53,7 @@ def test_frames_are_read_in_one_pass(filmed: Observations) -> None:
 
 
 def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observations) -> None:
-    strip = film_strip(filmed, FIT)
+    strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert strip is not None
     assert strip.width <= WIDEST
     assert 20 <= len(strip.frames) <= MOST_FRAMES
@@ -71,19 +72,35 @@ def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observati
 
 
 def test_the_frames_stay_below_their_limit(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
-    fine = film_strip(filmed, FIT)
+    fine = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert fine is not None
     size = sum(len(one.jpeg) for one in fine.frames)
     assert size <= film.LARGEST
     monkeypatch.setattr(film, "LARGEST", size // 2)
-    small = film_strip(filmed, FIT)
+    small = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert small is not None
     assert sum(len(one.jpeg) for one in small.frames) <= size // 2
 
 
+def test_the_band_of_the_shape_is_what_k_does_to_it(filmed: Observations) -> None:
+    """All of k 5 % stiffer or softer (sd): the band's edge is where a beam softer by 1.96 of that stands."""
+    chosen = np.array([len(FIT.comparison.frame) // 2])
+    band = shape_band(BEAM, UNCERTAIN, filmed, FIT, chosen)
+    assert band.shape == (1, 2, 31, 2)
+    assert np.linalg.norm(band[0, 0] - band[0, 1], axis=-1)[0] == pytest.approx(0.0, abs=1e-9)  # at the clamp
+    common = replace(UNCERTAIN, covariance=0.0 * UNCERTAIN.covariance, gain_sd=0.05)
+    wide = shape_band(BEAM, common, filmed, FIT, chosen)
+    force, at = FIT.logged[chosen][0], FIT.comparison.push_s[chosen][0]
+    soft, stiff = (
+        replace(BEAM, stiffness=replace(common, mean=common.mean + shift).profile).equilibrium(force, at).xy(1.0)
+        for shift in (-1.96 * 0.05, 1.96 * 0.05)
+    )
+    assert np.linalg.norm(wide[0, 0, -1] - wide[0, 1, -1]) == pytest.approx(np.linalg.norm(soft - stiff), rel=0.45)
+
+
 def test_without_film_or_camera_there_are_no_frames(filmed: Observations, tmp_path: Path) -> None:
-    assert film_strip(with_source(filmed, video=tmp_path / "gone.mp4"), FIT) is None
-    assert film_strip(with_source(filmed, view=None), FIT) is None
+    assert film_strip(with_source(filmed, video=tmp_path / "gone.mp4"), FIT, BEAM, UNCERTAIN) is None
+    assert film_strip(with_source(filmed, view=None), FIT, BEAM, UNCERTAIN) is None
 
 
 def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +116,7 @@ def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, m
 
 
 def test_the_slider_goes_through_the_film(filmed: Observations, tmp_path: Path) -> None:
-    strip = film_strip(filmed, FIT)
+    strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
     assert strip is not None
     html = page(made_up.findings(0), {"fit": b"png"}, version="1", film=strip)
     assert len(html) < 5_000_000

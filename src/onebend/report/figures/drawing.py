@@ -59,15 +59,16 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
         for one, fitted in zip(findings.trainings, fits, strict=True)
     ]
     wanted |= validation_figures(beam, pairs, *own)
-    return _with_film(draw(wanted, progress), recording, fits[0])
+    return _with_film(findings, draw(wanted, progress), fits[0])
 
 
-def _with_film(pictures: Pictures, recording: Observations, fitted: Explained | None) -> Pictures:
+def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None) -> Pictures:
     """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
-    if fitted is None or "fit" not in pictures.drawn:
+    if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
         return pictures
     try:
-        return replace(pictures, film=film_strip(recording, fitted))
+        film = film_strip(findings.recordings[0], fitted, findings.beam, findings.posterior.stiffness)
+        return replace(pictures, film=film)
     except Exception as error:  # as with every picture
         pictures.failed["film"] = reason_of(error)
         return pictures

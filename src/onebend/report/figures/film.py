@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from onebend.errors import OnebendError
+from onebend.beam.model import Beam
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
+from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.outcome import Explained
+from onebend.learning.validation import solved_frames
 from onebend.recording.camera.lens import project
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import frames_at
@@ -22,6 +25,7 @@ WIDEST = 560  # px
 LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
 QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
 _ARROW = 0.25  # of the beam's length, at the largest force
+_DRAWS = 16  # of k(s), for the band of the shape
 _STEP = 4  # of the centre line's places, one is drawn
 
 
@@ -33,6 +37,7 @@ class StripFrame:
     frame: int  # index in the video
     time: float  # s since the first frame shown
     beam: Array  # (places, 2) px, the centre line as fitted
+    band: Array  # (2, places, 2) px, either side of it: where it could be for all of k(s) that is probable (95 %)
     tags: Array  # (m, 2) px as measured; NaN where one was not seen
     arrow: Array  # (2, 2) px, from where the arrow begins to where the force acts
     force: Array  # (2,) N, as fitted
@@ -53,7 +58,9 @@ def film_of(video: Path, observations: Observations) -> VideoEntry:
     return VideoEntry(file=video, topic=topic, damaged="keep" if topic else "refuse")
 
 
-def film_strip(observations: Observations, fitted: Explained) -> FilmStrip | None:
+def film_strip(
+    observations: Observations, fitted: Explained, beam: Beam, uncertain: UncertainStiffness
+) -> FilmStrip | None:
     """Frames spread evenly over those of the fit; None where the film is gone, or there is no camera."""
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
@@ -68,6 +75,7 @@ def film_strip(observations: Observations, fitted: Explained) -> FilmStrip | Non
     if not len(chosen):
         return None
     arrows = _arrows(source.view, observations.length, fitted, chosen)
+    aside = shape_band(beam, uncertain, observations, fitted, chosen)
     beams, tags = project(source.view, fitted.line[chosen, ::_STEP]), project(source.view, shown.measured[chosen])
     first = next(iter(found.values()))
     low, high = _window(np.concatenate([part.reshape(-1, 2) for part in (beams, tags, arrows)]), first.shape)
@@ -80,6 +88,7 @@ def film_strip(observations: Observations, fitted: Explained) -> FilmStrip | Non
             frame=int(shown.frame[t]),
             time=float(shown.time[t] - shown.time[chosen[0]]),
             beam=scale * (beams[i] - low),
+            band=scale * (project(source.view, aside[i]) - low),
             tags=scale * (tags[i] - low),
             arrow=scale * (arrows[i] - low),
             force=shown.force[t],
@@ -87,6 +96,35 @@ def film_strip(observations: Observations, fitted: Explained) -> FilmStrip | Non
         for i, t in enumerate(chosen)
     )
     return FilmStrip(size[0], size[1], frames)
+
+
+def shape_band(
+    beam: Beam, uncertain: UncertainStiffness, observations: Observations, fitted: Explained, chosen: NDArray[np.int_]
+) -> Array:
+    """(F, 2, places, 2) m, either side of the fitted centre line: what the uncertainty of k(s) alone does to the shape.
+
+    Beams drawn from the posterior of k(s) are bent by the loads of the frames `chosen`, and the fitted line is moved by
+    the quantile of how far they lie to its side. Errors of the force, which the fit sees together with k(s), are left
+    out. Without width where the drawn beams cannot be simulated.
+    """
+    lines = fitted.line[chosen, ::_STEP]
+    s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
+    frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
+    bent = []
+    for profile in uncertain.draw(_DRAWS, seed=0):
+        try:
+            solved = solved_frames(replace(beam, stiffness=profile), observations, frames)
+        except MechanicsError:
+            continue
+        bent.append(np.concatenate([np.where(one.converged[:, None, None], one.xy(s), np.nan) for one in solved]))
+    along = np.gradient(lines, axis=1)
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    if len(bent) < 2:
+        return np.stack([lines, lines], axis=1)
+    sideways = np.sum((np.array(bent) - np.mean(bent, axis=0)) * normal, axis=-1)
+    wide = np.nan_to_num(half_width(np.std(sideways, axis=0, ddof=1)))[..., None]
+    return np.stack([lines + wide * normal, lines - wide * normal], axis=1)
 
 
 def _arrows(view: View, length: float, fitted: Explained, chosen: NDArray[np.int_]) -> Array:

@@ -10,6 +10,7 @@ function filmFigure(figure, data) {
     const one = data.frames[Number(slider.value)], path = pathOf(one.beam_px), size = Math.hypot(...one.force_N);
     picture.setAttribute("href", one.picture);
     over.replaceChildren();
+    drawn(over, "path", { d: pathOf(one.band_px) + "Z", fill: BLUE, "fill-opacity": 0.35, stroke: "none" });
     for (const [tint, wide] of [["#fff", 5], [BLUE, 2.5]]) {
       drawn(over, "path", { d: path, fill: "none", stroke: tint, "stroke-width": wide });
     }

@@ -94,6 +94,7 @@ def _film(film: FilmStrip) -> dict[str, Any]:
             "frame": one.frame,
             "time_s": round(one.time, 3),
             "beam_px": one.beam.round(1).tolist(),
+            "band_px": [*one.band[0].round(1).tolist(), *one.band[1, ::-1].round(1).tolist()],
             "tags_px": [point.round(1).tolist() for point in one.tags if np.isfinite(point).all()],
             "arrow_px": one.arrow.round(1).tolist(),
             "force_N": _short(one.force),
