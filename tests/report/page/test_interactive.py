@@ -133,20 +133,21 @@ send(bend, "pointermove", place.left + 5, place.top + 60); send(bend, "pointerup
 send(bend, "pointermove", 0, 0); read("bend");
 key(bend, "Escape"); read("bend");
 said.push(document.querySelector("[data-instead=curve]").hidden, getComputedStyle(curve).touchAction);
-document.querySelector("main").style.width = "390px";
-setTimeout(() => {
-  const sizes = [...document.querySelectorAll(".chart > svg")].map((one) => one.getBoundingClientRect().width);
-  said.push(Math.max(...sizes), document.querySelectorAll("#curve svg path").length);
-  document.title = JSON.stringify(said);
-}, 300);
+const log = part("curve", "input");
+log.checked = true; log.dispatchEvent(new Event("change"));
+said.push(/NaN|Infinity/.test(curve.innerHTML));
+const sizes = [...document.querySelectorAll(".chart > svg")].map((one) => one.getBoundingClientRect().width);
+said.push(Math.max(...sizes), document.querySelectorAll("#curve svg path").length);
+document.title = JSON.stringify(said);
 """
 
 
 def test_the_curve_is_read_by_touch_and_keys_and_the_beam_is_dragged(tmp_path: Path) -> None:
     found = made_up.findings(0)
     assert found.posterior is not None
-    title = after_script(page(found, {"stiffness": b"png"}, version="1"), MOVES, tmp_path)
-    touched, moved, end, dragged, released, free, hidden, touch, width, paths = json.loads(markup.unescape(title))
+    html = page(found, {"stiffness": b"png"}, version="1").replace("<main>", '<main style="width: 390px">')
+    title = after_script(html, MOVES, tmp_path)
+    touched, moved, end, dragged, released, free, hidden, touch, lost, width, paths = json.loads(markup.unescape(title))
     assert touched.startswith("s = 0.25 · 37.5 mm from the clamp · k = ")
     band = found.posterior.band(np.array([0.25]))
     assert f"k = {float(band.k[0]):#.3g} N m · 95 % band {float(band.low[0]):#.3g} to" in touched
@@ -160,6 +161,7 @@ def test_the_curve_is_read_by_touch_and_keys_and_the_beam_is_dragged(tmp_path: P
     assert free.startswith("F = (0, 0) N")
     assert hidden
     assert touch == "pan-y"  # a finger scrolls the page up and down, and reads the curve from left to right
+    assert not lost  # nothing of the logarithmic curve
     assert width <= 390.0
     assert paths >= 4
 
