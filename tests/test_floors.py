@@ -75,7 +75,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("random_bench",),
     ),
     "report": (
-        ("findings",),
+        ("findings", "kinds"),
         ("wording",),
         ("overview", "confidence"),
         ("figures",),

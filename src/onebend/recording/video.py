@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,15 +105,31 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
     Raises:
         RecordingError: the video has no such frame, or cannot be read.
     """
+    for _, picture in frames_at(video, [index]):
+        return picture
+    of = f" of {video.topic}" if video.topic else ""
+    raise RecordingError(f"{video.file} has no frame {index}{of}.")
+
+
+def frames_at(video: VideoEntry, indices: Collection[int]) -> Iterator[tuple[int, Picture]]:
+    """Those of these frames that the video has, in order, with their indices; each as from `frame_at`.
+
+    Raises:
+        RecordingError: the video cannot be read.
+    """
+    last, wanted = max(indices, default=-1), frozenset(indices)
     if video.topic:
-        for count, (_, message) in enumerate(bag_frames(video)):
-            if count == index:
-                return picture_of(message, f"{video.file}, image {index} of {video.topic}", colour=True)
-        raise RecordingError(f"{video.file} has no frame {index} of {video.topic}.")
-    for count, frame in enumerate(decoded(video.file)):
-        if count == index:
-            return upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
-    raise RecordingError(f"{video.file} has no frame {index}.")
+        for index, (_, message) in enumerate(bag_frames(video)):
+            if index in wanted:
+                yield index, picture_of(message, f"{video.file}, image {index} of {video.topic}", colour=True)
+            if index >= last:
+                return
+        return
+    for index, frame in enumerate(decoded(video.file)):
+        if index in wanted:
+            yield index, upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
+        if index >= last:
+            return
 
 
 def frame_count(video: VideoEntry) -> int | None:

@@ -84,6 +84,15 @@ class UncertainStiffness:
         wide = self.half_width(s, level)
         return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
 
+    def best_known(self, s: Array) -> BoolArray:
+        """(S,) where the data tell k; where they tell it nowhere, the quarter of the places where they tell most.
+
+        Doubts do not count: this is what the axes of a picture go by, that nothing else may stretch them.
+        """
+        sd = self.log_at(s)[1]
+        known = sd < IDENTIFIED_SD
+        return np.asarray(known if np.any(known) else sd <= np.quantile(sd, 0.25))
+
     def half_width(self, s: Array, level: float = 0.95) -> Array:
         """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
         return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
