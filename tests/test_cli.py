@@ -299,12 +299,16 @@ def test_new_then_check_leads_to_the_next_step(tmp_path: Path) -> None:
     refused(run("check", tmp_path / "mine"), "length_m is empty")
 
 
-def test_check_says_what_was_understood() -> None:
-    result = run("check", EXAMPLE)
+def test_check_says_what_was_understood(tmp_path: Path) -> None:
+    result = run("check", EXAMPLE, "-o", tmp_path / "check.png")
     assert result.exit_code == 0, result.output
-    for words in ("150 mm long", "1280 x 720", "536 frames", "1000 Hz", "tag 3 at s = 1"):
+    for words in ("150 mm long", "1280 x 720", "536 frames", "1000 Hz", "tag 3 at s = 1", "tags seen 0, 1, 2, 3"):
         assert words in " ".join(result.stdout.split()), words
-    assert json.loads(run("check", EXAMPLE, "--json").stdout)["recording"] == "linear_train"
+    assert (tmp_path / "check.png").stat().st_size > 50_000
+    again = json.loads(run("check", EXAMPLE, "-o", tmp_path / "check.png", "--json").stdout)
+    assert (again["recording"], again["picture"]) == ("linear_train", str(tmp_path / "check.png"))
+    (tmp_path / "mine.png").write_bytes(b"a picture of my own")
+    refused(run("check", EXAMPLE, "-o", tmp_path / "mine.png"), "exists already")
 
 
 def test_show_draws_the_model(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ DEEPEST = 2  # folders under src/onebend
 # From the lowest floor up. A name is a folder, or a module, of the layer.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("errors", "progress", "blas", "lazy", "workers", "strict_json", "escaping"),
+    ("text_files",),
     ("records", "files", "crash"),
     ("beam",),
     ("recording",),
@@ -46,7 +47,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("video", "stated", "tag_turns", "beam_frame"),
         ("camera", "clock"),
         ("tags", "tracks", "calibration"),
-        ("gravity", "implausible_axes", "folder"),
+        ("gravity", "implausible_axes", "folder", "preview"),
         ("pairing", "photos", "template"),
         ("observe",),
     ),
@@ -74,7 +75,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("random_bench",),
     ),
     "report": (
-        ("findings",),
+        ("findings", "kinds"),
         ("wording",),
         ("overview", "confidence"),
         ("figures", "verdict"),

@@ -15,7 +15,6 @@ from onebend.cli import COMMANDS, app
 from onebend.results.model import save_model
 from tests import made_up
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "train"
 HEAVY = (
     "scipy.stats", "scipy.signal", "matplotlib", "pyarrow", "trimesh", "manifold3d", "reportlab", "jinja2",
     "pyapriltags", "multiprocessing.pool",
@@ -66,7 +65,6 @@ def test_light_commands_load_no_heavy_library(tmp_path: Path) -> None:
     x, y = fit.beam.equilibrium((0.0, 0.05)).xy(1.0)
     for command in (
         ("show", str(model)),
-        ("check", str(EXAMPLE)),
         ("reach", str(model), "--goal", str(x), str(y)),
         ("new", str(tmp_path / "new")),
     ):

@@ -215,10 +215,11 @@ def copy(folder: Path, *changes: tuple[str, str]) -> Path:
 
 def test_overview_warns_of_clocks_and_cameras_that_cannot_fit(tmp_path: Path) -> None:
     found = overview(copy(tmp_path, ("start_s = 310.9", "start_s = 1000.0"), ("width = 1280", "width = 1920")))
-    texts = [remark.text for remark in found.remarks if remark.level == "warning"]
-    assert any("do not overlap" in text for text in texts)
-    assert any("Calibrate at the video's size" in text for text in texts)
-    assert not [remark for remark in overview(EXAMPLE).remarks if remark.level == "warning"]
+    assert any("do not overlap" in text for text in found.faults)
+    assert any("Calibrate at the video's size" in text for text in found.faults)
+    sound = overview(EXAMPLE)
+    assert not sound.faults
+    assert not [remark for remark in sound.remarks if remark.level == "warning"]
 
 
 def test_overview_of_a_broken_video_is_an_error(tmp_path: Path) -> None:

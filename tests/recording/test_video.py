@@ -167,7 +167,7 @@ def test_times_from_a_file_are_used_and_counted(tmp_path: Path) -> None:
         ("time_s\n0\n1\n1\n2\n", "frame 2 .* does not rise"),
         ("time_s\n0\nx\n2\n3\n", "times.csv:3: time_s is not a number"),
         ("seconds\n0\n1\n2\n3\n", "no column time_s"),
-        ("", "no column time_s"),
+        ("", "is empty"),
     ):
         table.write_text(content, encoding="utf-8")
         with pytest.raises(RecordingError, match=words):

@@ -115,7 +115,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "line 1: not valid JSON"),
+        ("", "is empty"),
         ('{"format": "onebend-model",\n "version": 1', "line 2: not valid JSON"),
         ("[1, 2]", "a JSON list, not an object"),
         ("[" * 100_000, "nested too deeply"),
@@ -126,18 +126,18 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),
         (change(GOOD, beam=GOOD["beam"] | {"length_m": -1.0}), "length must be positive"),
-        (change(GOOD, beam=GOOD["beam"] | {"length_m": float("inf")}), "not finite"),
+        (change(GOOD, beam=GOOD["beam"] | {"length_m": float("inf")}), "holds Infinity"),
         (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": 3}), "describes no beam"),
         (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": {"kind": "magic"}}), "magic"),
         (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": "soft"}}), "beam"),
         (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": [1.0, 2.0]}}), "beam"),
-        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": float("nan")}}), "no finite value"),
+        (change(GOOD, beam=GOOD["beam"] | {"stiffness_N_m": UNIFORM | {"value": float("nan")}}), "holds NaN"),
         (change(GOOD, origin={"recording": 3}), "key 'origin"),
         (change(GOOD, uncertain=3), "key 'uncertain'"),
         (change(GOOD, uncertain={"knots": [0, 1]}), "key 'uncertain'"),
         (change(GOOD, uncertain=BAND | {"covariance": [[1.0]]}), "key 'uncertain'"),
         (change(GOOD, uncertain=BAND | {"covariance": [[-1.0, 0.0], [0.0, -1.0]]}), "key 'uncertain'"),
-        (change(GOOD, uncertain=BAND | {"gain_sd": float("nan")}), "key 'uncertain'"),
+        (change(GOOD, uncertain=BAND | {"gain_sd": float("nan")}), "holds NaN"),
         (change(GOOD, uncertain=BAND), "not the band of the beam's stiffness"),
     ],
 )
@@ -154,5 +154,5 @@ def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ResultsError, match="no such file"):
         load_model(tmp_path)
     (tmp_path / "model.json").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(ResultsError, match="not a text file"):
+    with pytest.raises(ResultsError, match="it is UTF-16"):
         load_model(tmp_path)

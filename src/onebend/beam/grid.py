@@ -112,6 +112,14 @@ def transposed(matrix: Array) -> Array:
     return np.swapaxes(matrix, -1, -2)
 
 
+def paired(x: Array, y: Array) -> Array:
+    """(..., 2) of two arrays that are broadcast, as `numpy.stack` makes it in several times the time."""
+    shape = x.shape if x.shape == y.shape else np.broadcast_shapes(x.shape, y.shape)
+    out = np.empty((*shape, 2))
+    out[..., 0], out[..., 1] = x, y
+    return out
+
+
 def solve_each(matrices: Array, right: Array) -> Array:
     """(T, n, P) solutions of T systems; NaN where a matrix is singular."""
     try:

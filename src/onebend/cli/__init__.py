@@ -75,7 +75,9 @@ COMMANDS = {
         "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
     ),
     "check": Place(
-        "recordings", "check", "Read a recording's files without looking for tags, and say what was understood."
+        "recordings",
+        "check",
+        "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
     ),
     "calibrate": Place(
         "calibrating",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -78,23 +79,42 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
     finish(place)
 
 
+def made_from_files(inputs: Sequence[InputFile], settings: Mapping[str, Any] = {}) -> dict[str, Any]:
+    """Where the results of this command come from, under `provenance`."""
+    return provenance(inputs, GIVEN.get({}), settings)
+
+
 def put_in_place(
     place: OutputFolder,
     write: Callable[[Path], None],
     pictures: Pictures = Pictures(),
     *,
     inputs: Sequence[InputFile] = (),
-    settings: Mapping[str, Any] = {},
+    made_from: Mapping[str, Any] | None = None,
 ) -> None:
-    """Publish what `write` writes, with where it comes from; say which pictures are missing, and why."""
-    made_from = provenance(inputs, GIVEN.get({}), settings)
+    """Publish what `write` writes, with where it comes from; say which pictures are missing, and why.
+
+    Args:
+        made_from: as from `made_from_files`, where `write` says it too; None: it is made from `inputs`.
+    """
+    made_from = made_from or made_from_files(inputs)
     again = place.published
-    left = publish(place, write, made_from | {"pictures_failed": pictures.failed})
+    left = publish(place, write, {**made_from, "pictures_failed": pictures.failed})
     say_failed(pictures)
     if left is not None:
         say(f"onebend: warning: files that appeared in {place.out} during the run are in {left}.", err=True)
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         say(f"onebend: warning: {path} was changed while it was read. Run again to learn from it as it is.", err=True)
+
+
+def open_in_browser(page: Path) -> None:
+    """Show a page in the person's browser; a warning where there is none."""
+    try:
+        opened = webbrowser.open(page.resolve().as_uri())
+    except webbrowser.Error:
+        opened = False
+    if not opened:
+        say(f"onebend: warning: no browser was found. Open {page} in one.", err=True)
 
 
 def say_failed(pictures: Pictures) -> None:

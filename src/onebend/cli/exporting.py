@@ -24,7 +24,7 @@ OutFile = Annotated[
     Path | None,
     typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the ending."),
 ]
-Hinges = Annotated[int, typer.Option(min=2, metavar="N", help="Hinges of a chain (mujoco, urdf, sdf).")]
+Hinges = Annotated[int, typer.Option(min=2, max=10_000, metavar="N", help="Hinges of a chain (mujoco, urdf, sdf).")]
 MassKg = Annotated[
     float | None,
     typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: as it was learned with."),

@@ -49,7 +49,9 @@ Direction = Annotated[
     float | None,
     typer.Option("--direction-deg", metavar="DEG", help="Of the push against the beam's x axis; default: 100."),
 ]
-Seconds = Annotated[float | None, typer.Option("--seconds", min=0.05, metavar="S", help="From first to last contact.")]
+Seconds = Annotated[
+    float | None, typer.Option("--seconds", min=0.05, max=600.0, metavar="S", help="From first to last contact.")
+]
 Camera = Annotated[CameraName, typer.Option("--camera", help="Its picture, rate, lens and tilt.")]
 Fps = Annotated[float | None, typer.Option("--fps", min=1.0, max=240.0, metavar="HZ", help="Default: the camera's.")]
 Tilt = Annotated[

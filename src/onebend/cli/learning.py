@@ -12,7 +12,16 @@ import typer
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, put_in_place, screen, workplace
+from onebend.cli.common import (
+    clean_errors,
+    made_from_files,
+    open_in_browser,
+    print_json,
+    progress_of,
+    put_in_place,
+    screen,
+    workplace,
+)
 from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
@@ -59,6 +68,7 @@ Width = Annotated[
     typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
 ]
 Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
+OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
 Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
 Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
 Epsilon = Annotated[
@@ -117,6 +127,7 @@ def learn(
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     log: LogAxis = False,
+    open_report: OpenReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -140,19 +151,25 @@ def learn(
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
         settled = {"fit": fitting, "regression": settings, "observing": observing}
-        put = partial(put_in_place, place, inputs=inputs, settings=settled)
-        write = partial(learned_writer, run, summary=summary, version=onebend.__version__)
-        put(write(Pictures()))  # the fit is safe before a picture is drawn
+
+        def put(pictures: Pictures) -> None:
+            made_from = made_from_files(inputs, settled)
+            write = learned_writer(run, pictures, summary, version=onebend.__version__, made_from=made_from)
+            put_in_place(place, write, pictures, made_from=made_from)
+
+        put(Pictures())  # the fit is safe before a picture is drawn
         if not as_json:
             show_run(screen(), run, out, verbose=verbose, log=log)
         with progress_of(quiet) as progress:
             pictures = draw_all(run, progress=progress)
-        put(write(pictures), pictures)
+        put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
         print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     elif verbose:
         show_times(screen(), run, seconds)
+    if open_report:
+        open_in_browser(out / "report.html")
 
 
 def validate(

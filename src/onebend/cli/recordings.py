@@ -5,26 +5,37 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from onebend.cli.common import clean_errors, print_json, say, screen
-from onebend.cli.options import Json, Recording
-from onebend.errors import RecordingError
+from onebend.cli.options import Json, Overwrite, Recording
+from onebend.errors import ObservationError, RecordingError
+from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
 from onebend.recording.template import Kind, write_template
-from onebend.report.overview import overview
 from onebend.strict_json import to_json
 from onebend.terminal.recordings import show_bag, show_overview
 
+if TYPE_CHECKING:
+    from onebend.report.overview import Overview
+
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
+Picture = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; one of an earlier check is replaced."),
+]
 Definitions = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds."),
 ]
+
+PICTURE = "check.png"
+SOFTWARE = "onebend check"  # what stands in the picture, so that only such a one is replaced unasked
+
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
@@ -85,14 +96,47 @@ def quoted(text: str) -> str:
     return written if written.isprintable() and written.encode("utf-8", "replace").decode() == written else ""
 
 
-def check(recording: Recording, *, as_json: Json = False) -> None:
-    """Read a recording's files without looking for tags, and say what was understood."""
+def check(
+    recording: Recording, *, output: Picture = Path(PICTURE), overwrite: Overwrite = False, as_json: Json = False
+) -> None:
+    """Read a recording's files, look for the tags in some frames, say and draw what was understood."""
+    from onebend.report.overview import overview  # here: `new` and `topics` read no films
+
     with clean_errors():
+        check_replaceable(output, overwrite)
         found = overview(recording)
+        drawn = draw_check(found)
+        if drawn is not None:
+            write_file(output, drawn, overwrite=True)
+        if found.faults and as_json:
+            raise ObservationError("\n".join(found.faults))
     if as_json:
-        print_json(found.as_dict())
-    else:
-        show_overview(screen(), found)
+        print_json({**found.as_dict(), "picture": None if drawn is None else str(output)})
+        return
+    show_overview(screen(), found)
+    if drawn is not None:
+        say(f"picture {output}")
+    if found.faults:
+        with clean_errors():
+            raise ObservationError("\n".join(found.faults))
+
+
+def draw_check(found: Overview) -> bytes | None:
+    """The picture of a check; None where there is nothing to draw."""
+    from onebend.report.figures.checking import check_picture  # here: matplotlib takes a third of a second to load
+    from onebend.report.figures.style import png_of
+
+    figure = check_picture(found)
+    return None if figure is None else png_of(figure, software=SOFTWARE)
+
+
+def check_replaceable(path: Path, overwrite: bool) -> None:
+    """Raises `ResultsError` where `path` exists and is not a picture that a check drew."""
+    if path.is_file() and not overwrite:
+        with path.open("rb") as stream:
+            if SOFTWARE.encode() in stream.read(200):
+                return
+    check_name_free(path, overwrite=overwrite)
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:

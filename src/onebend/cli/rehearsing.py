@@ -41,7 +41,9 @@ TagPlaces = Annotated[
 SlowPush = Annotated[PushName, typer.Option("--push", help="slow: at the tip. s08, s06: slow, there.")]
 PushesAt = Annotated[
     list[float] | None,
-    typer.Option("--push-at", metavar="S", help="Where it pushes, along the beam; once for each push."),
+    typer.Option(
+        "--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam; once for each push."
+    ),
 ]
 Forces = Annotated[
     list[float] | None, typer.Option("--force-N", metavar="N", help="Peak; default: by --bend-deg. One, or one a push.")
@@ -69,8 +71,13 @@ ClockSd = Annotated[
         help="How well the clocks agree; 0: one clock; default: found from the data.",
     ),
 ]
-Runs = Annotated[int, typer.Option(min=0, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")]
-Jobs = Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes that simulate; default: all cores.")]
+Runs = Annotated[
+    int,
+    typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once."),
+]
+Jobs = Annotated[
+    int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes that simulate; default: all cores.")
+]
 Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="How many changes to name.")]
 RehearsalFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")

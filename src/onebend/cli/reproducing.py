@@ -9,7 +9,7 @@ import typer
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, put_in_place, screen, workplace
+from onebend.cli.common import clean_errors, made_from_files, print_json, progress_of, put_in_place, screen, workplace
 from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.studies.figures import draw_figures
 from onebend.studies.run import reproduce as run
@@ -53,7 +53,7 @@ def reproduce(
         pictures = draw_figures(found, progress=progress)
         summary = summary_of(found, written_by=BY)
         write = writer(found, pictures, summary, place.work, version=onebend.__version__)
-        put_in_place(place, write, pictures, settings={"study": setting})
+        put_in_place(place, write, pictures, made_from=made_from_files((), {"study": setting}))
     if as_json:
         print_json(summary | {"output": str(output)})
     else:

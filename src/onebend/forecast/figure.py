@@ -8,10 +8,11 @@ from matplotlib.figure import Figure
 
 from onebend.beam.profiles.uncertain import half_width
 from onebend.escaping import figure_text
+from onebend.forecast.prediction import PredictedBand
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Rehearsal
 from onebend.forecast.runs import errors_of
 from onebend.learning.design.proposals import PLACES
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 from onebend.report.figures.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
 
 SHOWN = 40  # fits drawn as lines
@@ -44,8 +45,8 @@ def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
         axes.plot(PLACES, k / obtained, **style, label="95 % band, typical of the fits")  # type: ignore[arg-type]
         axes.plot(PLACES, k * obtained, **style)  # type: ignore[arg-type]
     axes.plot(PLACES, k, color=INK, label="k(s), true")
-    top = np.where(p.identified, k * wide, k) if np.any(p.identified) else k * wide
-    axes.set_ylim(0.0, 1.45 * float(np.max(top)))
+    top = float(np.max((k * wide)[_best_known(p)]))
+    axes.set_ylim(0.0, 1.45 * max(top, min(float(np.max(k)), 1.3 * top)))
     axes.set_ylabel("k [N m]")
     axes.set_title(f"{figure_text(rehearsal.setup.name)}: how well k(s) would come out")
     axes.legend(ncols=2, loc="upper left")
@@ -55,11 +56,12 @@ def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
     axes.plot(PLACES, _percent(MEDIAN * p.error), color=BLUE, label="median, predicted")
     axes.plot(PLACES, _percent(NINETY * p.error), color=BLUE, linestyle=":", label="9 in 10 below, predicted")
-    highest = [float(np.max(_percent(NINETY * p.error)))]
+    known = _best_known(p)
+    highest = [float(np.max(_percent(NINETY * p.error)[known]))]
     if o is not None:
         axes.plot(PLACES, _percent(o.median), color=ORANGE, label=f"median of {o.runs} fits")
         axes.plot(PLACES, _percent(o.ninety), color=ORANGE, linestyle=":", label="9 in 10 below, of the fits")
-        highest.append(float(np.max(_percent(o.ninety))))
+        highest.append(float(np.max(_percent(o.ninety)[known])))
     axes.fill_between(
         PLACES, 0.0, 2.0 * max(highest), where=~p.identified, color=FAINT, alpha=0.6, linewidth=0.0, step="mid"
     )
@@ -67,6 +69,12 @@ def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
     axes.set_ylabel("error of k [%]")
     axes.set_title("error along the beam" + ("" if np.all(p.identified) else " (grey: not identified)"))
     axes.legend(ncols=2, loc="upper left")
+
+
+def _best_known(predicted: PredictedBand) -> BoolArray:
+    """(S,) the places that set the axes: where k would be known; where it is nowhere, the best quarter of them."""
+    known = predicted.identified
+    return np.asarray(known if np.any(known) else predicted.sd <= np.quantile(predicted.sd, 0.25))
 
 
 def _percent(log_error: Array) -> Array:

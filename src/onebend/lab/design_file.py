@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -26,6 +25,7 @@ from onebend.recording.toml.schema import (
     report_unknown,
     text,
 )
+from onebend.text_files import read_toml
 
 FORMAT = 1
 TABLES = ("beam", "width", "material")
@@ -188,15 +188,9 @@ def _section(title: str, record: type, written: set[str]) -> list[str]:
 
 
 def _load(path: Path) -> tuple[str, dict[str, Any]]:
-    try:
-        content = path.read_text(encoding="utf-8")
-        return content, tomllib.loads(content)
-    except FileNotFoundError:
-        raise MechanicsError(f"{path} does not exist. Write one with `onebend design --new {path}`.") from None
-    except UnicodeDecodeError as wrong:
-        raise MechanicsError(f"{path} is not UTF-8 text (byte {wrong.start}). Save it as UTF-8.") from None
-    except tomllib.TOMLDecodeError as wrong:
-        raise MechanicsError(f"{path} is not valid TOML: {wrong}. Text needs quotes, numbers a dot.") from None
+    if not path.exists():
+        raise MechanicsError(f"{path} does not exist. Write one with `onebend design --new {path}`.")
+    return read_toml(path, MechanicsError)
 
 
 def _width(table: Any, mistakes: Mistakes) -> Profile | None:

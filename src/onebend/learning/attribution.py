@@ -37,6 +37,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "clock": ("clock",),
         "mass": ("mass",),
         "camera": ("scale", "heights", "camera", "rolling shutter"),
+        "inertia": ("inertia",),
         "error of the force log": ("force",),
         "remaining discrepancy": ("discrepancy", "angle discrepancy"),
     }

@@ -60,6 +60,8 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         placement_sd=o.stated.placement_sd,
         rest_unknown=o.stated.rest == "unknown",
         priors=_priors(o, settings),
+        thickness=_known(o.stated.thickness, settings.thickness),
+        tag_size=_known(o.stated.tag_size, settings.tag_size),
     )
     if o.source.view is not None:
         sd = scale_sd(o, settings.priors)
@@ -79,6 +81,11 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         force_zero=error.level,
         force_load=error.load,
     )
+
+
+def _known(stated: float, wanted: float | None) -> float | None:
+    """What the recording states, where it does."""
+    return stated if np.isfinite(stated) else wanted
 
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
@@ -117,14 +124,14 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
     The log's zero is that of the first rest, as it is while a push is going on: what a line to the next one took off is
     put back.
     """
-    o, places = observations, push_places(observations)
+    o, places, covariance = observations, push_places(observations), covariance_with_camera(observations)
     logged = o.force - ramp(o.source.clean_force, o.time)
     film = [
         LiveFrame(
             time=float(o.time[t]),
             xy=o.xy[t],
             angle=o.angle[t],
-            covariance=covariance_with_camera(o)[t],
+            covariance=covariance[t],
             force=logged[t],
             push_s=float(places[t]),
             loaded=bool(o.loaded[t]),

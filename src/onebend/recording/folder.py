@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,27 @@ from onebend.errors import RecordingError
 from onebend.recording.bags.reader import is_bag
 from onebend.recording.bags.recorded_topics import check_bag, with_bags
 from onebend.recording.toml.beam_entry import BeamEntry
-from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
+from onebend.recording.toml.entries import (
+    FAMILIES,
+    FAMILY_SIZES,
+    MOST_TAGS,
+    ForceEntry,
+    GravityEntry,
+    PushEntry,
+    Recording,
+    TagEntry,
+    TagsEntry,
+)
 from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
-from onebend.recording.toml.schema import Mistakes, keys_of, lines_of_keys, place_name, read_table, report_unknown
+from onebend.recording.toml.schema import (
+    LONGEST_KEY,
+    Mistakes,
+    keys_of,
+    lines_of_keys,
+    place_name,
+    read_table,
+    report_unknown,
+)
 from onebend.recording.toml.source_entries import (
     CameraEntry,
     MarkersEntry,
@@ -26,6 +43,7 @@ from onebend.recording.toml.source_entries import (
     VideoEntry,
 )
 from onebend.records import Remark
+from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml
 
 FILE_NAME = "recording.toml"
 FORMAT = 1
@@ -107,14 +125,11 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
     if not path.is_file():
         raise RecordingError(f"{folder} holds no {FILE_NAME}. Write one with `onebend new {folder}` and fill it in.")
     try:
-        content = path.read_text(encoding="utf-8-sig")
-        return content, tomllib.loads(content)
-    except UnicodeDecodeError as wrong:
-        raise RecordingError(f"{path} is not UTF-8 text (byte {wrong.start}). Save it as UTF-8.") from None
-    except tomllib.TOMLDecodeError as wrong:
-        if empty := empty_values(content):
+        return read_toml(path, RecordingError)
+    except RecordingError:
+        if empty := empty_values(read_text(path, RecordingError, most=MOST_TOML)):
             raise RecordingError("\n".join(f"{path}:{line}: {words}" for line, words in empty)) from None
-        raise RecordingError(f"{path} is not valid TOML: {wrong}. Text needs quotes, numbers a dot.") from None
+        raise
 
 
 def empty_values(content: str) -> list[tuple[int, str]]:
@@ -142,8 +157,9 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     report_unknown(data, ["format", "name", *TABLES], (), mistakes)
     if data.get("format") != FORMAT:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
-    if not isinstance(data.get("name", ""), str):
-        mistakes.add(("name",), f"name must be text in quotes, not {data['name']!r}.")
+    if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > LONGEST_KEY:
+        text = f"name must be text in quotes of at most {LONGEST_KEY} characters, not {quoted(data['name'])}."
+        mistakes.add(("name",), text)
     sources = [name for name in SOURCES if name in data]
     if not sources:
         mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
@@ -158,13 +174,18 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
 def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
     """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing."""
     if not isinstance(table, dict):
-        mistakes.add(("tags",), f"[tags] must be a table, not {table!r}.")
+        mistakes.add(("tags",), f"[tags] must be a table, not {quoted(table)}.")
         return None
     lists: dict[str, tuple[TagEntry, ...]] = {}
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
         rows = table.get(group, [])
         if not isinstance(rows, list) or not (rows or (group == "on_base" and not pictures)):
             mistakes.add(("tags", group), f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
+            rows = []
+        if len(rows) > MOST_TAGS:
+            mistakes.add(
+                ("tags", group), f"[[tags.{group}]] lists {len(rows)} tags; at most {MOST_TAGS} can be followed."
+            )
             rows = []
         read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
         lists[group] = tuple(tag for tag in read if tag is not None)
@@ -176,9 +197,21 @@ def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | 
                     ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
                 )
             known_ids.add(tag.id)
+    if pictures:
+        refuse_unprinted(table.get("family", FAMILIES[0]), lists, mistakes)
     if pictures and "size_m" not in table:
         mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
     return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
+
+
+def refuse_unprinted(family: object, lists: dict[str, tuple[TagEntry, ...]], mistakes: Mistakes) -> None:
+    """Note every id that the family of tags does not have."""
+    count = FAMILY_SIZES.get(family, math.inf) if isinstance(family, str) else math.inf
+    for group, tags in lists.items():
+        for i, tag in enumerate(tags):
+            if tag.id >= count:
+                text = f"There is no tag {tag.id} in {family}: it has tags 0 to {count - 1:.0f}."
+                mistakes.add(("tags", group, i, "id"), f"{text} Correct the id or the family.")
 
 
 def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
@@ -196,7 +229,8 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
             what = "folder" if wants_folder else "file"
             similar = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
             hint = f"Did you mean {similar[0]}?" if similar else "Put it there, or correct the name."
-            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {path}. {hint}")
+            shown = ascii_only(str(path))
+            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {shown}. {hint}")
         entry = replace(entry, **{field_name: path})
     if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
         entry = replace(entry, start_uncertainty=math.inf)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,12 @@ import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.clock.offset_prior import ROUGHLY, reach_of
+from onebend.recording.signals import LATEST
 from onebend.recording.toml.entries import GravityEntry
 from onebend.records import Array, ClockOffset, Markers
+from onebend.text_files import csv_rows
 
+MOST_DEGREES = 1e6
 MILLISECONDS = 100.0  # times the film's length: a longer log is probably in another unit
 
 
@@ -33,22 +35,23 @@ def read_base_log(path: Path) -> BaseLog:
     """
     time: list[float] = []
     angle: list[float] = []
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        rows = csv.DictReader(stream, skipinitialspace=True)
-        missing = {"time_s", "base_deg"} - set(rows.fieldnames or ())
-        if missing:
-            raise RecordingError(f"{path}, line 1: no column {', '.join(sorted(missing))}. Name them time_s, base_deg.")
-        for row in rows:
-            try:
-                t, degrees = float(row["time_s"]), float(row["base_deg"])
-            except (TypeError, ValueError):
-                t = degrees = math.nan
-            if not (math.isfinite(t) and math.isfinite(degrees)):
-                raise RecordingError(f"{path}, line {rows.line_num}: not two numbers. Correct or remove the line.")
-            if time and t <= time[-1]:
-                raise RecordingError(f"{path}, line {rows.line_num}: the time {t:g} s does not rise. Sort the file.")
-            time.append(t)
-            angle.append(math.radians(degrees))
+    rows = csv_rows(path, RecordingError)
+    header = [name.strip() for name in next(rows, (1, []))[1]]
+    missing = {"time_s", "base_deg"} - set(header)
+    if missing:
+        raise RecordingError(f"{path}, line 1: no column {', '.join(sorted(missing))}. Name them time_s, base_deg.")
+    places = header.index("time_s"), header.index("base_deg")
+    for line, row in rows:
+        try:
+            t, degrees = (float(row[place]) for place in places)
+        except (IndexError, ValueError):
+            t = degrees = math.nan
+        if not (abs(t) < LATEST and abs(degrees) < MOST_DEGREES):
+            raise RecordingError(f"{path}, line {line}: not two numbers. Correct or remove the line.")
+        if time and t <= time[-1]:
+            raise RecordingError(f"{path}, line {line}: the time {t:g} s does not rise. Sort the file.")
+        time.append(t)
+        angle.append(math.radians(degrees))
     if len(time) < 2:
         raise RecordingError(f"{path} holds {len(time)} rows; at least 2 are needed. Give base_angle_deg instead.")
     return BaseLog(np.array(time), np.unwrap(angle))

@@ -20,6 +20,7 @@ from onebend.recording.force.contact import Contact, ContactSettings, find_conta
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
 from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
 from onebend.recording.photos import photo_observations
+from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
 from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import detect_tags
@@ -124,6 +125,7 @@ def assemble(
             f"{rec.name}: there are {len(markers.time)} frames; at least {FEWEST_FRAMES} are needed. Film (or track) "
             "the whole push, with the beam at rest before it."
         )
+    check_span(markers.time, rec.name, most=MOST_FRAMES)
     reading = with_angles(markers)  # clocks and contact are read with angles; only measured ones are learned from
     fit = match_clocks(rec, reading, log, base, settings.clock)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)

@@ -22,7 +22,7 @@ from onebend.recording.force.cleaning import (
 )
 from onebend.recording.force.contact import Contact
 from onebend.recording.force.force_log import FEWEST_ROWS, read_force_log
-from onebend.recording.force.implausible_force import size_remarks
+from onebend.recording.force.implausible_force import refuse_other_unit, size_remarks
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.implausible_axes import read_force
 from onebend.recording.signals import at_times, bandwidth, step
@@ -113,6 +113,7 @@ def cleaned(
         noise=fit.noise,
         settings=settings,
     )
+    refuse_other_unit(clean.force, rec.beam.mass, rec.name)
     implausible = size_remarks(clean.force, rec.beam.mass)
     return replace(clean, remarks=(*clean.remarks, *implausible)) if implausible else clean
 

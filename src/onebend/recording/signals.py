@@ -6,8 +6,12 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import median_filter, uniform_filter1d
 
+from onebend.errors import RecordingError
 from onebend.records import Array, BoolArray, IntArray
 
+LATEST = 1e11  # s: no clock of a recording, since 1970 or since it was started, says more
+MOST_STEPS = 5e7  # of a log: half a day at 1 kHz
+MOST_FRAMES = 2e6  # of a film or of tracks: half a day at 50 Hz
 MAD_TO_SD = 1.4826  # of a normal distribution
 LONG_GAP = 0.25  # s: motion within a longer gap is not interpolated
 SEPARATE = 10.0  # periods of the cut-off: stretches farther apart are filtered separately
@@ -15,6 +19,17 @@ SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples at least, beside a gap th
 BRIDGE = 15  # points of a bridge over a gap
 FINE = 3.0  # steps of the last digit: larger noise is visible
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
+
+
+def check_span(time: Array, where: str, *, most: float = MOST_STEPS) -> None:
+    """Raise `RecordingError` where rising times (N,) span so many of their usual steps that one must be wrong."""
+    if len(time) < 2 or float(np.ptp(time)) < most * step(time):
+        return
+    gap = int(np.argmax(np.diff(time)))
+    raise RecordingError(
+        f"{where}: {len(time)} times span {np.ptp(time):.3g} s, one every {step(time):.3g} s, with a gap from "
+        f"{time[gap]:.6g} to {time[gap + 1]:.6g} s. Correct the wrong times, or cut it there."
+    )
 
 
 def step(time: Array) -> float:

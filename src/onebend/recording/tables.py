@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import difflib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,9 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.records import Array, IntArray
+from onebend.text_files import MOST_ROWS, QUOTED, csv_rows, listed_columns, quoted
 
+MOST_CELLS = 20_000_000  # of a Parquet table, which may be packed very small
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
 UNKNOWN = "unknown"  # a cell of a load that acts with unknown strength
 
@@ -59,9 +61,10 @@ def read_columns(
     cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     missing = [name for name in (*labels, *needed) if name not in cells]
     if missing:
+        there = listed_columns(path, cells)
         raise RecordingError(
-            f"{path}: the {kind} lacks the column {', '.join(missing)}; found {', '.join(cells) or 'none'}. Name the "
-            "columns in its first line as docs/recording.md does."
+            f"{path}: the {kind} lacks the column {', '.join(missing)}{there and '; '}{there}. Name the columns in its "
+            "first line as docs/recording.md does."
         )
     count = len(next(iter(cells.values())))
     if count == 0:
@@ -78,10 +81,10 @@ def _refuse_others(path: Path, cells: dict[str, list[object]], known: Sequence[s
     """An error where a column that is not known holds numbers: it is probably misnamed, or in another unit."""
     for name in (name for name in cells if name not in known):
         if any(_is_number(cell) for cell in cells[name]):
-            similar = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            similar = difflib.get_close_matches(name[:QUOTED], known, n=1, cutoff=0.5)
             hint = f"did you mean {similar[0]}? " if similar else ""
             raise RecordingError(
-                f"{path}: the {kind} has numbers in a column {name}, which is not known: {hint}Known are "
+                f"{path}: the {kind} has numbers in a column {name[:QUOTED]}, which is not known: {hint}Known are "
                 f"{', '.join(known)}, in these units. Rename it, or take it out."
             )
 
@@ -95,19 +98,13 @@ def _is_number(cell: object) -> bool:
 
 def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
     """Cells by column, empty lines left out, and the line of the first row."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            lines = [row for row in csv.reader(stream, skipinitialspace=True) if any(cell.strip() for cell in row)]
-    except OSError as wrong:
-        raise RecordingError(f"{path} cannot be read: {wrong.strerror}. Check its name in recording.toml.") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise RecordingError(f"{path} is not a CSV text file. Export the table as CSV with a header.") from None
+    lines = [row for _, row in csv_rows(path, RecordingError)]
     header = [name.strip() for name in lines[0]] if lines else []
     if len(header) == 1 and header[0].count(";") > 0:
         raise RecordingError(f"{path}: columns are parted by semicolons. Use commas, and a dot in the numbers.")
-    twice = sorted({name for name in header if name and header.count(name) > 1})
+    twice = [name for name, count in Counter(header).items() if name and count > 1]
     if twice:
-        raise RecordingError(f"{path}: the column {twice[0]} is there twice. Remove one.")
+        raise RecordingError(f"{path}: the column {quoted(twice[0])} is there twice. Remove one.")
     body = [row + [""] * (len(header) - len(row)) for row in lines[1:]]
     return {name: [row[i] for row in body] for i, name in enumerate(header) if name}, 2
 
@@ -117,6 +114,11 @@ def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
     import pyarrow.parquet as pq
 
     try:
+        head = pq.read_metadata(path)
+        if head.num_rows * max(head.num_columns, 1) > MOST_CELLS or head.num_rows > MOST_ROWS:
+            raise RecordingError(
+                f"{path}: {head.num_rows} rows of {head.num_columns} columns are more than can be read."
+            )
         table = pq.read_table(path)
     except (pa.ArrowException, OSError) as wrong:
         raise RecordingError(f"{path} cannot be read as Parquet ({wrong}). Export it anew, or as CSV.") from None
@@ -135,7 +137,7 @@ def _numbers(path: Path, name: str, cells: list[object], rows: IntArray, unknown
             numbers[i] = float(cell)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             raise RecordingError(
-                f"{path}, row {rows[i]}: {name} is {cell!r}, not a number. Correct it, or leave the cell empty."
+                f"{path}, row {rows[i]}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
             ) from None
         if np.isinf(numbers[i]):
             raise RecordingError(f"{path}, row {rows[i]}: {name} is infinite. Leave the cell empty where unknown.")

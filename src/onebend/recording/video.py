@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -15,13 +16,20 @@ from numpy.typing import NDArray
 from onebend.errors import RecordingError
 from onebend.recording.bags.film_topic import bag_film, bag_frames, picture_of
 from onebend.recording.dropped_samples import missing_remarks
+from onebend.recording.signals import LATEST
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, Remark
+from onebend.text_files import csv_rows, quoted
 
 Picture = NDArray[np.uint8]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
 RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between stated and measured rate gets a remark
+MOST_PIXELS = 2**26  # of a picture
+# What a camera or a phone writes. Playlists and lists of files, which name others and even addresses, are not in it.
+FILMS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,mxf,ogg,yuv4mpegpipe,dv,nut,ivf,h264,hevc,mjpeg,m4v"
+ONLY_FILMS = {"format_whitelist": FILMS, "protocol_whitelist": "file"}
+STILLS = ("mjpeg", "png", "bmp", "gif", "tiff", "webp")  # codecs of covers; some cameras film in the first
 SOUND_TOLERANCE = 0.5  # s, how much longer than the film other streams of the file may last
 
 
@@ -45,9 +53,22 @@ def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
         RecordingError: not a video, no frame, truncated or damaged (with the last good frame), no or falling frame
             times.
     """
+    for index, time, raw in timed(video):
+        yield FilmFrame(index, time, luma_in(video, index, raw))
+
+
+def luma_in(video: VideoEntry, index: int, raw: Any) -> Picture:
+    """The luma of what `timed` gives."""
+    if video.topic:
+        return picture_of(raw, f"{video.file}, image {index} of {video.topic}")
+    return luma_of(raw)
+
+
+def timed(video: VideoEntry) -> Iterator[tuple[int, float, Any]]:
+    """Index, time and raw picture of every frame, as `read_frames`; for those who need few of the pictures."""
     if video.topic:
         for index, (time, message) in enumerate(bag_frames(video)):
-            yield FilmFrame(index, time, picture_of(message, f"{video.file}, image {index} of {video.topic}"))
+            yield index, time, message
         return
     times = None if video.frame_times == "container" else read_times(video.frame_times)
     index, first, last = -1, 0.0, -math.inf
@@ -71,7 +92,7 @@ def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
                 f"{video.file}: the time of frame {index} ({time:.6f} s) does not rise. Write it anew."
             )
         last = time
-        yield FilmFrame(index, time, luma_of(frame))
+        yield index, time, frame
     if times is not None and index + 1 < len(times):
         raise RecordingError(
             f"{video.frame_times}: {len(times)} times for {index + 1} frames. Give one row for each frame."
@@ -84,15 +105,31 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
     Raises:
         RecordingError: the video has no such frame, or cannot be read.
     """
+    for _, picture in frames_at(video, [index]):
+        return picture
+    of = f" of {video.topic}" if video.topic else ""
+    raise RecordingError(f"{video.file} has no frame {index}{of}.")
+
+
+def frames_at(video: VideoEntry, indices: Collection[int]) -> Iterator[tuple[int, Picture]]:
+    """Those of these frames that the video has, in order, with their indices; each as from `frame_at`.
+
+    Raises:
+        RecordingError: the video cannot be read.
+    """
+    last, wanted = max(indices, default=-1), frozenset(indices)
     if video.topic:
-        for count, (_, message) in enumerate(bag_frames(video)):
-            if count == index:
-                return picture_of(message, f"{video.file}, image {index} of {video.topic}", colour=True)
-        raise RecordingError(f"{video.file} has no frame {index} of {video.topic}.")
-    for count, frame in enumerate(decoded(video.file)):
-        if count == index:
-            return upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
-    raise RecordingError(f"{video.file} has no frame {index}.")
+        for index, (_, message) in enumerate(bag_frames(video)):
+            if index in wanted:
+                yield index, picture_of(message, f"{video.file}, image {index} of {video.topic}", colour=True)
+            if index >= last:
+                return
+        return
+    for index, frame in enumerate(decoded(video.file)):
+        if index in wanted:
+            yield index, upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
+        if index >= last:
+            return
 
 
 def frame_count(video: VideoEntry) -> int | None:
@@ -100,7 +137,8 @@ def frame_count(video: VideoEntry) -> int | None:
     if video.topic:
         return bag_film(video)[1].count
     with opened(video.file) as container:
-        return container.streams.video[0].frames or None
+        stream = film_stream(container)
+        return None if stream is None else stream.frames or None
 
 
 def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
@@ -125,22 +163,20 @@ def read_times(path: Path) -> Array:
     Raises:
         RecordingError: no such column, or an entry that is not a finite number.
     """
-    rows = path.read_text(encoding="utf-8-sig").splitlines()
-    names = [name.strip() for name in rows[0].split(",")] if rows else []
+    rows = csv_rows(path, RecordingError)
+    names = [name.strip() for name in next(rows, (1, []))[1]]
     if "time_s" not in names:
         raise RecordingError(f"{path}:1: no column time_s. Write it in the first row, one time a frame below it.")
     column = names.index("time_s")
     times = []
-    for line, row in enumerate(rows[1:], start=2):
-        if not row.strip():
-            continue
-        cells = row.split(",")
+    for line, cells in rows:
+        cell = cells[column] if column < len(cells) else ""
         try:
-            value = float(cells[column])
-        except (ValueError, IndexError):
+            value = float(cell)
+        except ValueError:
             value = math.nan
-        if not math.isfinite(value):
-            raise RecordingError(f"{path}:{line}: time_s is not a number: {row.strip()!r}. Correct the row.")
+        if not abs(value) < LATEST:
+            raise RecordingError(f"{path}:{line}: time_s is not a number: {quoted(cell)}. Correct the row.")
         times.append(value)
     return np.array(times)
 
@@ -148,25 +184,41 @@ def read_times(path: Path) -> Array:
 @contextmanager
 def opened(path: Path) -> Iterator[av.container.InputContainer]:
     """The container of a file that holds at least one video stream."""
+    if not path.is_file():
+        raise RecordingError(f"There is no file {path}. Put it there, or correct its name.")
+    if path.stat().st_size == 0:
+        raise RecordingError(f"{path} is empty. Copy it again from the camera.")
     try:
-        container = av.open(str(path))
-    except FileNotFoundError:
-        raise RecordingError(f"There is no file {path}. Put it there, or correct its name.") from None
-    except (av.error.FFmpegError, OSError) as wrong:
+        container = av.open(str(path.resolve()), options=ONLY_FILMS, metadata_errors="replace")
+    except (av.error.FFmpegError, OSError, ValueError) as wrong:
+        why = getattr(wrong, "strerror", None) or type(wrong).__name__
         raise RecordingError(
-            f"{path} is not a readable video ({wrong.strerror}). If it is truncated, copy it again from the camera."
+            f"{path} is not a readable video ({why}). If it is truncated, copy it again from the camera."
         ) from None
     with container:
-        if not container.streams.video:
-            raise RecordingError(f"{path} holds no video stream. Name the video file in [video] file.")
+        stream = film_stream(container)
+        if stream is None:
+            raise RecordingError(f"{path} holds no film. Name the video file in [video] file.")
+        if stream.width * stream.height > MOST_PIXELS:
+            size = f"{stream.width} x {stream.height}"
+            raise RecordingError(f"{path}: pictures of {size} are larger than can be read. Film at a lower size.")
         yield container
+
+
+def film_stream(container: av.container.InputContainer) -> av.VideoStream | None:
+    """The first video stream that is no cover picture: neither said to be one, nor a still beside a film."""
+    films = [one for one in container.streams.video if not one.disposition & av.stream.Disposition.attached_pic]
+    return min(films, key=lambda one: one.codec_context.name in STILLS, default=None)
 
 
 def decoded(path: Path) -> Iterator[av.VideoFrame]:
     """Frames of the first video stream; an error where the file is damaged or shorter than it states."""
     with opened(path) as container:
-        stream = container.streams.video[0]
+        stream = film_stream(container)
+        assert stream is not None  # `opened` refuses a file without one
         stream.thread_type = "AUTO"
+        stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+        size = None
         count, last, duration, interval = 0, math.nan, 0.0, 0.0
         frames = container.decode(stream)
         while True:
@@ -182,6 +234,9 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
                 interval = frame.time - last if count else 0.0
                 duration = float(frame.duration * frame.time_base) if frame.duration and frame.time_base else interval
                 last = frame.time
+            if size not in (None, (frame.width, frame.height)):
+                raise damaged(path, count, "the pictures change their size")
+            size = (frame.width, frame.height)
             count += 1
             yield frame
         if count == 0:

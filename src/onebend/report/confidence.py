@@ -14,7 +14,9 @@ from onebend.learning.criticism_messages import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
 from onebend.recording.signals import runs
+from onebend.records import Observations
 from onebend.report.findings import Findings
+from onebend.report.kinds import is_forced, only_static
 from onebend.report.wording import millimetres, significant
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
@@ -94,7 +96,7 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
 def gain_words(gain_sd: float, *, forced: bool = True) -> str:
     """What the scale error of the force does to k(s), apart from the band's shape."""
     if not forced:
-        return "No force was logged: the scale of k(s) is that of the beam's weight, m g."
+        return "Nothing but its weight bends the beam: the scale of k(s) is that of its weight, m g."
     if gain_sd > 0.0:
         return (
             f"The force's scale is taken as known to {100 * gain_sd:.3g} % (sd; gain_sd in [force]): an error of it "
@@ -103,6 +105,19 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
     return (
         "The force's scale is taken as exact (gain_sd in [force]), and no error of it is in the band: a sensor that "
         "reads 1 % too much makes all of k(s) 1 % too stiff."
+    )
+
+
+def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
+    """What the scale of k(s) rests on: the force's, the loads', or the beam's own weight."""
+    forced = [one for one in recordings if is_forced(one)]
+    if not only_static(forced) or not forced:
+        return gain_words(gain_sd, forced=bool(forced))
+    sd = max(float(np.max(one.force_sd)) for one in forced)
+    known = f"known to {significant(1e3 * sd)} mN each (sd; load_sd_N)" if sd > 0.0 else "exact (load_sd_N)"
+    return (
+        f"The loads are taken as {known}. An error of their common scale is not in the band: a balance that reads 1 % "
+        "too much makes all of k(s) 1 % too stiff."
     )
 
 

@@ -108,7 +108,10 @@ def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
     for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
-        groups.append((comparison.name, [*recording.source.remarks, *comparison.remarks, *poor_fit(comparison)]))
+        said = [*recording.source.remarks, *comparison.remarks]
+        if not (comparison.static and findings.posterior):  # how far the fit stays from static poses is its own remark
+            said += poor_fit(comparison)
+        groups.append((comparison.name, said))
     for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
         groups.append((comparison.name, pair_remarks(comparison, recording)))
     for whose, remarks in groups:

@@ -1,33 +1,55 @@
-"""What a recording's files say before any tag is looked for: enough to find most mistakes in a second."""
+"""What a recording's files say, and what some frames of its film show: enough to find most mistakes in seconds."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
+from onebend.errors import ObservationError, OnebendError
 from onebend.recording.bags.recorded_topics import bag_span
+from onebend.recording.beam_frame import rest_shape
+from onebend.recording.clock.offset import ClockSettings
+from onebend.recording.clock.offset_prior import reach_of
 from onebend.recording.folder import read_recording
-from onebend.recording.pairing import read_log
+from onebend.recording.force.cleaning import to_beam
+from onebend.recording.force.implausible_force import refuse_other_unit, size_remarks
+from onebend.recording.gravity import read_base_log
+from onebend.recording.observe import FEWEST_FRAMES, observe
+from onebend.recording.pairing import check_direction, check_pace, read_log
+from onebend.recording.preview import AGAIN, Preview, displacement, look_at
+from onebend.recording.signals import outliers, step
+from onebend.recording.stated import stated_in
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.tracks.marker_tracks import read_tracks
 from onebend.recording.tracks.pose_loads import read_loads
 from onebend.recording.tracks.pose_tables import read_points
-from onebend.recording.video import frame_count, opened, read_frames
-from onebend.records import ForceLog, Remark
+from onebend.recording.video import opened
+from onebend.records import Array, ForceLog, Markers, Observations, Remark
 from onebend.report.wording import significant
+
+STEP, MOST_OFFSETS = 0.05, 2000  # s between offsets of the clocks that are tried, and how many at most
+SURE = 0.9  # correlation of force and bending above which film and log are taken to show one push
+SMOOTH = 0.1  # s, over which a log is averaged before its largest force is taken
 
 
 @dataclass(frozen=True)
 class Overview:
-    """What was read from the files, row by row, and what looked odd."""
+    """What was read of a recording, row by row, what looked odd, and what would stop `learn`."""
 
     name: str
     rows: tuple[tuple[str, str], ...]
     remarks: tuple[Remark, ...]
+    faults: tuple[str, ...]  # for each of these `learn` would end; empty: none was found
+    recording: Recording
+    preview: Preview | None  # of a film
+    observations: Observations | None  # where there is no film to search, all that was read
+    log: ForceLog | None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `--json`."""
@@ -37,36 +59,162 @@ class Overview:
 
 @dataclass(frozen=True)
 class FilmInfo:
-    """What the container and the first frame show."""
+    """The size of a film's pictures, and how long it is."""
 
     width: int
     height: int
-    frames: int | None  # None where the container does not say
-    seconds: float  # NaN where the container does not say
+    frames: int | None  # None where it was not read to its end and does not say
+    seconds: float  # NaN likewise
 
 
 def overview(folder: Path | str) -> Overview:
-    """Read and check the recording's files; no tag is looked for and only the first frame is decoded.
+    """Read and check every file of a recording, and look for its tags in some frames of the film.
 
-    Raises `RecordingError` as `read_recording` and the readers of the single files do.
+    Raises:
+        RecordingError: a file cannot be read, with all that `read_recording` says.
+        ObservationError: marker tracks or poses that make no observations.
     """
     recording = read_recording(folder)
-    film = None if recording.video is None else first_look(recording.video)
+    stated_in(recording)
+    if recording.gravity is not None and recording.gravity.base_angle_file is not None:
+        read_base_log(recording.gravity.base_angle_file)
     log = read_log(recording)
-    rows = [*_beam_rows(recording), *_film_rows(recording, film), *_log_rows(recording, log)]
-    remarks = (*recording.remarks, *(log.remarks if log else ()), *_oddities(recording, film, log))
-    return Overview(recording.name, tuple(rows), remarks)
+    preview = None if recording.video is None else look_at(recording)
+    seen = observe(recording) if recording.markers is not None or recording.poses is not None else None
+    film = None if preview is None or recording.video is None else film_info(recording.video, preview)
+    rows = [*_beam_rows(recording), *_film_rows(recording, film), *_tag_rows(preview), *_log_rows(recording, log)]
+    remarks = [*recording.remarks, *(log.remarks if log else ())]
+    if seen is not None:
+        remarks = [*seen.source.remarks]
+    if preview is not None:
+        remarks += preview.remarks
+        remarks += _force_remarks(recording, log)
+    faults = [] if preview is None else _faults(recording, preview, film, log)
+    return Overview(recording.name, tuple(rows), tuple(remarks), tuple(faults), recording, preview, seen, log)
 
 
-def first_look(video: VideoEntry) -> FilmInfo:
-    """Size, and what the container says of its length."""
-    height, width = next(read_frames(video)).luma.shape
+def film_info(video: VideoEntry, preview: Preview) -> FilmInfo:
+    """Size and length: as read where it was read to its end, else as the file says."""
+    height, width = preview.looked[0].luma.shape
+    if preview.whole:
+        return FilmInfo(width, height, preview.frames, preview.looked[-1].time)
     if video.topic:
         frames, seconds = bag_span(video)
         return FilmInfo(width, height, frames, seconds)
     with opened(video.file) as container:
         seconds = container.duration / 1e6 if container.duration else float("nan")
-    return FilmInfo(width, height, frame_count(video), seconds)
+    return FilmInfo(width, height, None, seconds)
+
+
+def _faults(recording: Recording, preview: Preview, film: FilmInfo | None, log: ForceLog | None) -> list[str]:
+    """For what `learn` would end, in its own words."""
+    faults = [preview.fault] if preview.fault else []
+    if preview.whole and preview.frames < FEWEST_FRAMES:
+        faults.append(
+            f"{recording.name}: there are {preview.frames} frames; at least {FEWEST_FRAMES} are needed. Film the whole "
+            "push, with the beam at rest before it."
+        )
+    if log is None:
+        return faults
+    checks: list[Callable[[], None]] = [
+        lambda: refuse_other_unit(_largest(recording, log), recording.beam.mass, recording.name)
+    ]
+    if film is not None and np.isfinite(film.seconds):
+        checks.append(lambda: _refuse_apart(recording, film.seconds, log))
+    markers = preview.markers
+    if markers is not None:
+        checks.append(lambda: check_pace(recording, markers, log))
+        checks.append(lambda: _refuse_axes(recording, markers, log))
+    return faults + [words for words in map(_words, checks) if words]
+
+
+def _words(check: Callable[[], None]) -> str:
+    """The words of the error that a check raises; "" where it passes."""
+    try:
+        check()
+    except OnebendError as wrong:
+        return str(wrong)
+    return ""
+
+
+def _largest(recording: Recording, log: ForceLog) -> Array:
+    """(1, 2) N, about the largest force on the beam."""
+    force = tared(recording, log)
+    return force[[int(np.argmax(np.linalg.norm(force, axis=1)))]]
+
+
+def tared(recording: Recording, log: ForceLog) -> Array:
+    """(N, 2) N, the log's force on the beam in its axes without spikes and quick noise, less what it shows in its
+    first rows: roughly its zero."""
+    bad = outliers(log.force)
+    span = max(1, round(SMOOTH / step(log.time)))
+    values = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
+    smooth = uniform_filter1d(np.stack(values, axis=1), min(span, len(bad) // 4), axis=0, mode="nearest")
+    force = smooth @ to_beam(recording.force.rotation if recording.force else 0.0)
+    if recording.force is not None and recording.force.acts_on == "robot":
+        force = -force
+    first = max(5, len(force) // 50)
+    return np.asarray(force - np.median(force[:first], axis=0))
+
+
+def _force_remarks(recording: Recording, log: ForceLog | None) -> tuple[Remark, ...]:
+    return () if log is None else size_remarks(_largest(recording, log), recording.beam.mass)
+
+
+def _refuse_apart(recording: Recording, seconds: float, log: ForceLog) -> None:
+    """Raise where no start that is possible by what is written lets film and log overlap."""
+    start, doubt = recording.start
+    if not np.isfinite(start + doubt):
+        return
+    slack = reach_of(doubt, ClockSettings().margin)
+    if start + seconds + slack < log.time[0] or start - slack > log.time[-1]:
+        raise ObservationError(
+            f"The film ({start:.1f} to {start + seconds:.1f} s on the log's clock, give or take {doubt:.2g} s) and the "
+            f"force log ({log.time[0]:.1f} to {log.time[-1]:.1f} s) do not overlap. Check start_s in recording.toml, "
+            "and that the log belongs to this film."
+        )
+
+
+def _refuse_axes(recording: Recording, markers: Markers, log: ForceLog) -> None:
+    """Raise where the force contradicts the bending in the frames that were looked at, as `learn` does for all.
+
+    The clocks are brought together by the size of the force and of the bending, which no sign and no axis changes. What
+    is less than certain is left to `learn`.
+    """
+    away, force = displacement(markers), tared(recording, log)
+    start, doubt = recording.start
+    place = np.nan if recording.push is None else recording.push.at
+    if not np.isfinite(start + doubt + place) or not away.max() > 0.0:
+        return
+    size, reach = np.linalg.norm(force, axis=1), reach_of(doubt, ClockSettings().margin)
+    offsets = np.arange(start - reach, start + reach + STEP, STEP) if doubt > 0.0 else np.array([start])
+    if len(offsets) > MOST_OFFSETS:
+        return
+    alike = [_likeness(markers.time + offset, away, log.time, size) for offset in offsets]
+    if max(alike) < SURE:
+        return
+    time = markers.time + offsets[int(np.argmax(alike))]
+    at_frames = np.stack([np.interp(time, log.time, column) for column in force.T], axis=1)
+    loaded = np.asarray(away > AGAIN * float(away.max()))
+    rest = rest_shape(markers, ~loaded)
+    check_direction(recording, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
+
+
+def _likeness(time: Array, away: Array, log_time: Array, size: Array) -> float:
+    """Correlation of the bending at `time` [s, the log's clock] with the force's size; 0 where they hardly overlap."""
+    inside = (time >= log_time[0]) & (time <= log_time[-1])
+    if inside.sum() < 0.6 * len(time) or not np.ptp(away[inside]) > 0.0:
+        return 0.0
+    return float(np.nan_to_num(np.corrcoef(np.interp(time[inside], log_time, size), away[inside])[0, 1]))
+
+
+def _tag_rows(preview: Preview | None) -> list[tuple[str, str]]:
+    """Which tags were seen, and how wide."""
+    if preview is None:
+        return []
+    seen = sorted({tag.tag_id for found in preview.sightings for tag in found})
+    ids = ", ".join(map(str, seen)) or "none"
+    return [("tags seen", f"{ids}, in {len(preview.looked)} frames spread over the film")]
 
 
 def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
@@ -142,22 +290,3 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
         ("push", place),
         ("clocks", said if np.isfinite(start) else "the start is not given and will be looked for in the whole log"),
     ]  # fmt: skip
-
-
-def _oddities(recording: Recording, film: FilmInfo | None, log: ForceLog | None) -> list[Remark]:
-    found = []
-    camera, video = recording.camera, recording.video
-    if camera is not None and film is not None and (camera.width, camera.height) != (film.width, film.height):
-        text = (
-            f"the camera was calibrated at {camera.width} x {camera.height}, the video is {film.width} x {film.height}"
-        )
-        found.append(Remark("warning", f"{text}. Calibrate at the video's size, or remove [camera]."))
-    if log is not None and film is not None and video is not None and np.isfinite(video.start + film.seconds):
-        begin, end = video.start, video.start + film.seconds
-        slack = video.start_uncertainty
-        if end + slack < log.time[0] or begin - slack > log.time[-1]:
-            text = (
-                f"the video ({begin:.1f} to {end:.1f} s) and the force log ({log.time[0]:.1f} to {log.time[-1]:.1f} s)"
-            )
-            found.append(Remark("warning", f"{text} do not overlap. Check start_s in [video]."))
-    return found

@@ -11,6 +11,7 @@ from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.records import CleanForce, ClockOffset, Observations
 from onebend.report.findings import Findings
+from onebend.report.kinds import is_forced, words_of
 
 UNKNOWN = "–"
 NOT_WORTH_A_ROW = 0.005  # s
@@ -23,7 +24,7 @@ FILES = {
     "selection.csv": "the paper's regression: every n (curvature modes) and m (stiffness functions)",
     "markers.csv": "measured and simulated markers, every frame and recording",
     "validation.csv": "RMS per tag of the recordings validated on, as the paper's Tables IV to VI",
-    "observations.parquet": "what the recording said, so that its video is not needed again",
+    "observations.parquet": "what the recording said, so that its files are not needed again",
     "summary.json": "the figures of this page for scripts, in SI",
     "report.html": "this page",
     "figures/": "every figure as a PNG",
@@ -96,6 +97,8 @@ def clock_words(clock: ClockOffset) -> str:
 def inputs(observations: Observations) -> list[tuple[str, str]]:
     """What was done to the force log and to the clocks, row by row."""
     rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
+    if observations.static:
+        rows += _load_rows(observations)
     if observations.source.clock is not None:
         rows.append(("log time less video time", clock_words(observations.source.clock)))
     if observations.source.view is not None:
@@ -107,7 +110,8 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
         rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
     tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
-    return [*rows, ("frames in which a tag was found", tags)]
+    words = words_of(observations)
+    return [*rows, (f"{words.frames} in which a {words.tag} was found", tags)]
 
 
 def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
@@ -123,6 +127,16 @@ def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
     ]
 
 
+def _load_rows(observations: Observations) -> list[tuple[str, str]]:
+    """Of static poses: what hangs on the beam, and how well it is known."""
+    if not is_forced(observations):
+        return []
+    size, sd = np.linalg.norm(observations.force, axis=1), 1e3 * float(np.max(observations.force_sd))
+    known = f"each to {significant(sd, 2)} mN (sd)" if sd > 0.0 else "taken as exact"
+    more = "; further forces or moments besides" if observations.known_loads is not None else ""
+    return [("loads", f"{significant(float(size.min()))} … {significant(float(size.max()))} N, {known}{more}")]
+
+
 def _pair(values: Iterable[float], unit: str) -> str:
     return ", ".join(significant(value) for value in values) + f" {unit}"
 
@@ -134,12 +148,28 @@ def assumptions(findings: Findings) -> list[str]:
     weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
         "gravity acts across the plane of bending, so its weight does not bend it"
     )  # fmt: skip
+    sd = millimetres(recording.stated.placement_sd)
     return [
         f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.",
         _allowed(findings),
+        *_loading(recording),
+        f"Each {words_of(recording).tag} sits at its written s to {sd} mm (sd).",
+    ]
+
+
+def _loading(recording: Observations) -> list[str]:
+    """What is taken for granted of the loads."""
+    if recording.static:
+        loads = "The loads act where they are written, and nothing else touches the beam."
+        return [
+            f"The beam stood still in every one of the {words_of(recording).frames}.",
+            loads if is_forced(recording) else "Nothing but its weight bends it.",
+        ]
+    if not is_forced(recording):
+        return ["Every frame is in equilibrium: the beam is turned slowly.", "Nothing but its weight bends it."]
+    return [
         "Every frame is in equilibrium: the push is slow against the beam's own vibrations.",
         "The logged force acts at one point of the beam, and nothing else touches it.",
-        f"Each tag sits at its written s to {millimetres(recording.stated.placement_sd)} mm (sd).",
         "The force sensor's reading at rest is subtracted. Its scale error shows only under load; it is not seen, and "
         "goes into k.",
     ]

@@ -12,6 +12,7 @@ from onebend.learning.outcome import Comparison
 from onebend.records import Observations
 from onebend.report.figures.pictures import Pictures
 from onebend.report.findings import Findings
+from onebend.report.page.made_from import shown_made_from
 from onebend.report.page.page import page
 from onebend.results.model import FILE_NAME, origin_of, save_model
 from onebend.results.observations_file import save_observations
@@ -25,9 +26,18 @@ from onebend.results.tables import (
 
 
 def learned_writer(
-    findings: Findings, pictures: Pictures, summary: Mapping[str, Any], *, version: str
+    findings: Findings,
+    pictures: Pictures,
+    summary: Mapping[str, Any],
+    *,
+    version: str,
+    made_from: Mapping[str, Any] = {},
 ) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder with the results of learning."""
+    """What `publish` needs to fill a folder with the results of learning.
+
+    Args:
+        made_from: what `provenance` gives, for the report to show.
+    """
 
     def write(folder: Path) -> None:
         learned, posterior = findings.learned, findings.posterior
@@ -46,7 +56,8 @@ def learned_writer(
             write_validation(folder / "validation.csv", findings.validations)
         for i, recording in enumerate(findings.recordings, start=1):
             save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
-        (folder / "report.html").write_text(page(findings, pictures.drawn, version=version), encoding="utf-8")
+        html = page(findings, pictures.drawn, version=version, made_from=shown_made_from(made_from), film=pictures.film)
+        (folder / "report.html").write_text(html, encoding="utf-8")
         _write_figures(folder, pictures)
         write_summary(folder, summary)
 

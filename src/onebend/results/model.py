@@ -17,6 +17,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
 from onebend.files.manifest import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
 from onebend.learning.outcome import Comparison, Learned
+from onebend.text_files import quoted, read_json
 
 if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to load
     from onebend.learning.design.instruments import Instruments
@@ -165,7 +166,7 @@ def read_model(path: Path | str) -> StoredModel:
     _check_kind(file, data)
     unknown = sorted(set(data) - KEYS)
     if unknown:
-        raise ResultsError(f"{file}: key '{unknown[0]}' is not known. {_ADVICE}")
+        raise ResultsError(f"{file}: key {quoted(unknown[0])} is not known. {_ADVICE}")
     beam = _beam(file, data.get("beam"))
     uncertain, changed = _uncertain(file, data.get("uncertain"), beam), _changed(data)
     if uncertain is not None and changed:
@@ -200,24 +201,9 @@ _ADVICE = "The file is damaged or was edited; restore it, or learn the beam agai
 
 
 def _json_object(file: Path) -> dict[str, Any]:
-    try:
-        text = file.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise ResultsError(
-            f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ResultsError(f"{file}: not a text file. Give a {FILE_NAME} that `onebend learn` wrote") from error
-    except OSError as error:
-        raise ResultsError(f"{file}: cannot be read ({error.strerror})") from error
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ResultsError(f"{file}, line {error.lineno}: not valid JSON ({error.msg}). {_ADVICE}") from error
-    except RecursionError as error:
-        raise ResultsError(f"{file}: nested too deeply to be a model. {_ADVICE}") from error
-    except ValueError as error:  # an integer of thousands of digits
-        raise ResultsError(f"{file}: holds what is no number of a model. {_ADVICE}") from error
+    if not file.exists():
+        raise ResultsError(f"{file}: no such file. Give a {FILE_NAME} or a folder that `onebend learn` wrote")
+    data = read_json(file, ResultsError, _ADVICE)
     if not isinstance(data, dict):
         raise ResultsError(f"{file}: holds a JSON {type(data).__name__}, not an object. {_ADVICE}")
     return data
@@ -225,10 +211,12 @@ def _json_object(file: Path) -> dict[str, Any]:
 
 def _check_kind(file: Path, data: dict[str, Any]) -> None:
     if data.get("format") != FORMAT:
-        raise ResultsError(f"{file}: not a onebend model (key 'format' is {data.get('format')!r}, not {FORMAT!r})")
+        raise ResultsError(
+            f"{file}: not a onebend model (key 'format' is {quoted(data.get('format'))}, not {FORMAT!r})"
+        )
     if data.get("version") not in READABLE:
         raise ResultsError(
-            f"{file}: model version {data.get('version')!r}, but this onebend reads versions {_VERSIONS}. "
+            f"{file}: model version {quoted(data.get('version'))}, but this onebend reads versions {_VERSIONS}. "
             "Use the onebend that wrote it, or learn the beam again with this one"
         )
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from onebend.recording.bags.topics import BagContents, TopicRow
-from onebend.report.overview import Overview
 from onebend.report.wording import significant
 from onebend.terminal.parts import remarks_list
+
+if TYPE_CHECKING:
+    from onebend.report.overview import Overview
 
 
 def show_bag(console: Console, bag: BagContents) -> None:

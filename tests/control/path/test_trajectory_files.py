@@ -127,5 +127,5 @@ def test_faults_are_named(tmp_path: Path, text: str, says: str) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(ControlError, match="no such file"):
+    with pytest.raises(ControlError, match="is not a file"):
         read_targets(tmp_path / "none.csv", 0.1)

@@ -11,7 +11,7 @@ from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.problem import make_problem
-from onebend.learning.allowances.inertia import inertial_force, tag_accelerations
+from onebend.learning.allowances.inertia import inertial_force, tag_accelerations, unknown_mass
 from onebend.records import Observations
 from tests.learning.bench import SOFT, observed
 from tests.made_up import with_stated
@@ -63,7 +63,14 @@ def test_the_force_beyond_a_place_is_that_of_the_mass_beyond_it(last: float) -> 
     assert np.all(force[-1] == 0.0)
 
 
-def test_without_a_mass_nothing_is_added() -> None:
-    o = with_stated(falling(), mass=np.nan)
-    problem = make_problem(Beam(o.length, Uniform(1.0)), push(np.zeros((FRAMES, 2)), np.ones(FRAMES)))
-    assert not np.any(inertial_force(o, np.ones(FRAMES, dtype=bool), problem, Uniform(1.0), FRAMES))
+def test_a_mass_that_nobody_states_is_an_unknown() -> None:
+    stated, count = falling(), FRAMES + 1
+    frames = np.ones(FRAMES, dtype=bool)
+    problem = make_problem(Beam(stated.length, Uniform(1.0)), push(np.zeros((count, 2)), np.ones(count)))
+    assert unknown_mass(stated, frames, problem, count) is None
+    one = unknown_mass(with_stated(stated, mass=np.nan), frames, problem, count)
+    assert one is not None
+    known = inertial_force(stated, frames, problem, Uniform(MASS / stated.length), count)
+    np.testing.assert_allclose(MASS * one.basis[..., 0], known, atol=1e-15)
+    short = with_stated(replace(stated, time=stated.time[:13], xy=stated.xy[:13]), mass=np.nan)
+    assert unknown_mass(short, frames[:13], problem, count) is None  # nothing tells the accelerations

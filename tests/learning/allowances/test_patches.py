@@ -22,7 +22,7 @@ S = np.linspace(0.0, 1.0, 2001)
 def test_it_is_one_under_the_tags_and_nothing_between(size: float) -> None:
     made = with_stated(filmed(), tag_size=size)
     half = 0.5 * RIM * (size / made.length if np.isfinite(size) else USUAL_SIZE)
-    away, found = np.min(np.abs(S[:, None] - TAGS), axis=1), patch_function(made, S)
+    away, found = np.min(np.abs(S[:, None] - TAGS), axis=1), patch_function(TAGS, made.length, made.stated.tag_size, S)
     assert np.all(found[away < 0.6 * half] > 0.99)
     assert np.all(found[away > 1.4 * half] < 0.01)
     assert 0.5 * np.sum(found) * (S[1] - S[0]) == pytest.approx(3 * half, rel=0.05)
@@ -38,7 +38,9 @@ def test_the_reported_stiffness_has_the_patches_in_it() -> None:
     x[layout.index["stiffness", -1].where] = 0.2 * np.cos(np.arange(45) / 5.0)
     x[layout.index["patches", -1].start] = 0.7
     reported = spline.finer.basis(S) @ onto @ x[index]
-    true = spline.basis(S) @ x[layout.index["stiffness", -1].where] + 0.7 * patch_function(made, S)
+    true = spline.basis(S) @ x[layout.index["stiffness", -1].where] + 0.7 * patch_function(
+        TAGS, made.length, made.stated.tag_size, S
+    )
     assert np.sqrt(np.mean((reported - true) ** 2)) < 0.05 * 0.7
     assert np.max(np.abs(np.interp(TAGS, S, reported - true))) < 0.05 * 0.7
     without = make_layout(spline, [made], [len(one.error.knots)], Priors())

@@ -8,18 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.learning.allowances.causal import CAUSAL_ALLOWANCES
+from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.live.online_learner import OnlineLearner
-from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.parameters import Priors
 from tests.learning.bench import MARKERS, SOFT
-from tests.learning.streamed import S, learned, many_pushes, shown
+from tests.learning.streamed import IDEAL_LIVE, S, learned, many_pushes, shown
 
+IDEAL, USUAL = IDEAL_LIVE.allowances, CAUSAL_ALLOWANCES
 TRUTH = np.log(SOFT.stiffness(S))
 
 
 def test_memory_does_not_grow_and_the_past_is_kept() -> None:
     made = many_pushes(12, 30)
-    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=OnlineSettings(functions=10))
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=10))
     sizes, sds = [], []
     for frames in (range(140), range(140, 420)):
         shown(learner, made, frames)
@@ -31,26 +33,28 @@ def test_memory_does_not_grow_and_the_past_is_kept() -> None:
     assert sds[1] < sds[0]  # the sizes of the force's error are learned too, and may grow
     mean, sd = learner.stiffness.log_at(S)
     assert np.sqrt(np.mean(((mean - TRUTH) / sd) ** 2)) < 1.0
-    assert np.sqrt(np.mean(np.expm1(mean - TRUTH) ** 2)) < 0.02
+    assert np.sqrt(np.mean(np.expm1(mean - TRUTH) ** 2)) < 0.04
 
 
-@pytest.mark.parametrize(("keys", "start"), [(8, 0.03), (5, 0.008)])
-def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float) -> None:
+@pytest.mark.parametrize(("keys", "start", "allowances"), [(8, 0.03, IDEAL), (5, 0.008, IDEAL), (8, 0.03, USUAL)])
+def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float, allowances: frozenset[AllowanceName]) -> None:
     """Exact data, sizes that stay: against a learner with room for every frame. A poor start does not stay in it."""
     made = many_pushes(12, 15, (0.0, 0.0), 0.0)
-    settings = OnlineSettings(functions=10, adapt=False, priors=Priors(place=made.stated.place_sd))
+    settings = replace(
+        IDEAL_LIVE, functions=10, adapt=False, priors=Priors(place=made.stated.place_sd), allowances=allowances
+    )
     whole = learned(made, 0.03, replace(settings, key_frames=300)).stiffness.log_at(S)
     folded = learned(made, start, replace(settings, key_frames=keys))
     mean, sd = folded.stiffness.log_at(S)
     assert folded.doubts == ()
     assert np.max(np.abs(mean - whole[0]) / whole[1]) < 1.0
     np.testing.assert_allclose(sd, whole[1], rtol=0.2)
-    assert np.sqrt(np.mean((mean - TRUTH) ** 2)) < 0.005
+    assert np.sqrt(np.mean((mean - TRUTH) ** 2)) < (0.03 if allowances else 0.005)  # it is a thin beam, as few are
 
 
 def test_so_it_is_where_the_sizes_are_learned() -> None:
     made = many_pushes(6, 30)
-    whole = learned(made, 0.03, OnlineSettings(functions=10, key_frames=300)).stiffness.log_at(S)
-    mean, sd = learned(made, 0.03, OnlineSettings(functions=10)).stiffness.log_at(S)
+    whole = learned(made, 0.03, replace(IDEAL_LIVE, functions=10, key_frames=300)).stiffness.log_at(S)
+    mean, sd = learned(made, 0.03, replace(IDEAL_LIVE, functions=10)).stiffness.log_at(S)
     assert np.max(np.abs(mean - whole[0]) / whole[1]) < 1.0
     assert abs(np.median(sd / whole[1]) - 1.0) < 0.2

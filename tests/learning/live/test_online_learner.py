@@ -19,7 +19,7 @@ from onebend.learning.posterior import fit
 from onebend.learning.replay import replay
 from onebend.records import Array, Observations
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
-from tests.learning.streamed import NOISE, PLAIN, S, any_beam, drawn, smooth_beam
+from tests.learning.streamed import IDEAL_LIVE, NOISE, PLAIN, S, any_beam, drawn, smooth_beam
 from tests.learning.test_posterior import wrong_force
 
 SIZES = {"force_noise": 0.003, "force_white": 0.001, "force_walk": 1e-6, "force_load": 1e-9}
@@ -29,7 +29,7 @@ SIZES = {"force_noise": 0.003, "force_white": 0.001, "force_walk": 1e-6, "force_
 def test_live_and_batch_agree(seed: int) -> None:
     made = wrong_force(observed(SOFT, forces(120), noise=NOISE, seed=seed), seed, 0.005)
     batch = fit([made], 0.03, settings=replace(IDEAL, functions=12)).stiffness.log_at(S)
-    learner = replay(made, 0.06, settings=OnlineSettings(functions=12))
+    learner = replay(made, 0.06, settings=replace(IDEAL_LIVE, functions=12))
     live = learner.stiffness.log_at(S)
     assert np.sqrt(np.mean(((live[0] - batch[0]) / batch[1]) ** 2)) < 1.0
     assert 0.7 < np.median(live[1]) / np.median(batch[1]) < 2.0  # after 120 frames the scales are still on their way
@@ -52,7 +52,7 @@ def test_error_over_band_is_chi_square_over_seeds() -> None:
     """Sums over 16 beams, within the 99.9 % limits. The sizes are those that beams and errors are drawn with: a band
     that is averaged over all sizes that might be is right on the average over such beams (below), and too wide for
     even ones."""
-    settings = OnlineSettings(functions=8, roughness=3.0, steps=0.1, adapt=False, marker_noise=1.0)
+    settings = replace(IDEAL_LIVE, functions=8, roughness=3.0, steps=0.1, adapt=False, marker_noise=1.0)
     settings, total, seeds = replace(settings, **SIZES), 0.0, 16  # type: ignore[arg-type]
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -62,7 +62,7 @@ def test_error_over_band_is_chi_square_over_seeds() -> None:
 
 
 def test_so_it_is_where_all_sizes_are_drawn_and_learned() -> None:
-    settings, total, seeds = OnlineSettings(functions=8, marker_noise=1.0), 0.0, 12
+    settings, total, seeds = replace(IDEAL_LIVE, functions=8, marker_noise=1.0), 0.0, 12
     settings = replace(settings, **SIZES)  # type: ignore[arg-type]
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -77,13 +77,13 @@ def test_outliers_are_named_and_do_not_move_the_answer() -> None:
     xy = made.xy.copy()
     wild = np.arange(20, 90, 9)
     xy[wild, wild % 3] += 0.02
-    clean = replay(made, 0.03, settings=OnlineSettings(functions=10)).stiffness.log_at(S)
-    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=OnlineSettings(functions=10, placement_sd=5e-4))
+    clean = replay(made, 0.03, settings=replace(IDEAL_LIVE, functions=10)).stiffness.log_at(S)
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=10, placement_sd=5e-4))
     refused = []
     for t in range(90):
         refused.append(~learner.update(made.time[t], xy[t], made.angle[t], made.covariance[t], made.force[t]).accepted)
     assert {(int(t), int(i)) for t, i in np.argwhere(refused)} >= {(int(t), int(t % 3)) for t in wild}
-    dirty = replay(replace(made, xy=xy), 0.03, settings=OnlineSettings(functions=10)).stiffness.log_at(S)
+    dirty = replay(replace(made, xy=xy), 0.03, settings=replace(IDEAL_LIVE, functions=10)).stiffness.log_at(S)
     assert np.max(np.abs(dirty[0] - clean[0]) / clean[1]) < 0.7
 
 
@@ -102,11 +102,11 @@ def test_a_missing_tag_is_as_one_of_no_weight_and_whole_turns_do_not_matter() ->
 def test_learning_goes_on_from_what_a_fit_has_found() -> None:
     made = wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=6), 6, 0.004)
     found = fit([made], 0.03, settings=replace(IDEAL, functions=10)).stiffness
-    learner = OnlineLearner(made.length, MARKERS, found, settings=OnlineSettings(functions=10))
+    learner = OnlineLearner(made.length, MARKERS, found, settings=replace(IDEAL_LIVE, functions=10))
     np.testing.assert_allclose(learner.stiffness.log_at(S)[0], found.log_at(S)[0], rtol=1e-6)
     np.testing.assert_allclose(learner.stiffness.log_at(S)[1], found.log_at(S)[1], rtol=0.15)  # less where a step lies
     again = wrong_force(observed(SOFT, forces(60), noise=NOISE, seed=7), 7, 0.004)
-    more = replay(again, found, settings=OnlineSettings(functions=10)).stiffness
+    more = replay(again, found, settings=replace(IDEAL_LIVE, functions=10)).stiffness
     assert np.all(more.log_at(S)[1] < 1.001 * found.log_at(S)[1])
 
 
@@ -124,7 +124,8 @@ def test_a_fit_of_more_functions_is_gone_on_from_as_it_stands() -> None:
 
 
 def test_results_speak_of_the_beam_and_of_what_else_was_learned() -> None:
-    learner = replay(observed(SOFT, forces(40), noise=NOISE), 0.03, gain_sd=0.1, settings=OnlineSettings(functions=8))
+    few = replace(IDEAL_LIVE, functions=8)
+    learner = replay(observed(SOFT, forces(40), noise=NOISE), 0.03, gain_sd=0.1, settings=few)
     names = {n.name: n for n in learner.nuisances()}
     assert {"tag 1 along", "tag 3 turn", "clamp angle"} <= set(names)
     assert all(0.0 < n.sd <= 1.001 * n.prior_sd for n in names.values())

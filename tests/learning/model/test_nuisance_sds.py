@@ -19,7 +19,7 @@ from onebend.learning.verdict import fit_remarks
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
 from onebend.results.observations_file import load_observations, save_observations
-from tests.learning.bench import IDEAL, SOFT, forces, observed
+from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 
 SPLINE = Spline(8)
@@ -135,7 +135,7 @@ def test_the_live_learner_has_what_is_stated() -> None:
         held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))
         for settings, wide in ((held, False), (free, True)):
             at = session_layout(
-                SPLINE, 3, settings.priors, placement_sd=5e-4, rest_unknown=settings.rest_unknown,
+                SPLINE, MARKERS, settings.priors, length=0.15, placement_sd=5e-4, rest_unknown=settings.rest_unknown,
                 calibrated=settings.calibrated, mass=0.0,
             )  # fmt: skip
             assert (at.index[name, -1].start >= 0) == wide

@@ -67,7 +67,7 @@ def test_refused_with_the_place(tmp_path: Path, lines: list[str], words: list[st
 
 
 def test_missing_and_binary_files(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="is not a file"):
         read_force_log(tmp_path / "none.csv", COLUMNS)
     path = tmp_path / "force.csv"
     path.write_bytes(bytes(range(128, 256)) * 20)

@@ -137,16 +137,21 @@ def test_one_id_at_two_places_is_refused(tmp_path: Path) -> None:
 
 def test_missing_base_and_missing_beam_tags(tmp_path: Path) -> None:
     with pytest.raises(ObservationError, match=r"no base tag \(id 0\)"):
-        detect_tags(still(tmp_path, [7, 1, 2, 3]), TAGS)
+        detect_tags(still(tmp_path, [1, 2, 3]), TAGS)
     with pytest.raises(ObservationError, match=r"no beam tag \(id 1, 2, 3\)"):
         detect_tags(still(tmp_path, [0]), TAGS)
 
 
-def test_stranger_and_unseen_tag_are_remarked(tmp_path: Path) -> None:
-    found = detect_tags(still(tmp_path, [0, 1, 2, 9]), TAGS)
-    texts = {remark.level: remark.text for remark in found.remarks}
-    assert "does not name: 9" in texts["note"]
-    assert "Tag 3 is in none of the 3 frames" in texts["warning"]
+def test_an_unseen_tag_beside_a_stranger_is_a_wrong_id(tmp_path: Path) -> None:
+    with pytest.raises(ObservationError, match="tag 3 is in none of 3 frames; seen: 0, 1, 2, 9"):
+        detect_tags(still(tmp_path, [0, 1, 2, 9]), TAGS)
+
+
+def test_a_stranger_or_an_unseen_tag_alone_is_remarked(tmp_path: Path) -> None:
+    found = detect_tags(still(tmp_path, [0, 1, 2, 3]), replace(TAGS, on_beam=TAGS.on_beam[:-1]))
+    assert any("does not name: 3" in remark.text for remark in found.remarks if remark.level == "note")
+    found = detect_tags(still(tmp_path, [0, 1, 2]), TAGS)
+    assert any("Tag 3 is in none of 3 frames" in one.text for one in found.remarks if one.level == "warning")
 
 
 def test_other_family_is_found_when_asked(tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def written(table: str, key: str, value: str) -> str:
 @pytest.mark.parametrize(
     ("table", "key", "value", "words"),
     [
-        ("beam", "length_m", "150", "is it in metres?"),
+        ("beam", "length_m", "15", "is it in metres?"),
         ("tags", "size_m", "12", "are both in metres?"),
         ("tags", "placement_sd_m", "0.5", "placement_sd_m = 0.5 is more than a fifth"),
         ("push", "at_sd_m", "0.5", "at_sd_m = 0.5 is more than a fifth"),

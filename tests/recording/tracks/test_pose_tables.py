@@ -261,9 +261,9 @@ def test_numbers_under_a_name_that_nobody_reads_are_refused(tmp_path: Path) -> N
         observe(folder)
 
 
-def test_a_length_in_millimetres_is_seen(tmp_path: Path) -> None:
+def test_a_length_in_millimetres_is_refused(tmp_path: Path) -> None:
     folder = pose_folder(tmp_path / "rod", loads=TIP_LOADS, shown=hanging())
     text = (folder / "recording.toml").read_text()
     (folder / "recording.toml").write_text(text.replace(f"length_m = {ROD.length}", "length_m = 500.0"))
-    with pytest.raises(ObservationError, match="length_m = 500 in metres"):
+    with pytest.raises(RecordingError, match=r"at most 50, not 500\.0"):
         observe(folder)

@@ -122,6 +122,24 @@ def test_band_is_drawn_where_it_is_and_grey_where_the_data_are_blind() -> None:
     assert below.get_ylabel() == "against k [%]"
 
 
+@pytest.mark.parametrize("doubts", [(), ("the fit did not converge",)])
+def test_one_unidentified_tip_does_not_flatten_the_curve(doubts: tuple[str, ...]) -> None:
+    """k grows a hundredfold where nothing tells it; the axes keep to the rest, also where the whole fit is in doubt."""
+    knots = np.concatenate([np.zeros(4), np.linspace(0, 1, 11)[1:-1], np.ones(4)])
+    mean, sd = np.full(13, np.log(0.05)), np.full(13, 0.03)
+    mean[-2:], sd[-3:] = np.log(5.0), 2.0
+    uncertain = UncertainStiffness(knots, mean, np.diag(sd**2), doubts=doubts)
+    figure = curves.stiffness(Beam(0.1, uncertain.profile), uncertain=uncertain)
+    s = np.linspace(0.0, 1.0, 401)
+    known = uncertain.best_known(s)
+    assert 0.5 < known.mean() < 0.95
+    top = float(np.max(uncertain.band(s).high[known]))
+    assert 1.15 * top < figure.axes[0].get_ylim()[1] < 1.6 * top
+    assert figure.axes[1].get_ylim()[1] < 80.0  # %
+    blind = replace(uncertain, covariance=400.0 * np.eye(13) + uncertain.covariance)
+    assert 0 < blind.best_known(s).sum() < 401  # the quarter that is known best, where nothing is
+
+
 def test_stiffness_that_is_no_beam_is_marked() -> None:
     axes = curves.stiffness(Beam(0.1, Powers((0.1, -0.2)))).axes[0]
     assert axes.get_ylim()[0] < -0.1

@@ -23,12 +23,14 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
-from onebend.beam.grid import apply, transposed
+from onebend.beam.grid import apply, paired, transposed
 from onebend.beam.statics.nodal_forces import (
     NodalForces,
     centreline_slope,
     nodal_forces,
     node_angles,
+    normal_and_shear,
+    strain_by_force,
     strains,
     turned_followers,
 )
@@ -72,6 +74,28 @@ class Equilibrium:
     def forces(self) -> NodalForces:
         """Internal forces at the nodes under the full load."""
         return nodal_forces(self.problem, self.q)
+
+    @cached_property
+    def normal_and_shear(self) -> tuple[Array, Array]:
+        """(T, Q) N each: N and Q at the nodes under the full load."""
+        return normal_and_shear(self.problem, self.q)
+
+    @cached_property
+    def strain_by_force(self) -> Array:
+        """(T, Q, 2, 2) 1/N: of r'/L with the internal force; of a beam that is compliant."""
+        return strain_by_force(self.problem, self.forces)
+
+    @cached_property
+    def strained(self) -> Array:
+        """(T, Q, 2): what strain adds to r'/L under the full load; of a beam that is compliant."""
+        assert self.problem.compliance is not None
+        return self.strained_by(self.problem.compliance)
+
+    def strained_by(self, compliance: tuple[Array, Array]) -> Array:
+        """The same, of these 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
+        (normal, transverse), cos, sin = self.normal_and_shear, self.forces.cos, self.forces.sin
+        along, across = compliance[0] * normal, compliance[1] * transverse
+        return paired(along * cos - across * sin, along * sin + across * cos)
 
     def angle(self, s: Array) -> Array:
         """(T, S) tangent's angle at places `s` (S,) or (T, S). Equation (3)."""

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from onebend.beam.grid import apply
+from onebend.beam.grid import apply, paired
 from onebend.beam.statics.problem import Problem
 from onebend.records import Array
 
@@ -42,9 +42,9 @@ class NodalForces:
         It is also the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal (Betti).
         """
         if self.turned is None:
-            return np.stack([-self.sin, self.cos], axis=-1)
+            return paired(-self.sin, self.cos)
         first, second = self.turned
-        return np.stack([first * self.cos - second * self.sin, first * self.sin + second * self.cos], axis=-1)
+        return paired(first * self.cos - second * self.sin, first * self.sin + second * self.cos)
 
 
 def node_angles(problem: Problem, q: Array) -> Array:

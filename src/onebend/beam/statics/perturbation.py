@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
 from onebend.beam.grid import apply, transposed
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.nodal_forces import (
-    normal_and_shear,
-    strain_by_force,
-    turned_followers,
-)
+from onebend.beam.statics.nodal_forces import turned_followers
 from onebend.records import Array, IntArray
 
 
@@ -34,6 +32,11 @@ class Perturbation:
     def parts(self) -> tuple[Perturbation, ...]:
         """Itself, as `Perturbations` has it."""
         return (self,)
+
+    @property
+    def columns(self) -> list[tuple[slice, Perturbation]]:
+        """Itself with its place, as `Perturbations` has it."""
+        return [(slice(0, len(self.clamp)), self)]
 
     def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
         """Both sets of parameters, one after the other."""
@@ -79,10 +82,10 @@ class Perturbations:
         """At some of the frames."""
         return Perturbations(tuple(part.take(chosen) for part in self.parts))
 
-    @property
+    @cached_property
     def columns(self) -> list[tuple[slice, Perturbation]]:
         """The parts with their places among all parameters."""
-        ends = np.cumsum([0, *(len(part.clamp) for part in self.parts)]).tolist()
+        ends = [0, *accumulate(len(part.clamp) for part in self.parts)]
         return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], self.parts, strict=True)]
 
 
@@ -90,7 +93,7 @@ def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbatio
     """(T, Q, P): minus the derivative of the balance's gradient with the parameters at fixed q."""
     problem = solved.problem
     out = np.zeros((*solved.q.shape, len(perturbation.clamp)))
-    for columns, part in Perturbations(perturbation.parts).columns:
+    for columns, part in perturbation.columns:
         turning = work_by_angle(solved, part)
         if turning is not None:
             out[..., columns] += transposed(problem.to_nodes) @ turning
@@ -119,19 +122,24 @@ def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
 
 def adjoint_times(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
     """(T, S, P): rows (T, S, Q) times `minus_gradient`; functions that frames share are not written out for each."""
-    out, rest = np.zeros((*rows.shape[:-1], len(part.clamp))), part
-    if part.elastic is not None and part.elastic[1].ndim == 2:
-        size, functions = part.elastic
-        out = np.tensordot(rows * -(solved.problem.weights * size)[..., None, :], functions, 1)
-        rest = replace(rest, elastic=None)
-    if part.compliance is not None and part.compliance[1].ndim == 2:
-        size, functions = _twisted(solved, part.compliance)
-        out = out + np.tensordot((rows @ transposed(solved.problem.to_nodes)) * size[..., None, :], functions, 1)
-        rest = replace(rest, compliance=None)
-    entries = (rest.force, rest.moment, rest.elastic, rest.compliance)
+    out, elastic, compliance = np.zeros((*rows.shape[:-1], len(part.clamp))), part.elastic, part.compliance
+    if elastic is not None and elastic[1].ndim == 2:
+        out += _times(rows * -(solved.problem.weights * elastic[0])[..., None, :], elastic[1])
+        elastic = None
+    if compliance is not None and compliance[1].ndim == 2:
+        size, functions = _twisted(solved, compliance)
+        out += _times((rows @ transposed(solved.problem.to_nodes)) * size[..., None, :], functions)
+        compliance = None
+    rest = Perturbation(part.force, part.moment, elastic, part.clamp, compliance)
+    entries = (rest.force, rest.moment, elastic, compliance)
     if any(entry is not None for entry in entries) or np.any(rest.clamp != 0.0):
-        out = out + rows @ minus_gradient(solved, rest)
-    return np.asarray(out)
+        out += rows @ minus_gradient(solved, rest)
+    return out
+
+
+def _times(rows: Array, functions: Array) -> Array:
+    """(T, S, P): rows (T, S, Q) times functions (Q, P), in one product."""
+    return np.asarray((rows.reshape(-1, rows.shape[-1]) @ functions).reshape(*rows.shape[:-1], functions.shape[-1]))
 
 
 def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Array | None:
@@ -139,17 +147,14 @@ def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Arr
     integrate r'. None where they stay."""
     problem, out = solved.problem, None
     if part.force is not None and problem.compliance is not None:
-        by_force, force = strain_by_force(problem, solved.forces), part.force
+        by_force, force = solved.strain_by_force, part.force
         strained = by_force[..., :1] * force[..., :1, :] + by_force[..., 1:] * force[..., 1:, :]  # (T, Q, 2, P)
         flat = rows @ strained.reshape(*strained.shape[:2], -1)
         out = flat.reshape(*flat.shape[:2], *strained.shape[2:])
     if part.compliance is not None:
-        (stretch, shear), functions = part.compliance
-        normal, transverse = normal_and_shear(problem, solved.q)
-        cos, sin = solved.forces.cos, solved.forces.sin
-        along, across = stretch * normal, shear * transverse
-        way = np.stack([along * cos - across * sin, along * sin + across * cos], axis=-2)  # (T, 2, Q)
-        by_node = rows[..., None, :] * way[:, None]
+        size, functions = part.compliance
+        way = solved.strained if size is problem.compliance else solved.strained_by(size)
+        by_node = rows[..., None, :] * transposed(way)[:, None]
         more = by_node @ (functions if functions.ndim == 2 else functions[:, None])
         out = more if out is None else out + more
     return out
@@ -165,7 +170,7 @@ def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array])
     """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` with the compliance."""
     (stretch, shear), functions = compliance
     problem = solved.problem
-    normal, transverse = normal_and_shear(problem, solved.q)
+    normal, transverse = solved.normal_and_shear
     return problem.length * problem.weights * (stretch - shear) * normal * transverse, functions
 
 

@@ -91,7 +91,7 @@ class Response:
 
     @property
     def _parts(self) -> list[tuple[slice, Perturbation]]:
-        return Perturbations(self.perturbation.parts).columns
+        return self.perturbation.columns
 
     def _ways(self, integral: Array) -> tuple[Array, Array]:
         """(T, S, 2, Q) m: how positions go with the curvature at the nodes; (T, S, 2) m: with a common turn.

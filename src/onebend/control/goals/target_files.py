@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,9 +12,11 @@ from onebend.control.goals.moving_goals import Between, Goals
 from onebend.control.goals.targets import Targets, curve_of_length
 from onebend.errors import ControlError
 from onebend.records import Array
+from onebend.text_files import csv_rows, listed_columns, quoted
 
 TARGET_COLUMNS = ("s", "x_m", "y_m", "angle_rad", "weight")
 GOAL_COLUMNS = ("time_s", *TARGET_COLUMNS)
+MOST_GOALS = 100_000
 _MAY_BE_BLANK = ("x_m", "y_m", "angle_rad")
 
 
@@ -95,26 +96,21 @@ def _need(path: Path, table: dict[str, Array], names: tuple[str, ...], why: str)
 
 def _table(path: Path, known: tuple[str, ...]) -> dict[str, Array]:
     """Columns by name, and `line`."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise ControlError(f"{path}: no such file") from error
-    except (UnicodeDecodeError, OSError) as error:
-        raise ControlError(f"{path}: cannot be read as text ({error})") from error
-    reader = csv.reader(text.splitlines())
-    header = [cell.strip() for cell in next(reader, [])]
+    reader = csv_rows(path, ControlError)
+    header = [cell.strip() for cell in next(reader, (1, []))[1]]
     for name in header:
         if name not in known or header.count(name) > 1:
             what = "stands twice" if name in known else "is not known"
-            raise ControlError(f"{path}, line 1: column '{name}' {what}; the columns are {', '.join(known)}")
+            shown = quoted(name) if listed_columns(path, [name]) else "in its first line"
+            raise ControlError(f"{path}, line 1: column {shown} {what}; the columns are {', '.join(known)}")
     rows: list[list[float]] = []
-    for cells in reader:
-        if not any(cell.strip() for cell in cells):
-            continue
+    for line, cells in reader:
+        if len(rows) == MOST_GOALS:
+            raise ControlError(f"{path}, line {line}: at most {MOST_GOALS} rows are read; give fewer, farther apart")
         if len(cells) != len(header):
-            raise ControlError(f"{path}, line {reader.line_num}: {len(cells)} cells, but {len(header)} columns")
-        where = f"{path}, line {reader.line_num}"
-        rows.append([reader.line_num, *(_number(where, n, c) for n, c in zip(header, cells, strict=True))])
+            raise ControlError(f"{path}, line {line}: {len(cells)} cells, but {len(header)} columns")
+        where = f"{path}, line {line}"
+        rows.append([line, *(_number(where, n, c) for n, c in zip(header, cells, strict=True))])
     if not rows:
         raise ControlError(f"{path}: no rows; the first line names the columns ({', '.join(known)})")
     return dict(zip(["line", *header], np.array(rows).T, strict=True))
@@ -126,7 +122,7 @@ def _number(where: str, name: str, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError as error:
-        raise ControlError(f"{where}: {name} is '{cell.strip()}', not a number") from error
+        raise ControlError(f"{where}: {name} is {quoted(cell.strip())}, not a number") from error
     if not np.isfinite(value):
         raise ControlError(f"{where}: {name} is '{cell.strip()}'; leave a cell blank where it is of no concern")
     if name == "s" and not 0.0 <= value <= 1.0:

@@ -15,6 +15,8 @@ from onebend.control.reach.paper_iteration import PaperSettings
 from onebend.errors import ControlError
 from onebend.records import Array
 
+FARTHEST_GOAL = 1e9  # m or rad
+
 
 @dataclass(frozen=True)
 class ReachSettings:
@@ -54,7 +56,7 @@ class ReachSettings:
 def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
     """The goal as an array (2,) or (3,). Raises `ControlError` where it has no meaning."""
     wanted = np.asarray(goal, dtype=float)
-    if wanted.shape not in ((2,), (3,)) or not np.all(np.isfinite(wanted)):
+    if wanted.shape not in ((2,), (3,)) or not np.all(np.abs(wanted) < FARTHEST_GOAL):
         raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {numbers(wanted)}")
     if len(wanted) == 3 and not settings.moment:
         raise ControlError("a force alone cannot hold a point at an angle: allow a moment, or leave the angle out")

@@ -12,10 +12,11 @@ from onebend.records import Array
 #   "log k"       (Q, n) or (F, Q, n): added to log k at the nodes
 #   "force"       (F, 2, n): added to the force on the beam, per N
 #   "place"       (F, n) 1: added to the place of the push [m]
+#   "load"        (F, Q, 2, n): added to the force beyond each node [N]
 #   "clamp"       (F, n) 1: added to the clamp's angle [rad]
 #   "poses"       (F, m, 3, n): added to the tags' poses
 #   "section", "relaxation", "length": the model's own; no basis, or the frames' times
-Entry = Literal["log k", "force", "place", "clamp", "poses", "section", "relaxation", "length"]
+Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", "relaxation", "length"]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ AllowanceName = Literal[
     "posture",
     "patches",
     "length",
+    "inertia",
     "heights",
     "camera",
     "rolling shutter",
@@ -56,13 +57,13 @@ def allowances_of(
     every = [
         section(known=bool(np.isfinite(observations.stated.thickness))),
         relaxation(run),
-        patches(observations, nodes),
+        patches(observations.marker_s, observations.length, observations.stated.tag_size, nodes),
         length(),
         giving(run, len(force)),
         *discrepancy(run, tags, observations.length, len(force)),
     ]
     if np.any(force != 0.0):
-        every += [sliding(observations, run, push_s), posture_bias(run, force)]
+        every += [sliding(observations.marker_s, run, push_s), posture_bias(run, force)]
     if observations.source.view is not None:
         every.append(heights(observations, measured))
         if has_rows(observations):

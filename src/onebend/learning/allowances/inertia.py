@@ -1,29 +1,47 @@
-"""The beam's own inertia in a push that is not slow: its mass times the accelerations that the tags show."""
+"""The beam's own inertia in a push that is not slow: its mass times the accelerations that the tags show.
+
+Where the mass is stated, the force is known; where it is not, the mass is one more unknown.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from onebend.beam.grid import apply
-from onebend.beam.profiles.stiffness import Profile
+from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.problem import Problem
+from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.allowances.course import with_rest
 from onebend.records import Array, BoolArray, Observations
 
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
 
 
+MASS_SD = 25.0  # kg/m^3, of the length cubed: a solid rubber beam, 0.08 by 0.2 of its length thick and wide, has 18
+
+
+def unknown_mass(observations: Observations, frames: BoolArray, problem: Problem, count: int) -> Allowance | None:
+    """The mass [kg] of a beam whose mass nobody states, evenly spread; None where it is stated, or nothing tells."""
+    if observations.static or np.isfinite(observations.stated.mass):
+        return None
+    force = inertial_force(observations, frames, problem, Uniform(1.0 / observations.length), count)
+    if not np.any(force):
+        return None
+    sd = np.array([MASS_SD * observations.length**3])
+    return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True)
+
+
 def inertial_force(
     observations: Observations, frames: BoolArray, problem: Problem, mass_per_length: Profile, count: int
 ) -> Array:
-    """(count, Q, 2) N beyond each node: `-L int_s^1 mu a ds`; zero at rest, and where mass or motion are not known.
+    """(count, Q, 2) N beyond each node: `-L int_s^1 mu a ds`; zero at rest, and where the motion is not known.
 
     Between clamp and tags the acceleration a is linear in s, beyond the last tag as there.
     """
     nodes = problem.grid.nodes
     still = np.zeros((count, nodes.shape[-1], 2))
     acceleration = tag_accelerations(observations)
-    if observations.static or acceleration is None or not np.isfinite(observations.stated.mass):
+    if acceleration is None:
         return still
     places = np.append(0.0, observations.marker_s)
     of_tags = np.concatenate([np.zeros((int(np.sum(frames)), 1, 2)), acceleration[frames]], axis=1)

@@ -15,7 +15,16 @@ DEGREE = 2  # of the polynomial in the tool's displacement
 def posture_bias(run: PushCourse, force: Array) -> Allowance:
     """A polynomial of second degree in the displacement, zero at rest, for each axis of the force (F, 2) [N]."""
     largest = float(np.max(np.linalg.norm(force, axis=1)))
-    powers = with_rest(np.stack([run.bend**i for i in range(1, DEGREE + 1)], axis=1), len(force))
-    basis = np.einsum("fi,cd->fcdi", powers, np.eye(2)).reshape(len(force), 2, 2 * DEGREE)
+    basis = on_each_axis(with_rest(powers(run.bend), len(force)))
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
     return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis)
+
+
+def powers(bend: Array) -> Array:
+    """(F, 2) of displacements (F,)."""
+    return np.stack([bend**i for i in range(1, DEGREE + 1)], axis=1)
+
+
+def on_each_axis(terms: Array) -> Array:
+    """(F, 2, 4): these terms (F, 2) for each axis of the force."""
+    return np.asarray(np.einsum("fi,cd->fcdi", terms, np.eye(2)).reshape(len(terms), 2, 2 * DEGREE))

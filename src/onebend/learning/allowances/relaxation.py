@@ -18,7 +18,7 @@ from onebend.records import Array
 
 TIMES = np.array([1.0, 3.0, 9.0])  # s, tau_j
 SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
-_LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
+LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 
 
 def relaxation(run: PushCourse) -> Allowance:
@@ -30,15 +30,22 @@ def relaxation(run: PushCourse) -> Allowance:
 def lags(time: Array) -> Array:
     """(n, T, T): each turns values that are straight in `time` (T,) [s] between frames, from rest at the first frame,
     into those that lag behind them with one of the times."""
-    step = np.maximum(np.diff(time) / TIMES[:, None], np.finfo(float).tiny)  # (n, T - 1); frames of one instant are one
-    decay = np.exp(-step)
-    mean = -np.expm1(-step) / step
+    kept, before, now = lag_weights(np.diff(time))
     out = np.zeros((len(TIMES), len(time), len(time)))
     for i in range(len(time) - 1):
-        out[:, i + 1] = decay[:, i, None] * out[:, i]
-        out[:, i + 1, i] += mean[:, i] - decay[:, i]
-        out[:, i + 1, i + 1] += 1.0 - mean[:, i]
+        out[:, i + 1] = kept[:, i, None] * out[:, i]
+        out[:, i + 1, i] += before[:, i]
+        out[:, i + 1, i + 1] += now[:, i]
     return out
+
+
+def lag_weights(seconds: Array) -> tuple[Array, Array, Array]:
+    """(n, N) each, of steps of `seconds` (N,): at the end of a step v_j is made of v_j before it, of q before it, and
+    of q at its end."""
+    step = np.maximum(seconds / TIMES[:, None], np.finfo(float).tiny)  # frames of one instant are one
+    decay = np.exp(-step)
+    mean = -np.expm1(-step) / step
+    return decay, mean - decay, 1.0 - mean
 
 
 def memory(shares: Array, time: Array) -> Array:
@@ -55,7 +62,7 @@ def rest_shift(remembering: Array, q: Array, weights: Array) -> Array:
     count, out = len(remembering), np.zeros_like(q)
     v = remembering @ q[:count]
     reached = reached_part(v, q[:count], weights)
-    out[:count] = (v - reached * q[:count]) / (1.0 - min(reached, _LARGEST))
+    out[:count] = (v - reached * q[:count]) / (1.0 - min(reached, LARGEST))
     return out
 
 
@@ -81,7 +88,7 @@ def remembered(remembering: Array, q: Array, weights: Array, change: Array) -> A
     w = np.broadcast_to(weights, bent.shape)
     by_shape = np.einsum("tq,tqp->p", w * (v - 2.0 * reached * bent), moved) + np.einsum("tq,tqp->p", w * bent, v_moved)
     reached_moved = by_shape / max(square, np.finfo(float).tiny)  # (P,)
-    left = 1.0 - min(reached, _LARGEST)
+    left = 1.0 - min(reached, LARGEST)
     out = np.zeros((len(q), q.shape[1], p))
     out[:count] = (v_moved - reached * moved - bent[..., None] * reached_moved) / left
     out[:count] += (v - reached * bent)[..., None] * (reached_moved / left**2)
@@ -92,10 +99,18 @@ def shift_derivatives(shares: Array, time: Array, q: Array, weights: Array) -> A
     """(F, Q, n) of `rest_shift` with the shares, q staying as it is."""
     every = lags(time) @ q[: len(time)]  # (n, T, Q)
     bent, out = q[: len(time)], np.zeros((*q.shape, len(shares)))
-    v = np.tensordot(shares, every, 1)
-    reached = [reached_part(one, bent, weights) for one in every]
-    all_reached = min(reached_part(v, bent, weights), _LARGEST)
-    for j, (one, part) in enumerate(zip(every, reached, strict=True)):
-        direct = (one - part * bent) / (1.0 - all_reached)
-        out[: len(time), :, j] = direct + (v - all_reached * bent) * (part / (1.0 - all_reached) ** 2)
+    reached = np.array([reached_part(one, bent, weights) for one in every])
+    _, out[: len(time)] = shift_of_lags(shares, np.moveaxis(every, 0, -1), bent, reached)
     return out
+
+
+def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tuple[Array, Array]:
+    """(F, Q) and (F, Q, n): what `rest_shift` returns, and its derivatives with the shares (n,).
+
+    `every` (F, Q, n) the curvatures v_j that lag behind q (F, Q), `reached` (n,) the part of q that each has reached.
+    """
+    all_reached = min(float(shares @ reached), LARGEST)
+    away = every @ shares - all_reached * q
+    direct = (every - q[..., None] * reached) / (1.0 - all_reached)
+    by_shares = direct + away[..., None] * (reached / (1.0 - all_reached) ** 2)
+    return away / (1.0 - all_reached), by_shares

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.learning.allowances.allowance import Allowance
 
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
@@ -20,6 +21,14 @@ def section(*, known: bool) -> Allowance:
     sd = np.array([KNOWN_SD if known else UNKNOWN_SD])
     label = "change of section thickness squared"
     return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True)
+
+
+def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:
+    """The section at this value of the parameter, and how the log of its thickness goes with it; `stated` m, NaN where
+    nobody says it."""
+    usual = stated if np.isfinite(stated) else USUAL_THICKNESS * beam_length
+    factor, slope = thickness_factor(change)
+    return RectangularSection(usual * factor), slope
 
 
 def thickness_factor(change: float) -> tuple[float, float]:

@@ -109,10 +109,10 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
     where, fine = layout.index["stiffness", -1].where, layout.spline.finer
     index: list[IntArray] = [np.arange(where.start, where.stop)]
     onto: list[Array] = [layout.spline.on_finer]
-    under_tags = layout.index.get(("patches", -1))
+    under_tags, o = layout.index.get(("patches", -1)), problem.recordings[0].observations
     if under_tags is not None and under_tags.start >= 0:
         s = np.linspace(0.0, 1.0, 8 * fine.count)
-        values = patch_function(problem.recordings[0].observations, s)
+        values = patch_function(o.marker_s, o.length, o.stated.tag_size, s)
         index.append(np.array([under_tags.start]))
         onto.append(np.asarray(np.linalg.lstsq(fine.basis(s), values[:, None], rcond=None)[0]))
     return np.concatenate(index), np.concatenate(onto, axis=1)

@@ -8,6 +8,7 @@ averaged (a cubature of degree three, as in the fit). A round of looks is follow
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,6 +80,26 @@ class HyperparameterSearch:
         """-2 log prior."""
         z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
         return float(z @ z)
+
+    def trial(
+        self,
+        now: LiveHyperparameters,
+        here: KeyFramePosterior,
+        solved: Callable[[LiveHyperparameters], KeyFramePosterior],
+    ) -> tuple[LiveHyperparameters, KeyFramePosterior]:
+        """One trial, by the posterior `solved` there; returns `now` and its posterior `here`, or what is better."""
+        tried = self.proposal(now)
+        try:
+            there = solved(tried)
+        except np.linalg.LinAlgError:
+            self.failed()
+            return now, here
+        worse = there.minus_log + self.cost(tried) - here.minus_log - self.cost(now)
+        if not self.climbs:
+            self.looked(worse, there, here)
+            return now, here
+        self.climbed(worse < 0.0)
+        return (tried, there) if worse < 0.0 else (now, here)
 
     def climbed(self, better: bool) -> None:
         """After a climb: the next step is longer if this one was `better`, else shorter and the other way."""

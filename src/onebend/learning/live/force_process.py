@@ -147,7 +147,8 @@ class LoadStages:
     """
 
     def __init__(self, length: float, tags: int) -> None:
-        self._largest = _USUAL * length  # m
+        self.largest = _USUAL * length  # m, displacement so far
+        self.displacement = 0.0  # m, of the last frame
         self._here = np.full((tags, 2), np.nan)  # m, where tags were seen last
         self._rest = np.full((tags, 2), np.nan)
         self._loaded = False
@@ -164,27 +165,32 @@ class LoadStages:
             self._rest[visible] = xy[visible]
             if self._loaded:
                 self._release()
-            self._loaded = False
+            self._loaded, self.displacement = False, 0.0
             return
         unknown = np.isnan(self._rest)
         self._rest[unknown] = self._here[unknown]
         away = (self._here - self._rest).ravel()
         away = away[np.isfinite(away)]
-        size = float(np.sqrt(2.0 * (away @ away) / max(len(away), 1)))
-        self._largest = max(self._largest, size)
+        self.displacement = size = float(np.sqrt(2.0 * (away @ away) / max(len(away), 1)))
+        self.largest = max(self.largest, size)
         if not self._loaded:
             self._loaded = self._rising = True
             self._extreme, self._peak, self._open = size, time, 0.0
             self._path.clear()
             self._add(ANEW, LoadChange(time - EARLY, time, release=False))
         elif self._open is not None:
-            self._go_on(time, abs(size - self._open) > CLEAR * self._largest)
-        if not self._path or abs(size - self._path[-1][1]) > _FINE * self._largest:
+            self._go_on(time, abs(size - self._open) > CLEAR * self.largest)
+        if not self._path or abs(size - self._path[-1][1]) > _FINE * self.largest:
             self._path.append((time, size))
         if size >= self._extreme if self._rising else size <= self._extreme:
             self._extreme, self._peak = size, time
-        elif abs(size - self._extreme) > TURN * self._largest:
+        elif abs(size - self._extreme) > TURN * self.largest:
             self._turn(time, size)
+
+    @property
+    def falling(self) -> bool:
+        """The load has reversed since it began, and not again."""
+        return not self._rising
 
     def _go_on(self, time: float, over: bool) -> None:
         """The present change lasts until now."""
@@ -194,7 +200,7 @@ class LoadStages:
 
     def _turn(self, time: float, size: float) -> None:
         """The load has reversed; the change began where the beam was last clear of the turning point."""
-        before = [t for t, d in self._path if t < self._peak and abs(d - self._extreme) > BEFORE * self._largest]
+        before = [t for t, d in self._path if t < self._peak and abs(d - self._extreme) > BEFORE * self.largest]
         low = before[-1] if before else (self._path[0][0] if self._path else self._peak)
         self._add(ANEW, LoadChange(min(low, self._peak), time, release=False))
         self._open = self._extreme
@@ -202,7 +208,7 @@ class LoadStages:
         self._path = deque([point for point in self._path if point[0] >= low], maxlen=_PATH_LENGTH)
 
     def _release(self) -> None:
-        clear = [t for t, d in self._path if d > CLEAR * self._largest]
+        clear = [t for t, d in self._path if d > CLEAR * self.largest]
         end = self._path[-1][0]
         self._add(RELEASED, LoadChange(clear[-1] if clear else end, end + EARLY, release=True))
         self._open = None

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
+from onebend.beam.grid import paired
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.perturbation import Perturbation, minus_gradient
+from onebend.beam.statics.nodal_forces import nodal_forces
+from onebend.beam.statics.perturbation import Perturbation, adjoint_times, minus_gradient, moved_by_strain
 from onebend.beam.statics.problem import Problem
-from onebend.learning.live.session import LiveSession, PushGrid
+from onebend.learning.allowances.causal import CLAMP, SLIDE, CourseBases
+from onebend.learning.allowances.relaxation import shift_of_lags
+from onebend.learning.live.session import FrameInputs, LiveSession, Memory, PointBeam, PushGrid
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
-    TagMotion,
-    balance_changes,
+    ResponseColumns,
+    TagRide,
+    joined_functions,
+    load_changes,
+    material_changes,
     push_blocks,
     put_blocks,
     put_tags,
@@ -30,41 +37,31 @@ _TOLERANCE = 1e-3  # rad, of the last update: the error is about its square
 
 
 @dataclass(frozen=True)
-class FrameInputs:
-    """What acts on the beam in B frames."""
-
-    force: Array  # (B, 2) N, corrected
-    rate: Array  # (B, 2) N/s
-    gravity: Array  # (B, 2) m/s^2
-    farther: Array  # (B,) m that the push lies beyond its grid's place
-
-
-@dataclass(frozen=True)
 class LinearisedTags:
     """Tags' poses and their derivatives in B frames."""
 
     converged: BoolArray  # (B,)
     q: Array  # (B, Q) rad
     by_force: Array  # (B, Q, 2) of q with the logged force: where to start from next time
+    lags: Array  # (B, Q, r) rad, curvatures that lag behind q
     pose: Array  # (B, m, 3)
     j: Array  # (B, m, 3, n) with the parameters
     a: Array  # (B, m, 3, 2) with the logged force, per N
+
+    def take(self, chosen: BoolArray) -> LinearisedTags:
+        """Some of the frames."""
+        return LinearisedTags(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
 @dataclass(frozen=True)
 class _LoadedBeam:
     """The beam and what acts on it in B frames, on the grid of a place."""
 
-    length: float  # m
+    problem: Problem
     stiff: Array  # (Q,) k times the nodes' weights
-    q0: Array  # (Q,)
-    alpha0: float
     force: Array  # (B, 2) N
     pushed: Array  # (B, Q) share of the push beyond each node
-    gravity: Array  # (B, 2) m/s^2
-    masses: Array  # (Q, 4) kg of each part of the mass beyond the nodes; (Q, 0) where none is among the parameters
-    dead: Array  # (2, B, Q) N beyond the nodes
-    pull: Array  # (2, B, Q) N m: that times the length and the nodes' weights
+    by_mass: Perturbation | None  # the parts of the mass; None where nothing weighs
 
 
 def linearise(
@@ -73,68 +70,104 @@ def linearise(
     """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any.
 
     The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
-    for the force.
+    for the force. What a beam that relaxes remembers is taken at `start`, and as given: it has no derivatives but those
+    with the shares.
     """
-    layout, m = session.layout, len(session.marker_s)
-    axes = _axes(layout, x)
-    force = (inputs.force + inputs.rate * layout.get(x, "clock")) @ axes.T
-    loaded = _loaded_beam(session, push_grid, x, force, inputs)
+    layout, m, beam = session.layout, len(session.marker_s), _beam_at(session, push_grid, x)
+    bases, straight = CourseBases(inputs.terms, m, session.carried), beam.problem.q0
+    logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
+    q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
+    loaded = _loaded_beam(session, push_grid, beam, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
     q, converged, factors = _shapes(push_grid, loaded, start)
-    bent = _bent(push_grid, loaded, q, converged)
-    columns = response_columns(balance_changes(bent))
-    right = minus_gradient(bent.solved, columns.changes)
-    pose, by_shape, partials = _tags(session, push_grid, x, q)
-    push = right[..., columns.slices["push"]].swapaxes(1, 2)
-    both = np.empty((len(q), 3 * m + 2, q.shape[1]))
-    both[:, : 3 * m], both[:, 3 * m :] = by_shape.reshape(len(q), 3 * m, -1), push
+    bent = _bent(push_grid, loaded, by_shares, q, converged)
+    loads, tags = response_columns(load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
+    right = minus_gradient(bent.solved, loads.changes)
+    both = np.concatenate([tags.by_shape, right[..., loads.slices["push"]].swapaxes(1, 2)], axis=1)
     for rows, factor in zip(both, factors, strict=True):
         rows[:] = dpotrs(factor, rows.T, lower=1, overwrite_b=1)[0].T
-    response = (both[:, : 3 * m] @ right).reshape(len(q), m, 3, -1)
-    response[..., columns.slices["clamp"].start] += partials.clamp
-    blocks, j = columns.split(response), np.zeros((len(q), m, 3, layout.size))
-    put_blocks(j, session.columns, blocks | push_blocks(blocks["push"], force, axes, inputs.rate))
-    put_tags(j, session.columns, partials.motion)
-    return LinearisedTags(converged, q, both[:, 3 * m :].swapaxes(1, 2) @ axes, pose, j, blocks["push"] @ axes)
+    adjoint, material = both[:, : 3 * m], _material(bent.solved, beam)
+    response = np.concatenate([adjoint @ right, adjoint_times(adjoint, bent.solved, material)], axis=2)
+    response = response.reshape(len(q), m, 3, -1)
+    columns = _with_material(loads, material, beam)
+    tags.add_direct(response, columns)
+    blocks, j = columns.split(tags.ride.carry(response)), np.zeros((len(q), m, 3, layout.size))
+    further = push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
+    put_blocks(j, session.columns, blocks | further)
+    put_tags(j, session.columns, tags.motion)
+    pose, a = tags.pose + bases.moved({name: layout.get(x, name) for name in bases.poses}), blocks["push"] @ beam.axes
+    by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ beam.axes, inputs.memory.lags(q - straight)
+    return LinearisedTags(converged, q, by_force, lags, pose, j, a)
 
 
-@dataclass(frozen=True)
-class _TagPartials:
-    """Derivatives of the tags' poses at a fixed curvature."""
+def _material(solved: Equilibrium, beam: PointBeam) -> Perturbation:
+    """The groups of `material_changes`, one after the other."""
+    problem, nothing = solved.problem, np.zeros(beam.elastic.shape[1])
+    compliance = None if problem.compliance is None else (problem.compliance, beam.compliant)
+    return Perturbation(None, None, (solved.q - problem.q0, beam.elastic), nothing, compliance)
 
-    clamp: Array  # (B, m, 3) with the clamp's angle
-    motion: TagMotion
+
+def _with_material(loads: ResponseColumns, material: Perturbation, beam: PointBeam) -> ResponseColumns:
+    """The columns of the loads, and behind them those of the material."""
+    first = len(loads.changes.clamp)
+    behind = {name: slice(first + c.start, first + c.stop) for name, c in beam.columns.items()}
+    return ResponseColumns(loads.changes + material, loads.slices | behind)
 
 
-def _tags(session: LiveSession, push_grid: PushGrid, x: Array, q: Array) -> tuple[Array, Array, _TagPartials]:
-    """Poses (B, m, 3) of the tags on shapes q (B, Q), and their derivatives (B, m, 3, Q) with the curvature."""
-    layout, m = session.layout, len(session.marker_s)
-    cos, sin = _directions(push_grid, float(layout.get(x, "clamp")[0]), q)
-    ways = np.concatenate([cos[:, None] * push_grid.steps, sin[:, None] * push_grid.steps], axis=1)  # (B, 2 m, Q)
-    xy = ways.sum(axis=2).reshape(-1, 2, m).swapaxes(0, 1)
-    moves, out = ways @ push_grid.to_nodes, q @ push_grid.reach.T
-    angle, curved = float(layout.get(x, "clamp")[0]) + out[:, :m], out[:, m:]
-    along, across = layout.get(x, "along"), layout.get(x, "across")
-    half = 0.5 * along * curved
-    way, angle = angle + half, angle + 2.0 * half  # a circle to where the tag sits
-    u, v = np.array([np.cos(way), np.sin(way)]), np.array([-np.sin(angle), np.cos(angle)])  # (2, B, m)
-    scale = 1.0 + float(layout.get(x, "scale")[0])
-    xy = xy + along * u + across * v
-    turn = push_grid.reach[:m] + along[:, None] * push_grid.reach[m:]
-    half_turn, ahead, aside = 0.5 * (push_grid.reach[:m] + turn), along * u, across * v
-    by_shape = np.empty((len(q), m, 3, q.shape[1]))
-    by_shape[:, :, 0] = -moves[:, m:] - ahead[1][..., None] * half_turn - aside[1][..., None] * turn
-    by_shape[:, :, 1] = moves[:, :m] + ahead[0][..., None] * half_turn + aside[0][..., None] * turn
-    by_shape[:, :, 2] = turn
-    if scale != 1.0:
-        by_shape[:, :, :2] *= scale
-    clamp, pose = np.ones((len(q), m, 3)), np.empty((len(q), m, 3))
-    clamp[..., 0], clamp[..., 1] = -scale * xy[1], scale * xy[0]
-    origin = layout.get(x, "origin")
-    pose[..., 0], pose[..., 1] = scale * xy[0] + origin[0], scale * xy[1] + origin[1]
-    pose[..., 2] = angle + layout.get(x, "turn")
-    stride = scale * (u + half * np.array([-u[1], u[0]]) - (across * curved) * np.array([v[1], -v[0]]))
-    motion = TagMotion(stride.transpose(1, 2, 0), curved, (scale * v).transpose(1, 2, 0), xy.transpose(1, 2, 0))
-    return pose, by_shape, _TagPartials(clamp, motion)
+def _rest_shift(
+    session: LiveSession, x: Array, memory: Memory, start: Array | None, straight: Array
+) -> tuple[Array, Array | None]:
+    """(Q,) or (B, Q) rad, the curvature at rest of a beam that remembers; (B, Q, r), how it goes with the shares that
+    relax, None where nothing does."""
+    if not session.carries("relaxation"):
+        return straight, None
+    bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
+    shares = session.layout.get(x, "relaxation")
+    shift, by_shares = shift_of_lags(shares, memory.lags(bending), bending, memory.reached)
+    return straight + shift, by_shares
+
+
+class _Tags:
+    """The tags on shapes of B frames: their poses, and derivatives with the curvature (B, 3 m, Q) and else."""
+
+    def __init__(self, session: LiveSession, push_grid: PushGrid, x: Array, solved: Equilibrium) -> None:
+        layout, problem, q, m = session.layout, solved.problem, solved.q, len(session.marker_s)
+        wanted = session.marker_s + layout.get(x, "along") / session.length
+        s = np.clip(wanted, 0.0, 1.0)
+        integral, value = push_grid.places(s)
+        self._rows, self._solved, over = float(problem.length) * integral, solved, session.length * (wanted - s)
+        slope, lever = paired(solved.forces.cos, solved.forces.sin), solved.forces.lever
+        if problem.compliance is not None:
+            slope += solved.strained
+        self._xy = self._rows @ slope  # (B, m, 2)
+        self.by_shape = np.empty((len(q), 3 * m, q.shape[1]))
+        ways = lever.swapaxes(1, 2)[:, :, None] * self._rows  # (B, 2, m, Q)
+        by_shape = self.by_shape.reshape(len(q), m, 3, -1)
+        by_shape[:, :, :2] = (ways @ problem.to_nodes).swapaxes(1, 2)
+        by_shape[:, :, 2] = integral
+        self._turned = ways.sum(axis=-1).swapaxes(1, 2)  # (B, m, 2)
+        scale, origin = 1.0 + float(layout.get(x, "scale")[0]), layout.get(x, "origin")
+        self.ride = TagRide(problem.alpha0 + q @ integral.T, over, layout.get(x, "across"), scale)
+        xy = self._xy + self.ride.offset
+        self.pose = np.concatenate([scale * xy + origin, (self.ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
+        on_beam = over <= 0.0
+        onward = float(problem.length) / session.length * (value @ slope)
+        if not np.all(on_beam):
+            tangent_there = paired(np.cos(self.ride.angle), np.sin(self.ride.angle))
+            onward = np.where(on_beam[:, None], onward, tangent_there)
+        bend = (q @ value.T) * (on_beam / session.length)
+        self.motion = self.ride.motion(xy, bend, onward)
+
+    def add_direct(self, response: Array, columns: ResponseColumns) -> None:
+        """Add what moves the beam's places (B, m, 3, P) at fixed curvature: a turn of the clamp, strain, length."""
+        clamp = columns.slices["clamp"].start
+        response[:, :, :2, clamp] += self._turned
+        response[:, :, 2, clamp] += 1.0
+        if "length" in columns.slices:
+            response[:, :, :2, columns.slices["length"].start] += self._xy
+        for where, part in columns.changes.columns:
+            moved = moved_by_strain(self._solved, self._rows, part)
+            if moved is not None:
+                response[:, :, :2, where] += moved
 
 
 def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
@@ -161,10 +194,9 @@ def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tu
                 return q, np.ones(len(q), dtype=bool), factors
             if not moved < _TRUST:
                 break
-    problem = _problem(push_grid, loaded)
-    from_rest = follow(problem)
+    from_rest = follow(loaded.problem)
     good, factors = from_rest.converged & from_rest.stable, []
-    for i, matrix in enumerate(tangent(problem, from_rest.q)):
+    for i, matrix in enumerate(tangent(loaded.problem, from_rest.q)):
         factor, wrong = dpotrf(matrix, lower=1)
         factors.append(factor if wrong == 0 else np.eye(len(matrix)))
         good[i] &= wrong == 0
@@ -172,70 +204,84 @@ def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tu
 
 
 def _balance(loaded: _LoadedBeam, push_grid: PushGrid, q: Array) -> tuple[Array, Array]:
-    """(B, Q) gradient and (B, Q, Q) tangent of dead loads, as `statics.balance`: on few nodes its ways cost more."""
-    cos, sin = _directions(push_grid, loaded.alpha0, q)
-    x, y = loaded.pull
-    matrices = (x * cos + y * sin) @ push_grid.squares
+    """(B, Q) gradient and (B, Q, Q) tangent, as `equilibrium.balance` without its look-ups."""
+    forces = nodal_forces(loaded.problem, q)
+    matrices = forces.along @ push_grid.squares
     matrices[:, :: q.shape[1] + 1] += loaded.stiff
-    return loaded.stiff * (q - loaded.q0) - (y * cos - x * sin) @ push_grid.to_nodes, matrices.reshape(*q.shape, -1)
+    unbalanced = loaded.stiff * (q - loaded.problem.q0) - forces.across @ push_grid.to_nodes
+    return unbalanced, matrices.reshape(*q.shape, -1)
 
 
-def _loaded_beam(session: LiveSession, push_grid: PushGrid, x: Array, force: Array, inputs: FrameInputs) -> _LoadedBeam:
-    layout = session.layout
-    pushed = push_grid.beyond + (float(layout.get(x, "place")[0]) + inputs.farther)[:, None] * push_grid.farther
-    dead = pushed * force.T[..., None]
-    if session.mass > 0.0:
+def _loaded_beam(
+    session: LiveSession, push_grid: PushGrid, beam: PointBeam, force: Array, inputs: FrameInputs, q0: Array
+) -> _LoadedBeam:
+    layout, terms, x = session.layout, inputs.terms, beam.x
+    place = layout.get(x, "place") + inputs.farther + terms[:, SLIDE.start] * layout.get(x, "slide")
+    pushed, by_mass = push_grid.beyond + place[:, None] * push_grid.farther, None
+    dead = pushed[..., None] * force[:, None]
+    if session.mass > 0.0 and np.any(inputs.gravity):
         mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
-        dead += mass * inputs.gravity.T[..., None]
-    return _LoadedBeam(
-        session.length,
-        push_grid.weights * np.exp(push_grid.on_nodes @ layout.get(x, "stiffness")),
-        push_grid.rest_on_nodes @ layout.get(x, "curvature"),
-        float(layout.get(x, "clamp")[0]),
-        force,
-        pushed,
-        inputs.gravity,
-        push_grid.mass_beyond if session.weighs else push_grid.mass_beyond[:, :0],
-        dead,
-        session.length * push_grid.weights * dead,
-    )
+        dead += mass[:, None] * inputs.gravity[:, None]
+        pull = inputs.gravity[:, None, :, None] * push_grid.mass_beyond[:, None, :]
+        by_mass = Perturbation(pull, None, None, np.zeros(4)) if session.weighs else None
+    alpha0 = layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives")
+    return _LoadedBeam(beam.problem.under(dead, q0, alpha0), beam.stiff, force, pushed, by_mass)
 
 
-def _problem(push_grid: PushGrid, loaded: _LoadedBeam) -> Problem:
-    """The problem of B frames."""
-    size, nodes = loaded.pushed.shape
-    return Problem(
+def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
+    """The beam at parameters x. It is kept, as all key frames are linearised at one point."""
+    if push_grid.kept and push_grid.kept[0].x is x:
+        return push_grid.kept[0]
+    layout, (size, p) = session.layout, push_grid.log_k.shape
+    none, (section, thickens) = np.zeros((1, 0, size)), session.section(x)
+    problem = Problem(
         grid=push_grid.grid,
         weights=push_grid.weights,
         to_nodes=push_grid.to_nodes,
-        length=np.asarray(loaded.length),
-        k=loaded.stiff / push_grid.weights,
-        q0=loaded.q0,
-        alpha0=np.asarray(loaded.alpha0),
-        dead_force=loaded.dead.transpose(1, 2, 0),
-        moment=np.zeros((size, nodes)),
-        follower=np.zeros((size, 0, 2)),
-        follower_beyond=np.zeros((size, 0, nodes)),
-        follower_rows=np.zeros((size, 0, nodes)),
+        length=np.asarray(session.length * np.exp(layout.get(x, "length")[0])),
+        k=np.exp(push_grid.log_k @ np.concatenate([layout.get(x, "stiffness"), layout.get(x, "patches")])),
+        q0=push_grid.rest_on_nodes @ layout.get(x, "curvature"),
+        alpha0=np.zeros((1, 1)),
+        dead_force=np.zeros((1, size, 2)),
+        moment=np.zeros((1, size)),
+        follower=none[..., :2],
+        follower_beyond=none,
+        follower_rows=none,
+        section=section,
     )
+    at_rest = _solved(problem, np.broadcast_to(problem.q0, (1, size)), np.ones(1, dtype=bool))
+    lengthens = session.carries("length")
+    bent = BentBeam(
+        at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=lengthens, thickens=thickens
+    )
+    changes = material_changes(bent)
+    columns = response_columns(changes).slices
+    columns |= {"stiffness": slice(0, p - 1), "patches": slice(p - 1, p)}
+    elastic, compliant = joined_functions(changes, size)
+    beam = PointBeam(x, problem, push_grid.weights * problem.k, _axes(layout, x), columns, elastic, compliant)
+    push_grid.kept[:] = [beam]
+    return beam
 
 
-def _bent(push_grid: PushGrid, loaded: _LoadedBeam, q: Array, converged: BoolArray) -> BentBeam:
+def _solved(problem: Problem, q: Array, converged: BoolArray) -> Equilibrium:
+    reached = converged.astype(float)
+    return Equilibrium(problem, q, converged, converged, reached, reached, ~converged, 0)
+
+
+def _bent(
+    push_grid: PushGrid, loaded: _LoadedBeam, by_shares: Array | None, q: Array, converged: BoolArray
+) -> BentBeam:
     """What the parameters change in the balance of shapes q (B, Q)."""
-    reached, by_mass = converged.astype(float), None
-    solved = Equilibrium(_problem(push_grid, loaded), q, converged, converged, reached, reached, ~converged, 0)
-    if loaded.masses.shape[1]:
-        pull = loaded.gravity[:, None, :, None] * loaded.masses[:, None, :]
-        by_mass = Perturbation(pull, None, None, np.zeros(loaded.masses.shape[1]))
     return BentBeam(
-        solved, push_grid.on_nodes, push_grid.rest_on_nodes, loaded.force, loaded.pushed, push_grid.farther, by_mass
+        _solved(loaded.problem, q, converged),
+        push_grid.log_k,
+        push_grid.rest_on_nodes,
+        loaded.force,
+        loaded.pushed,
+        push_grid.farther,
+        loaded.by_mass,
+        rest_shift=by_shares,
     )
-
-
-def _directions(push_grid: PushGrid, clamp: float, q: Array) -> tuple[Array, Array]:
-    """(B, Q) cosine and sine of the beam's angle at the nodes."""
-    alpha = clamp + q @ push_grid.to_nodes.T
-    return np.cos(alpha), np.sin(alpha)
 
 
 def _axes(layout: Layout, x: Array) -> Array:

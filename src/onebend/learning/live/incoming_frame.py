@@ -80,12 +80,13 @@ def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) ->
     return out
 
 
-def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array) -> int:
-    """Write the frame behind the key frames in use; returns its index. `rate` (2,) N/s of its force."""
+def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array, terms: Array) -> int:
+    """Write the frame behind the key frames in use; returns its index. `rate` (2,) N/s of its force, `terms` (TERMS,)
+    of its allowances."""
     i = keys.used
     keys.begin[i] = keys.end[i] = frame.time
     keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
-    keys.force[i], keys.rate[i], keys.gravity[i] = frame.force, rate, frame.gravity
+    keys.force[i], keys.rate[i], keys.gravity[i], keys.terms[i] = frame.force, rate, frame.gravity, terms
     keys.measured[i], keys.weight[i] = frame.measured, frame.visible
     keys.root[i], keys.information[i] = frame.root, frame.root.swapaxes(1, 2) @ frame.root
     keys.used += 1
@@ -95,7 +96,7 @@ def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array) -> int:
 def expect_shape(keys: KeyFrames, i: int, error: Array) -> None:
     """First guess of the shape of frame i, the last one, under the force error (2,) [N] that is expected."""
     keys.error[i], keys.stale[i], keys.lost[i] = error, False, False
-    keys.q[i], keys.grid[i] = 0.0, 0.0
+    keys.shape[i], keys.grid[i] = 0.0, 0.0
     if i > 0:
         pushed = (keys.force[i - 1 : i + 1] - keys.error[i - 1 : i + 1]) * ~keys.rest[i - 1 : i + 1, None]
         keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]

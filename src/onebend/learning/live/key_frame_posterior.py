@@ -46,11 +46,17 @@ class LivePrior:
     layout: Layout
     mean: Array  # (n,)
     fixed: Array | None  # (p, p) precision of log k's coefficients; None: it follows from the variances of its parts
+    scale: Array | float = 1.0  # (n - p,) factors on the sds of all other parameters, as the push has shown so far
+
+    @cached_property
+    def nuisance_sd(self) -> Array:
+        """(n - p,) of all parameters but log k's coefficients; their means are zero."""
+        return np.asarray(self.scale * np.concatenate([b.prior_sd for b in self.layout.blocks if b.start >= 0][1:]))
 
     @cached_property
     def nuisance_precision(self) -> Array:
-        """(n - p,) precisions of all parameters but log k's coefficients; their means are zero."""
-        return np.asarray(1.0 / np.concatenate([b.prior_sd for b in self.layout.blocks if b.start >= 0][1:]) ** 2)
+        """(n - p,)."""
+        return np.asarray(1.0 / self.nuisance_sd**2)
 
     def stiffness_prior(self, parts: Array) -> InformationForm:
         """The prior of log k's coefficients; `parts` (n,): variances of its parts."""

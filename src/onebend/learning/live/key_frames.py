@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.learning.allowances.causal import TERMS
+from onebend.learning.allowances.relaxation import TIMES
 from onebend.learning.live.force_process import TimeSpans
 from onebend.records import Array, BoolArray, IntArray
 
@@ -29,7 +31,7 @@ class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
-    numbers: Array  # (K, 14): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, `gravity`, `error`
+    numbers: Array  # (K, 14 + TERMS): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, ... in turn
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
@@ -38,7 +40,7 @@ class KeyFrames:
     residual: Array  # (K, m, 3) measured less predicted, where it was linearised
     linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
     rows: Array  # (K, 3 m, n + 3): the same, whitened
-    shape: Array  # (K, Q, 3): `q`, `by_force`
+    shape: Array  # (K, Q, 3 + r): `q`, `by_force`, `lags`
 
     @property
     def begin(self) -> Array:
@@ -88,7 +90,12 @@ class KeyFrames:
     @property
     def error(self) -> Array:
         """(K, 2) N, the force's, at which it was linearised."""
-        return self.numbers[:, 12:]
+        return self.numbers[:, 12:14]
+
+    @property
+    def terms(self) -> Array:
+        """(K, TERMS) of the allowances, see `CourseSoFar.terms`."""
+        return self.numbers[:, 14:]
 
     @property
     def rest(self) -> BoolArray:
@@ -143,7 +150,12 @@ class KeyFrames:
     @property
     def by_force(self) -> Array:
         """(K, Q, 2) of it with the logged force."""
-        return self.shape[..., 1:]
+        return self.shape[..., 1:3]
+
+    @property
+    def lags(self) -> Array:
+        """(K, Q, r) rad, curvatures that lag behind that of a beam that relaxes."""
+        return self.shape[..., 3:]
 
     @property
     def centre(self) -> Array:
@@ -180,20 +192,6 @@ class KeyFrames:
         self.measured[i], self.residual[i], self.linear[i], self.flags[i, 1:] = measured, residual, linear, False
         self.rows[i] = (self.root[i] @ linear).reshape(len(i), -1, linear.shape[-1])
 
-    def likelihood_rows(self, i: int, marker: float, white: float) -> Array:
-        """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise;
-        at rest two more, of the log itself.
-        """
-        root = np.repeat(np.sqrt(self.weight[i]), 3)[:, None] / marker
-        rows = root * self.rows[i]
-        rows[:, -3:-1] *= -1.0
-        if not self.rest[i]:
-            return np.asarray(rows)
-        certain = np.sqrt(self.frames[i]) / (AT_REST * white)
-        log = np.zeros((2, rows.shape[1]))
-        log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * self.force[i]
-        return np.concatenate([rows, log])
-
     def whiten(self, i: int) -> None:
         """Renew the whitened rows of frame i."""
         self.rows[i] = (self.root[i] @ self.linear[i]).reshape(self.rows.shape[1:])
@@ -208,7 +206,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
 
     return KeyFrames(
         used=0,
-        numbers=room(14),
+        numbers=room(14 + TERMS),
         flags=np.zeros((count, 3), dtype=bool),
         measured=room(tags, 3),
         information=room(tags, 3, 3),
@@ -217,7 +215,7 @@ def empty(most: int, tags: int, parameters: int, nodes: int) -> KeyFrames:
         residual=room(tags, 3),
         linear=room(tags, 3, parameters + 3),
         rows=room(3 * tags, parameters + 3),
-        shape=room(nodes, 3),
+        shape=room(nodes, 3 + len(TIMES)),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.live.force_process import ForceProcess, fast_variance, slow_variance
-from onebend.learning.live.key_frames import KeyFrames
+from onebend.learning.live.key_frames import AT_REST, KeyFrames
 from onebend.records import Array
 
 
@@ -59,8 +59,23 @@ def marginalise_oldest(
     here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
     own = float(keys.own[0]) - marginalised.own + here - there
     slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
-    marginalised.add(keys.likelihood_rows(0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
+    marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
     keys.drop(0)
+
+
+def likelihood_rows(keys: KeyFrames, i: int, marker: float, white: float) -> Array:
+    """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise;
+    at rest two more, of the log itkeys.
+    """
+    root = np.repeat(np.sqrt(keys.weight[i]), 3)[:, None] / marker
+    rows = root * keys.rows[i]
+    rows[:, -3:-1] *= -1.0
+    if not keys.rest[i]:
+        return np.asarray(rows)
+    certain = np.sqrt(keys.frames[i]) / (AT_REST * white)
+    log = np.zeros((2, rows.shape[1]))
+    log[:, -3:-1], log[:, -1] = certain * np.eye(2), certain * keys.force[i]
+    return np.concatenate([rows, log])
 
 
 def with_error_change(rows: Array, variance: float) -> Array:

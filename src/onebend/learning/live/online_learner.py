@@ -20,6 +20,7 @@ from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
 from onebend.learning.live.session import LiveSession, session_layout
@@ -31,6 +32,7 @@ from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
 
 _EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
+_HELD: frozenset[AllowanceName] = frozenset({"patches"})  # what k(s) of a fit has in it
 _STIFFER = 0.2  # added to log k where the estimate has no equilibrium under a force that the beam withstood
 
 
@@ -74,17 +76,23 @@ class OnlineLearner:
         s = np.asarray(marker_s, dtype=float)
         _check(length, s, mass)
         settings.check()
+        self._held = _HELD if isinstance(start, UncertainStiffness) else frozenset()
+        thickness, tag_size = (np.nan if v is None else v for v in (settings.thickness, settings.tag_size))
         layout = session_layout(
             Spline(settings.functions),
-            len(s),
+            s,
             settings.priors,
+            length=length,
             placement_sd=settings.placement_sd,
             rest_unknown=settings.rest_unknown,
             calibrated=settings.calibrated,
             mass=mass,
+            allowances=settings.allowances - self._held,
+            thickness=thickness,
+            tag_size=tag_size,
         )
         self.settings = settings
-        self._session, self._gain_sd = LiveSession(length, s, mass, layout), gain_sd
+        self._session, self._gain_sd = LiveSession(length, s, mass, layout, thickness, tag_size), gain_sd
         prior, x = _prior_and_point(layout, start)
         self._state = Smoother(self._session, prior, x, settings.hyperparameters, settings.smoother)
         self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
@@ -153,6 +161,12 @@ class OnlineLearner:
         return self._frames
 
     @property
+    def left_out(self) -> tuple[str, ...]:
+        """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
+        and its band holds no more of it than what the discrepancy takes in."""
+        return tuple(sorted(EVERY_ALLOWANCE - self._session.carried - self._held))
+
+    @property
     @one_blas_thread
     def hyperparameters(self) -> LiveHyperparameters:
         """Sizes of the tags' noise and of the force error, as they are now."""
@@ -173,8 +187,12 @@ class OnlineLearner:
         self._state.catch_up()
         spline, (mean, covariance, steps) = self._session.layout.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
-        spread = onto @ covariance[:p, :p] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
-        coefficients, spread = onto @ mean[:p], 0.5 * (spread + spread.T)
+        index = np.arange(p)
+        if self._session.carries("patches"):  # k(s) has them in it
+            index = np.append(index, self._session.layout.index["patches", -1].start)
+            onto = np.column_stack([onto, self._session.patches_on_finer])
+        spread = onto @ covariance[np.ix_(index, index)] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
+        coefficients, spread = onto @ mean[index], 0.5 * (spread + spread.T)
         return UncertainStiffness(
             fine.knots, coefficients, spread, self._gain_sd, doubts=self._doubts + self._state.doubts
         )
@@ -197,11 +215,12 @@ class OnlineLearner:
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's, before and after the frames so far."""
         mean, covariance = self.parameters
-        sd = np.sqrt(np.diag(covariance))
+        sd, p = np.sqrt(np.diag(covariance)), self._session.layout.spline.count
+        before = np.concatenate([np.ones(p), self._state.nuisance_sd])
         out = []
         for block in self._session.layout.blocks:
             if block.start >= 0 and block.name != "stiffness":
-                values = zip(block.labels, mean[block.where], sd[block.where], block.prior_sd, strict=True)
+                values = zip(block.labels, mean[block.where], sd[block.where], before[block.where], strict=True)
                 out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
         return out
 

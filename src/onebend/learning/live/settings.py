@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from onebend.errors import LearningError
+from onebend.learning.allowances.causal import CAUSAL_ALLOWANCES
+from onebend.learning.allowances.chosen import AllowanceName
 from onebend.learning.inference.stiffness_prior import RHO, TAU
 from onebend.learning.live.force_hyperparameters import MEMORY_DOUBT
 from onebend.learning.live.force_process import ForceProcess
@@ -46,6 +48,9 @@ class OnlineSettings:
     gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
     patience: int = 8  # unless it is that far off in so many frames in a row
     step: float = 0.7  # of log k: the most that one update moves it
+    allowances: frozenset[AllowanceName] = CAUSAL_ALLOWANCES  # what a real beam and bench may also do
+    thickness: float | None = None  # m, of the section in the plane of bending; None: not known
+    tag_size: float | None = None  # m, side of a tag's black square; None: not known
 
     @property
     def smoother(self) -> SmootherSettings:
@@ -89,6 +94,13 @@ class OnlineSettings:
             value = getattr(self, name)
             if value is not None and not value >= 0.0:
                 raise LearningError(f"{name} cannot be negative, got {value}")
+        for name in ("thickness", "tag_size"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                raise LearningError(f"{name} must be a length in m, got {value}")
+        if not self.allowances <= CAUSAL_ALLOWANCES:
+            other = ", ".join(sorted(self.allowances - CAUSAL_ALLOWANCES))
+            raise LearningError(f"the live learner has no allowance for: {other}")
         for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
             if getattr(self, name) < least:
                 raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from onebend.learning.allowances.causal import CourseSoFar
 from onebend.learning.live.doubts import FAILED, FAR_OFF, TOO_SOFT, key_frame_doubts, misfit, missed_tag
 from onebend.learning.live.force_hyperparameters import HyperparameterSearch
 from onebend.learning.live.force_process import ForceProcess, LoadStages
@@ -21,7 +22,7 @@ from onebend.learning.live.key_frame_posterior import (
 from onebend.learning.live.key_frames import accept_average, closest_pairs, empty, propose_average
 from onebend.learning.live.linearised_frames import Lineariser
 from onebend.learning.live.marginalised import marginalise_oldest, nothing_marginalised
-from onebend.learning.live.session import ORDER, LiveSession, SmootherSettings
+from onebend.learning.live.session import MOST_PANELS, ORDER, LiveSession, SmootherSettings
 from onebend.learning.live.settings import force_process
 from onebend.learning.live.stiffness_hyperparameters import StiffnessChains
 from onebend.learning.live.tag_noise import robust_weights, tag_noise_size, tag_residuals
@@ -48,7 +49,7 @@ class Smoother:
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
         self.hyperparameters = hyperparameters
-        self.keys = empty(settings.key_frames, tags, n, 3 * ORDER)
+        self.keys = empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
         self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
@@ -57,7 +58,7 @@ class Smoother:
         self._stiffness_prior = prior.stiffness_prior(begin)
         drawn = settings.adapt and prior.fixed is None
         self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
-        self._stages = LoadStages(session.length, tags)
+        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.marker_s)
         self._before = 0.0  # the load's own time from changes of the load that are settled
         self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0
@@ -121,7 +122,10 @@ class Smoother:
 
     def _write(self, frame: CheckedFrame, rate: Array) -> int:
         """Write the frame behind the key frames in use; returns its index."""
-        keys, i = self.keys, write_frame(self.keys, frame, rate)
+        bend, back = self._stages.displacement / self._session.length, self._stages.falling
+        angle, tags = frame.measured[:, 2], frame.visible
+        terms = self._course.terms(angle, tags, bend, frame.push_s, back=back, loaded=frame.loaded)
+        keys, i = self.keys, write_frame(self.keys, frame, rate, terms)
         if frame.loaded:
             self._lineariser.pushed_at(frame.push_s)
         self._forget_changes(i)
@@ -183,13 +187,16 @@ class Smoother:
         if self._looks % _NOISE_EVERY == 0:
             self._spent = self.solution.effective_parameters(self._prior, self._stiffness_prior)
         else:
-            self._try_hyperparameters()
+            tried = self._search.trial(self.hyperparameters, self.solution, self._solve)
+            self.hyperparameters, self.solution = tried
 
     def renew(self) -> bool:
         """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
         last one stays, and `doubts` says so until a later one succeeds."""
         keys, settings = self.keys, self._settings
         self._sums = gather(keys, self.marginalised, self._stages.own)
+        bend = self._stages.largest / self._session.length
+        self._prior = replace(self._prior, scale=self._session.prior_scale(self._largest, bend))
         if self._chains is not None:
             self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
         self._misfit = misfit(keys, self.hyperparameters.marker)
@@ -268,23 +275,6 @@ class Smoother:
             self.keys, self.hyperparameters.marker, self._misfit, self._missed
         )
 
-    def _try_hyperparameters(self) -> None:
-        """One trial of other hyperparameters on the last solution's sums."""
-        search, solution, now = self._search, self.solution, self.hyperparameters
-        tried = search.proposal(now)
-        try:
-            there = self._solve(tried)
-        except np.linalg.LinAlgError:
-            search.failed()
-            return
-        worse = there.minus_log + search.cost(tried) - solution.minus_log - search.cost(now)
-        if not search.climbs:
-            search.looked(worse, there, solution)
-            return
-        search.climbed(worse < 0.0)
-        if worse < 0.0:
-            self.hyperparameters, self.solution = tried, there
-
     def posterior(self) -> tuple[Array, Array, Array]:
         """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
         solution, p = self.solution, self._session.layout.spline.count
@@ -292,7 +282,13 @@ class Smoother:
             k, covariance, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
         else:
             k, covariance, steps = self._chains.mixed(solution.stiffness_form)
-        return *solution.with_stiffness(*self._search.averaged(k, covariance)), steps
+        x, covariance = solution.with_stiffness(*self._search.averaged(k, covariance))
+        return *self._lineariser.secant(self.keys, self.point, x, covariance), steps
+
+    @property
+    def nuisance_sd(self) -> Array:
+        """(n - p,) one sd before the data of all parameters but log k's coefficients."""
+        return self._prior.nuisance_sd
 
     def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
         """The force log's error under these hyperparameters."""

@@ -14,7 +14,7 @@ from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.allowance import Allowance, Entry
 from onebend.learning.allowances.relaxation import memory, rest_shift, secant_share, shift_derivatives
-from onebend.learning.allowances.section import USUAL_THICKNESS, thickness_factor
+from onebend.learning.allowances.section import section_at
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
@@ -42,10 +42,8 @@ def allowed_section(recording: FitData, layout: Layout, x: Array) -> tuple[Recta
     the parameter."""
     for a in recording.allowances:
         if a.enters == "section":
-            stated = recording.observations.stated.thickness
-            usual = stated if np.isfinite(stated) else USUAL_THICKNESS * recording.observations.length
-            factor, slope = thickness_factor(float(_values(recording, layout, x, a)[0]))
-            return RectangularSection(usual * factor), slope
+            o = recording.observations
+            return section_at(float(_values(recording, layout, x, a)[0]), o.stated.thickness, o.length)
     return None, 0.0
 
 
@@ -122,6 +120,8 @@ def allowance_changes(recording: FitData, beam: BentBeam) -> dict[str, Perturbat
             changes[a.name] = pushed_by(beam, a.basis)
         elif a.enters == "place":
             changes[a.name] = placed_by(beam, a.basis)
+        elif a.enters == "load":
+            changes[a.name] = Perturbation(a.basis, None, None, np.zeros(a.count))
     return changes
 
 

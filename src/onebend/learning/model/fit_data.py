@@ -14,7 +14,7 @@ from onebend.beam.statics.problem import Problem, make_problem
 from onebend.errors import LearningError
 from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.allowances.chosen import AllowanceName, allowances_of
-from onebend.learning.allowances.inertia import inertial_force
+from onebend.learning.allowances.inertia import inertial_force, unknown_mass
 from onebend.learning.model.force_error import ForceError, force_error
 from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical, whitening
 from onebend.learning.model.held_ends import HeldEnds, held_ends, resolution_of
@@ -88,7 +88,10 @@ def fit_data(
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    inertia = inertial_force(o, frames, problem, line, len(force)) if allowances else np.zeros(1)
+    allowed = allowances_of(o, frames, measured, push_s, force, nodes, allowances)
+    known_mass = bool(allowances) and np.isfinite(o.stated.mass) and not o.static
+    inertia = inertial_force(o, frames, problem, line, len(force)) if known_mass else np.zeros(1)
+    mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
     return FitData(
         observations=o,
         number=number,
@@ -108,7 +111,7 @@ def fit_data(
         mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=allowances_of(o, frames, measured, push_s, force, nodes, allowances),
+        allowances=allowed if mass is None else (*allowed, mass),
     )
 
 

@@ -14,9 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from onebend.beam.grid import paired
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.perturbation import Perturbation, Perturbations
 from onebend.beam.statics.problem import Problem
@@ -51,32 +53,57 @@ class BentBeam:
 
 
 def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """How each group of parameters enters the balance of moments; the groups are in the order of the columns.
+    """How each group of parameters enters the balance of moments; the groups are in the order of the columns."""
+    return load_changes(beam) | material_changes(beam)
 
-    "stiffness" (p) coefficients of log k; "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame;
-    "place" (1) m, of the push along the beam; "mass" (4), its parts over all of it, where something weighs; what else
-    enters log k, by name; "relaxation" (2); "length" (1) its log; "section" (1) its thickness, where the beam stretches
-    and shears.
+
+def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
+    """Those of the loads, the clamp and the beam at rest.
+
+    "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame; "place" (1) m, of the push along the
+    beam; "mass" (4), its parts over all of it, where something weighs; "relaxation", the shares that relax.
     """
     problem = beam.solved.problem
     changes = {
-        "stiffness": replace(of_stiffness(beam.solved, problem.k[..., None] * beam.on_nodes), force=beam.weight_by_k),
         "curvature": of_rest_curvature(problem, beam.rest_on_nodes),
         "clamp": of_clamp_angle(problem),
-        "push": Perturbation(beam.beyond[..., None, None] * np.eye(2), None, None, np.zeros(2)),
-        "place": Perturbation((beam.farther[..., None] * beam.push[:, None, :])[..., None], None, None, np.zeros(1)),
+        "push": pushed_by(beam, np.eye(2)[None]),
+        "place": placed_by(beam, np.ones((1, 1))),
     }
     if beam.by_mass is not None:
         changes["mass"] = beam.by_mass
-    for name, functions in beam.log_k.items():
-        changes[name] = of_stiffness(beam.solved, problem.k[..., None] * functions)
     if beam.rest_shift is not None:
         changes["relaxation"] = of_rest_curvature(problem, beam.rest_shift)
+    return changes
+
+
+def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
+    """Those of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
+
+    "stiffness" (p) coefficients of log k; what else enters log k, by name; "length" (1) its log; "section" (1) its
+    thickness, where the beam stretches and shears.
+    """
+    problem = beam.solved.problem
+    changes = {
+        "stiffness": replace(of_stiffness(beam.solved, problem.k[..., None] * beam.on_nodes), force=beam.weight_by_k)
+    }
+    for name, functions in beam.log_k.items():
+        changes[name] = of_stiffness(beam.solved, problem.k[..., None] * functions)
     if beam.lengthens:
         changes["length"] = _of_length(beam.solved)
     if problem.section is not None:
         changes["section"] = of_section_thickness(problem, beam.thickens)
     return changes
+
+
+def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[Array, Array]:
+    """(Q, P) each: the functions of k [N m] and of the logs of 1/EA and 1/kGA of `material_changes` that frames share,
+    one group after the other; zero where a group has none."""
+    elastic, compliant = (
+        np.concatenate([np.zeros((nodes, len(c.clamp))) if f is None else f[1] for c, f in pairs], axis=1)
+        for pairs in ([(c, c.elastic) for c in changes.values()], [(c, c.compliance) for c in changes.values()])
+    )
+    return elastic, compliant
 
 
 def _of_length(solved: Equilibrium) -> Perturbation:
@@ -136,7 +163,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
     """(F, 2, 1) N per unit of the push, with the "direction" of the force log's axes [rad] and its "clock" [s]; see
     `push_blocks`."""
-    turned = np.stack([-push[:, 1], push[:, 0]], axis=-1)
+    turned = paired(-push[:, 1], push[:, 0])
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
 
@@ -181,16 +208,16 @@ class TagRide:
     across: Array  # (m,) m from the place to the left
     scale: float = 1.0  # of lengths in the picture
 
-    @property
+    @cached_property
     def offset(self) -> Array:
         """(F, m, 2) m from the beam's place to the tag."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return np.stack([cos * self.over - sin * self.across, sin * self.over + cos * self.across], axis=-1)
+        return paired(cos * self.over - sin * self.across, sin * self.over + cos * self.across)
 
     def carry(self, response: Array) -> Array:
         """(F, m, 3, P) of the tags in the picture, from that of the beam's places under them."""
         offset, turn = self.offset, response[:, :, 2:]
-        lever = np.stack([-offset[..., 1], offset[..., 0]], axis=-1)
+        lever = paired(-offset[..., 1], offset[..., 0])
         xy = response[:, :, :2] + lever[..., None] * turn
         return np.concatenate([self.scale * xy, turn], axis=2)
 
@@ -199,10 +226,10 @@ class TagRide:
         the tip. `onward` (F, m, 2): m per m along the beam of its places; None: along the tangent, as it does not
         stretch."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        tangent = np.stack([cos, sin], axis=-1)
+        tangent = paired(cos, sin)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
-        return TagMotion(along, bend, self.scale * np.stack([-sin, cos], axis=-1), xy)
+        return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
 
 
 def free_columns(layout: Layout, recording: int = -1) -> dict[str, slice]:

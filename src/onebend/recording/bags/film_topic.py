@@ -77,7 +77,8 @@ def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
         known = ", ".join((*GREYS, *COLOURS, *MOSAICS, *LUMA_AT))
         raise RecordingError(f"{place}: images encoded as {name!r} cannot be read; {known} can.")
     step = int(message.step) or size * width
-    if height < 1 or width < 1 or step < size * width or len(data) < (height - 1) * step + size * width:
+    least = (height - 1) * step + size * width
+    if height < 1 or width < 1 or not size * width <= step <= len(data) or len(data) < least:
         raise RecordingError(f"{place}: an image of {width} x {height} {name} has {len(data)} bytes. Is it cut off?")
     padded = np.zeros(height * step, dtype=np.uint8)  # some drivers leave out the last row's padding
     padded[: min(len(data), len(padded))] = data[: len(padded)]

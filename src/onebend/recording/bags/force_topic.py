@@ -13,6 +13,7 @@ from onebend.recording.bags.reader import Topic, open_bag, topic_of
 from onebend.recording.force.force_log import remark, whole_log
 from onebend.recording.toml.entries import ForceEntry
 from onebend.records import Array, ForceLog, Remark
+from onebend.text_files import ascii_only
 
 FIELDS = {
     "geometry_msgs/msg/WrenchStamped": "wrench.force",
@@ -63,8 +64,8 @@ def default_field(topic: Topic, entry: ForceEntry) -> str:
     field = FIELDS.get(topic.channel.type)
     if field is None:
         raise RecordingError(
-            f"{entry.file}: {topic.channel.topic} is {topic.channel.type}; where its force stands is not known. Write "
-            'field = "NAME" (or "NAME.NAME") in [force], or name a wrench topic.'
+            f"{entry.file}: {ascii_only(topic.channel.topic)} is {ascii_only(topic.channel.type)}; where "
+            'its force stands is not known. Write field = "NAME" (or "NAME.NAME") in [force], or name a wrench topic.'
         )
     return field
 
@@ -77,7 +78,7 @@ def force_of(message: Any, field: str, where: str) -> tuple[Array, str]:
     """
     value, frame = message, frame_of(message)
     for name in (*field.split("."), "wrench", "force"):
-        inside = getattr(value, name, None)
+        inside = getattr(value, name, None) if name in fields_of(value) else None
         if inside is None and name in ("wrench", "force"):
             continue  # the field may be the force itself, a wrench or a stamped wrench
         if inside is None:

@@ -7,12 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces.typing import Typesdict
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from onebend.errors import RecordingError
 from onebend.recording.bags.items import Channel
+from onebend.recording.bags.type_limits import (
+    MOST_NUMBERS,
+    HostileTypeError,
+    check_text,
+    check_type_name,
+    check_types,
+    without_constants,
+)
+from onebend.text_files import ascii_only, quoted, read_text
 
 IDL_PART = "=" * 80 + "\n"
 
@@ -26,13 +34,21 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
         RecordingError: the type is not known, or its definition cannot be read.
     """
     if channel.encoding not in ("cdr", "ros1"):
-        raise RecordingError(f"{path}: {channel.topic} is packed as {channel.encoding!r}; cdr and ros1 can be read.")
+        raise RecordingError(
+            f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
+        )
     try:
+        check_type_name(channel.type)
         store = types_of(channel, definitions)
         store.get_msgdef(channel.type)
-    except (TypesysError, SerdeError, KeyError) as wrong:
+    except HostileTypeError as wrong:
         raise RecordingError(
-            f"{path}: the type {channel.type} of {channel.topic} is not known ({wrong}). The bag does not say what it "
+            f"{path}: {ascii_only(channel.topic)} cannot be read: its definition says {ascii_only(str(wrong))}."
+        ) from None
+    except Exception as wrong:  # the parser's own, or what a definition that makes no sense leads to
+        raise RecordingError(
+            f"{path}: the type {channel.type} of {ascii_only(channel.topic)} is not known "
+            f"({quoted(str(wrong), 200)}). The bag does not say what it "
             "holds: put its .msg files (and those that they name) into a folder as PACKAGE/msg/NAME.msg and write "
             'definitions = "FOLDER" beside topic.'
         ) from None
@@ -44,6 +60,7 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
 def types_of(channel: Channel, definitions: Path | None) -> Typestore:
     """The types that the channel needs: its own definition first, else the standard ones and those of the folder."""
     types: Typesdict = {}
+    check_text(channel.definition)
     if channel.definition and not channel.idl:
         store = get_typestore(Stores.EMPTY)
         types.update(get_types_from_msg(channel.definition, channel.type))
@@ -57,7 +74,11 @@ def types_of(channel: Channel, definitions: Path | None) -> Typestore:
         store = get_typestore(Stores.ROS1_NOETIC if channel.encoding == "ros1" else Stores.LATEST)
         for file in sorted(definitions.rglob("*.msg")) if definitions is not None else []:
             package = file.parent.parent.name if file.parent.name == "msg" else file.parent.name
-            types.update(get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}"))
+            text = read_text(file, RecordingError)
+            check_text(text)
+            types.update(get_types_from_msg(text, f"{package}/msg/{file.stem}"))
         types = {name: fields for name, fields in types.items() if name not in store.fielddefs}
-    store.register(types)
+    check_types(types, store.fielddefs)
+    store.max_sequence_length = MOST_NUMBERS
+    store.register(without_constants(types))
     return store

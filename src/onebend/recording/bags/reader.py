@@ -16,8 +16,10 @@ from rosbags.rosbag2 import Reader as Ros2Reader
 from onebend.errors import RecordingError
 from onebend.recording.bags.items import BrokenOffError, Channel
 from onebend.recording.bags.message_types import decoder
+from onebend.recording.bags.rosbags_internals import bounded_readers
 from onebend.recording.bags.sequential_scan import scan
-from onebend.recording.bags.sqlite_pages import lacking
+from onebend.recording.bags.sqlite_pages import check_database, check_message, lacking
+from onebend.text_files import MOST_ROWS, NAMES, QUOTED, ascii_only
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
 METADATA = "metadata.yaml"
@@ -83,6 +85,8 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     if not files:
         raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
     refuse_journals(files)
+    for file in files:
+        refuse_program(file)
     packed = any(file.suffix == ".zstd" for file in files)  # as a whole: there is no way in but the usual one
     if packed or (not keep and not any(lacking(file) for file in files)):
         parts = (path,) if path.is_dir() and (path / METADATA).is_file() else files
@@ -98,6 +102,14 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     if not bag.count and why:
         raise RecordingError(f"{path} cannot be read: {why}.")
     return bag
+
+
+def refuse_program(file: Path) -> None:
+    """An error where a database computes what a recorder writes down."""
+    try:
+        check_database(file)
+    except (BrokenOffError, OSError) as wrong:
+        raise RecordingError(f"{file} cannot be read: {wrong}. Record the bag again, or copy it anew.") from None
 
 
 def refuse_journals(files: Sequence[Path]) -> None:
@@ -117,6 +129,7 @@ def scan_bag(path: Path, files: Sequence[Path]) -> Bag:
     counts: Counter[str] = Counter()
     faults = []
     for file in files:
+        bounded_readers([file])
         try:
             for item in scan(file):
                 channel = item if isinstance(item, Channel) else item[0]
@@ -142,6 +155,7 @@ def damaged(bag: Bag, fault: str) -> RecordingError:
 
 def connections(part: Path) -> list[tuple[Channel, int]]:
     """Topics and counts of one sound part, by its index."""
+    bounded_readers(list(files_of(part)))
     with reader_of(part) as reader:
         topics = []
         for connection in reader.connections:
@@ -194,8 +208,12 @@ def topic_of(bag: Bag, name: str, where: str) -> Topic:
 
 def listed(bag: Bag) -> str:
     """The topics with types and counts, in words."""
-    rows = [f"{name} ({topic.channel.type}, {topic.count} messages)" for name, topic in sorted(bag.topics.items())]
-    return "; ".join(rows) or "no topic"
+    rows = [
+        ascii_only(f"{name[:QUOTED]} ({topic.channel.type[:QUOTED]}, {topic.count} messages)")
+        for name, topic in sorted(bag.topics.items())[:NAMES]
+    ]
+    more = f"; and {len(bag.topics) - NAMES} more" if len(bag.topics) > NAMES else ""
+    return f"{'; '.join(rows)}{more}" if rows else "no topic"
 
 
 def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
@@ -204,22 +222,34 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     Raises:
         RecordingError: the bag is damaged within, though its index is good.
     """
+    for count, message in enumerate(_scanned(bag, topic) if bag.scanned else _indexed(bag, topic)):
+        if count == MOST_ROWS:
+            raise RecordingError(f"{bag.path}: {topic.channel.topic} has more than {count} messages. Cut the bag.")
+        yield message
+
+
+def _scanned(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
     name = topic.channel.topic
-    if bag.scanned:
-        for part in bag.parts:
-            try:
-                for item in scan(part):
-                    if not isinstance(item, Channel) and item[0].topic == name:
-                        yield item[1], item[2]
-            except BrokenOffError:
-                continue  # `bag.fault` says so
-        return
+    for part in bag.parts:
+        bounded_readers([part])
+        try:
+            for item in scan(part):
+                if not isinstance(item, Channel) and item[0].topic == name:
+                    yield item[1], item[2]
+        except BrokenOffError:
+            continue  # `bag.fault` says so
+
+
+def _indexed(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
+    name = topic.channel.topic
     for part in bag.parts:
         try:
+            bounded_readers(list(files_of(part)))
             with reader_of(part) as reader:
                 wanted = [connection for connection in reader.connections if connection.topic == name]
                 if wanted:
                     for _, received, data in reader.messages(wanted):
+                        check_message(received, data)
                         yield received, data
         except Exception as wrong:  # the readers' own, the unpackers', or what senseless numbers lead to
             damaged_bag = scan_bag(bag.path, files_of(bag.path))
@@ -240,5 +270,6 @@ def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterato
             raise
         except Exception as wrong:  # numpy, struct and the decoder's own, each in its way
             raise RecordingError(
-                f"{bag.path}: message {count} of {topic.channel.topic} is no {topic.channel.type} ({wrong})."
+                f"{bag.path}: message {count} of {ascii_only(topic.channel.topic)} is no "
+                f"{ascii_only(topic.channel.type)} ({ascii_only(str(wrong))})."
             ) from None

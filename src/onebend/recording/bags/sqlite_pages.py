@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import struct
 from collections.abc import Iterator
@@ -13,6 +14,9 @@ from tempfile import TemporaryDirectory
 
 from onebend.recording.bags.items import BrokenOffError, Channel, Item
 
+PLAIN_TABLE = re.compile(r"\s*CREATE\s+TABLE\b", re.IGNORECASE)
+COLUMNS = "SELECT * FROM pragma_table_xinfo(?)"
+COMPUTED = {2, 3}  # what the last of these columns says of one that is computed
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
@@ -23,6 +27,7 @@ def scan_sqlite(path: Path) -> Iterator[Item]:
             whole_pages(path) as file,
             closing(sqlite3.connect(f"{file.resolve().as_uri()}?immutable=1", uri=True)) as base,
         ):
+            refuse_programs(base)
             base.execute("PRAGMA writable_schema=ON")  # else a file shorter than it says is refused as a whole
             tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
             texts = {}
@@ -31,15 +36,49 @@ def scan_sqlite(path: Path) -> Iterator[Item]:
                 texts = {kind: (text, encoding.endswith("idl")) for kind, encoding, text in rows}
             channels = {}
             for key, name, kind, encoding in base.execute("SELECT id, name, type, serialization_format FROM topics"):
+                if not all(isinstance(text, str) for text in (name, kind, encoding)):
+                    raise BrokenOffError("a topic without a name, a type or a packing")
                 channels[key] = Channel(name, kind, encoding, *texts.get(kind, ("", False)))
                 yield channels[key]
             for key, received, data in base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY rowid"):
                 if key in channels:
+                    check_message(received, data)
                     yield channels[key], received, data
     except sqlite3.Error as wrong:
         raise BrokenOffError(lacking(path) or str(wrong)) from None
     if lack := lacking(path):
         raise BrokenOffError(lack)
+
+
+def refuse_programs(base: sqlite3.Connection) -> None:
+    """Raise where what a recorder keeps in tables is computed instead: a view may go on for ever, a column be huge.
+
+    Raises:
+        BrokenOffError: a name of a recorder's table is a view or a virtual table, or a column of it is computed.
+    """
+    base.execute("PRAGMA trusted_schema=OFF")
+    for kind, name, text in base.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000"):
+        plain = kind == "index" or (kind == "table" and PLAIN_TABLE.match(text or ""))
+        if not plain or (kind == "table" and COMPUTED & {row[6] for row in base.execute(COLUMNS, (name,))}):
+            raise BrokenOffError(f"its {kind} {str(name)[:60]!r} is no table of a recorder")
+
+
+def check_message(received: object, data: object) -> None:
+    """Raise `BrokenOffError` where a database's row is no message: it may hold anything in any column."""
+    if not isinstance(received, int) or not isinstance(data, bytes):
+        raise BrokenOffError("a row of its messages has no time, or no bytes")
+
+
+def check_database(path: Path) -> None:
+    """Raise `BrokenOffError` where the file is a database that computes its messages, or cannot be read as one."""
+    with path.open("rb") as stream:
+        if stream.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
+            return
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as base:
+            refuse_programs(base)
+    except sqlite3.Error:
+        return  # its reader says so
 
 
 @contextmanager

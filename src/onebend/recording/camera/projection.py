@@ -154,9 +154,23 @@ def check_lengths(xy: Array, recording: Recording) -> None:
     if worst:
         fitting = 1000 * tags.size / float(np.median(ratios))
         raise ObservationError(
-            f"{recording.name}: {worst}. Correct size_m (now {1000 * tags.size:g} mm; about {fitting:.3g} mm would "
-            f"fit), length_m (now {1000 * length:g} mm) or the tags' s."
+            f"{recording.name}: {worst}.{order_hint(xy, recording)} Correct size_m (now {1000 * tags.size:g} mm; about "
+            f"{fitting:.3g} mm would fit), length_m (now {1000 * length:g} mm) or the tags' s."
         )
+
+
+def order_hint(xy: Array, recording: Recording) -> str:
+    """The order in which the beam's tags (T, m, 2) [m] stand, where it is not that of their s: a sentence, or ""."""
+    tags = recording.tags.on_beam
+    if not np.isfinite(xy).all(axis=-1).any(axis=0).all():
+        return ""
+    reach = np.nanpercentile(np.linalg.norm(xy, axis=-1), FARTHEST, axis=0)
+    stand = [tags[i].id for i in np.argsort(reach, kind="stable")]
+    written = [tag.id for tag in sorted(tags, key=lambda tag: tag.s)]
+    if stand == written:
+        return ""
+    said = ", ".join(map(str, stand))
+    return f" From the base on they stand in the order {said}, by their s in the order {', '.join(map(str, written))}."
 
 
 def view_of(view: View, origin: Array, angle: float) -> View:

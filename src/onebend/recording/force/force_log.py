@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,9 +13,12 @@ from onebend.errors import RecordingError
 from onebend.recording.dropped_samples import false_zeros, held, missing_remarks
 from onebend.recording.force import franka
 from onebend.recording.force.implausible_force import at_its_end, still_columns, unit_in_name
+from onebend.recording.signals import LATEST, check_span
 from onebend.records import Array, ForceLog, Remark
+from onebend.text_files import csv_rows, listed_columns, quoted
 
 FEWEST_ROWS = 10
+STRONGEST = 1e6  # N, or counts: more no sensor says
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TWICE = "rows of the force log repeat a time; their mean is taken"
 LOST = (
@@ -50,25 +52,28 @@ def read_force_log(
     wanted = [*columns, *([push_column] if push_column else [])]
     lines: list[int] = []
     table: list[list[float]] = []
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            for line, values in numbers(path, stream, wanted):
-                lines.append(line)
-                table.append(values)
-    except OSError as wrong:
-        raise RecordingError(
-            f"{path} cannot be read: {wrong.strerror}. Check [force] file in recording.toml."
-        ) from None
-    except (UnicodeDecodeError, csv.Error):
-        raise RecordingError(f"{path} is not a CSV text file. Export the force log as CSV with a header.") from None
+    for line, values in numbers(path, wanted):
+        lines.append(line)
+        table.append(values)
     read = np.array(table).reshape(-1, len(wanted))
     for name, column in zip(wanted, read.T, strict=True):
         if len(read) and not np.isfinite(column).any():
             raise RecordingError(f"{path}: the column {name} holds no number in any row. Is it the right one?")
     read[:, 0] *= TIME_UNITS[time_unit]
+    refuse_absurd(path, wanted, read, lines)
     full = np.isfinite(read).all(axis=1)
     check_times(path, read[full, 0], np.array(lines, dtype=int)[full])
     return whole_log(str(path), read)
+
+
+def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: Sequence[int]) -> None:
+    """Raise where a number of the rows (N, c) is finite, but neither a time nor a force of this world."""
+    for i, (name, most) in enumerate(zip(wanted, (LATEST, STRONGEST, STRONGEST, STRONGEST), strict=False)):
+        absurd = np.isfinite(read[:, i]) & (np.abs(read[:, i]) > most)
+        if absurd.any():
+            row = int(np.argmax(absurd))
+            said = f"{name} is {read[row, i]:.3g}, more than {most:g}"
+            raise RecordingError(f"{path}, line {lines[row]}: {said}. Correct or remove the line.")
 
 
 def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:
@@ -87,6 +92,7 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
             f"{where} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
             "Was the log cut short?"
         )
+    check_span(data[:, 0], where)
     if not np.any(data[:, 1:3]):
         raise RecordingError(f"{where}: every force is zero: the sensor was not streaming. Record the push again.")
     if not np.ptp(data[:, 1:3], axis=0).any():
@@ -107,24 +113,26 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
     return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
 
 
-def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
+def numbers(path: Path, wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
     """Line number and the wanted numbers of every row that is not empty; NaN for an empty cell."""
-    rows = csv.reader(stream, skipinitialspace=True)
-    header = [name.strip() for name in next(rows, [])]
+    rows = csv_rows(path, RecordingError)
+    header = [name.strip() for name in next(rows, (1, []))[1]]
     if not header:
         raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
+    twice = [name for name in wanted if header.count(name) > 1]
+    if twice:
+        raise RecordingError(f"{path}, line 1: the column {twice[0]} is there twice. Remove or rename one.")
     missing = [name for name in wanted if name not in header]
     if missing:
         hint_of_robot = franka.hint(header)
         hint = header_hint(header, wanted)
+        there = listed_columns(path, header)
         raise RecordingError(
-            f"{path}, line 1: no column {', '.join(missing)}; found {', '.join(header)}.{hint} "
+            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}.{hint} "
             f"Name the columns with columns in [force], or column in [push], of recording.toml.{hint_of_robot}"
         )
     places = [header.index(name) for name in wanted]
-    for row in rows:
-        if not any(cell.strip() for cell in row):
-            continue
+    for line, row in rows:
         values = []
         for name, index in zip(wanted, places, strict=True):
             cell = row[index].strip() if index < len(row) else ""
@@ -132,9 +140,9 @@ def numbers(path: Path, stream: Iterator[str], wanted: Sequence[str]) -> Iterato
                 values.append(float(cell) if cell else math.nan)
             except ValueError:
                 raise RecordingError(
-                    f"{path}, line {rows.line_num}: {name} is {cell!r}, not a number. Correct or remove the line."
+                    f"{path}, line {line}: {name} is {quoted(cell)}, not a number. Correct or remove the line."
                 ) from None
-        yield rows.line_num, values
+        yield line, values
 
 
 def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:

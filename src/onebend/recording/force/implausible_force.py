@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
 import numpy as np
 
+from onebend.errors import ObservationError
 from onebend.recording.signals import within_noise
 from onebend.records import Array, Remark
 
@@ -16,6 +18,8 @@ LARGEST, SMALLEST = (
     100.0,
     5e-3,
 )  # N: less than the first bends a soft beam, and sensors for it do not resolve the second
+TOO_LARGE = 500.0  # N: what a person could not hold bends no soft beam
+TOO_MANY_WEIGHTS, TOO_FEW_WEIGHTS = 700.0, 0.01  # a rod of carbon fibre bends under some hundred times its weight
 OF_WEIGHT = 50.0  # times the beam's weight; the force that bends a soft beam is near its weight
 OTHER_UNIT = re.compile(r"[_\s\[(/](mN|kN|uN|g|gf|kg|kgf|lbf?|ozf?|counts|V|mV)[\])]?$")
 OTHER_TIME = re.compile(r"[_\s\[(/](ms|us|ns)[\])]?$")
@@ -54,8 +58,30 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
                     f"{share:.0f} % of its rows: the sensor is at the end of its range, and the force was larger. k(s) "
                     "comes out wrong; push less, or take a wider range."
                 )
-                remarks.append(Remark("warning", text))
+                remarks.append(Remark("warning", text, doubt=True))
     return tuple(remarks)
+
+
+def refuse_other_unit(force: Array, mass: float, where: str) -> None:
+    """Raise where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are a thousand times off: no soft
+    beam bends under as much, or under as little, of what its weight is.
+
+    Raises:
+        ObservationError: with the unit that would fit.
+    """
+    largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
+    weights = largest / (9.81 * mass) if mass > 0 else math.nan
+    times = f", {weights:.3g} times its weight" if mass > 0 else ""
+    if largest > TOO_LARGE or weights > TOO_MANY_WEIGHTS:
+        said, units = "is", "millinewtons, grams or counts"
+    elif 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS:
+        said, units = "is only", "kilonewtons"
+    else:
+        return
+    raise ObservationError(
+        f"{where}: the largest force on the beam {said} {largest:.3g} N{times}. Is the log in {units}? Convert it to "
+        "newtons; else all of k(s) is wrong by the same factor. If it is right, correct mass_kg."
+    )
 
 
 def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:

@@ -13,11 +13,12 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
+from onebend.recording.tags.frozen import frozen, frozen_remarks, noting_changes, repeated
 from onebend.recording.tags.tracking import BlockTracks, Finder, track_block
 from onebend.recording.toml.entries import FAMILIES, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import FilmFrame, frame_count, rate_remarks, read_frames
-from onebend.records import Detections, Remark
+from onebend.recording.video import FilmFrame, Picture, frame_count, rate_remarks, read_frames
+from onebend.records import BoolArray, Detections, Remark
 from onebend.workers import available_cores
 
 BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
@@ -55,12 +56,14 @@ def detect_tags(
         finally:
             finders.put(finder)
 
-    blocks = []
+    blocks: list[BlockTracks] = []
+    changes: list[float] = []
     with ThreadPoolExecutor(threads) as pool:
-        tracked = in_order(pool, follow_tags, in_blocks(read_frames(video), BLOCK), ahead=threads)
+        frames = noting_changes(read_frames(video), changes)
+        tracked = in_order(pool, follow_tags, in_blocks(frames, BLOCK), ahead=threads)
         for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
             blocks += [block] if block else []
-    return summary(video, tags, tag_id, blocks)
+    return summary(video, tags, tag_id, blocks, repeated(changes))
 
 
 def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
@@ -90,17 +93,23 @@ def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
         yield from [None] * (len(block.time) - 1)
 
 
-def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks]) -> Detections:
-    """The blocks as one record, with remarks; an error where tags are missing or doubled."""
+def summary(
+    video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks], repeats: BoolArray
+) -> Detections:
+    """The blocks as one record, with remarks; an error where tags are missing or doubled. `repeats` (T,): pictures
+    that are those before."""
     time = np.concatenate([block.time for block in blocks])
     corners = np.concatenate([block.corners for block in blocks])
     strangers = Counter(tag for block in blocks for tag in block.strangers)
     doubles = [double for block in blocks for double in block.doubles]
     share = np.isfinite(corners).all(axis=(2, 3)).mean(axis=0)
     height, width = blocks[0].shape
+    hung = frozen(corners, repeats)
+    corners[hung] = np.nan
     refuse_doubles(video, doubles)
-    refuse_unseen(video, tags, share, strangers, len(time))
     looks = sum(block.looks for block in blocks)
+    often = Counter({tag: count for tag, count in strangers.items() if count > FREQUENT * looks})
+    refuse_unseen(video, tags, share, often, (), len(time))
     return Detections(
         time=time,
         tag_id=np.array(tag_id),
@@ -109,6 +118,8 @@ def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Seque
         height=height,
         remarks=(
             *rate_remarks(video, time),
+            *frozen_remarks(hung, time),
+            *unseen_remarks(tag_id, share, len(time)),
             *hidden_remarks(tag_id, share, len(time)),
             *stranger_remarks(strangers, looks),
         ),
@@ -126,13 +137,32 @@ def refuse_doubles(video: VideoEntry, doubles: Sequence[tuple[int, int]]) -> Non
         )
 
 
-def refuse_unseen(video: VideoEntry, tags: TagsEntry, share: np.ndarray, strangers: Counter[int], frames: int) -> None:
-    """An error where no tag, no base tag or no beam tag was found in any frame."""
+def refuse_unseen(
+    video: VideoEntry,
+    tags: TagsEntry,
+    share: np.ndarray,
+    strangers: Counter[int],
+    pictures: Sequence[Picture],
+    frames: int,
+) -> None:
+    """An error where no tag, no base tag or no beam tag was found in any frame, or one of them is never seen and
+    others are that recording.toml does not name.
+
+    `share` (m,) is the share of the `frames` that show each tag, `pictures` are some of them (empty: they are read).
+    """
     base = len(tags.on_base)
     if not share.any():
         raise ObservationError(
             f"{video.file}: no tag of recording.toml is in any of the {frames} frames. "
-            f"{what_is_there(video, tags, strangers, frames)}"
+            f"{what_is_there(video, tags, strangers, pictures, frames)}"
+        )
+    every = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
+    missing = [str(tag) for tag, shown in zip(every, share, strict=True) if not shown]
+    if missing and strangers:
+        seen = sorted({*strangers, *(tag for tag, shown in zip(every, share, strict=True) if shown)})
+        raise ObservationError(
+            f"{video.file}: tag {', '.join(missing)} is in none of {frames} frames; seen: {', '.join(map(str, seen))}. "
+            "Correct the ids in recording.toml, or take out those that are not on the beam."
         )
     for what, part, entries in (("base", share[:base], tags.on_base), ("beam", share[base:], tags.on_beam)):
         if not part.any():
@@ -143,12 +173,17 @@ def refuse_unseen(video: VideoEntry, tags: TagsEntry, share: np.ndarray, strange
             )
 
 
-def what_is_there(video: VideoEntry, tags: TagsEntry, strangers: Counter[int], frames: int) -> str:
+def what_is_there(
+    video: VideoEntry, tags: TagsEntry, strangers: Counter[int], pictures: Sequence[Picture], frames: int
+) -> str:
     """Advice for a video without any expected tag, from the tags that it does show."""
     if strangers:
         return f"The ids seen are {', '.join(map(str, sorted(strangers)))}: correct the ids in recording.toml."
-    wanted = set(np.linspace(0, frames - 1, FAMILY_FRAMES).astype(int).tolist())
-    pictures = [frame.luma for frame in read_frames(video) if frame.index in wanted]
+    wanted = set(np.linspace(0, (len(pictures) or frames) - 1, FAMILY_FRAMES).astype(int).tolist())
+    if pictures:
+        pictures = [picture for i, picture in enumerate(pictures) if i in wanted]
+    else:
+        pictures = [frame.luma for frame in read_frames(video) if frame.index in wanted]
     for family in FAMILIES:
         if family != tags.family:
             finder = Finder(family)
@@ -164,12 +199,20 @@ def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> lis
     """A remark for each tag that is missing in many frames."""
     remarks = []
     for tag, visible in zip(tag_id, share, strict=True):
-        if visible < 1 - OFTEN_HIDDEN:
+        if 0 < visible < 1 - OFTEN_HIDDEN:
             text = f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames."
-            if not visible:
-                text = f"Tag {tag} is in none of the {frames} frames: correct its id in recording.toml, or take it out."
-            remarks.append(Remark("note" if visible else "warning", text))
+            remarks.append(Remark("note", text))
     return remarks
+
+
+def unseen_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
+    """A warning where tags are in no frame at all."""
+    missing = [str(tag) for tag, visible in zip(tag_id, share, strict=True) if not visible]
+    if not missing:
+        return []
+    seen = ", ".join(str(tag) for tag, visible in zip(tag_id, share, strict=True) if visible)
+    text = f"Tag {', '.join(missing)} is in none of {frames} frames; seen: {seen}."
+    return [Remark("warning", f"{text} Correct the ids in recording.toml, or take out those that are not on the beam.")]
 
 
 def stranger_remarks(strangers: Counter[int], looks: int) -> list[Remark]:

@@ -10,13 +10,20 @@ from pathlib import Path
 from onebend.recording.toml.schema import key, number, one_of, text
 from onebend.records import CURVATURE_SD, MassAlong, Rest, StiffnessAlong
 
+LONGEST = 50.0  # m: a beam of 150 mm that was written in millimetres is longer
+HEAVIEST = 1000.0  # kg
+
 
 @dataclass(frozen=True)
 class BeamEntry:
     """[beam]: what is known of the beam."""
 
-    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
-    mass: float = key("mass_kg", number(above=0), "the beam's mass, kg", example="0.075", default=math.nan)
+    length: float = key(
+        "length_m", number(above=0, most=LONGEST), "the beam's length from clamp to tip, m", example="0.15"
+    )
+    mass: float = key(
+        "mass_kg", number(above=0, most=HEAVIEST), "the beam's mass, kg", example="0.075", default=math.nan
+    )
     mass_file: Path | None = key(
         "mass_file",
         text,
@@ -41,13 +48,17 @@ class BeamEntry:
     )
     width: float = key(
         "width_m",
-        number(above=0),
+        number(above=0, most=LONGEST),
         "the beam's size across the bending axis (in the plane of bending), m",
         example="0.02",
         default=math.nan,
     )
     thickness: float = key(
-        "thickness_m", number(above=0), "the beam's size along the bending axis, m", example="0.03", default=math.nan
+        "thickness_m",
+        number(above=0, most=LONGEST),
+        "the beam's size along the bending axis, m",
+        example="0.03",
+        default=math.nan,
     )
     rest: Rest = key(
         "rest",

@@ -25,7 +25,9 @@ from onebend.recording.toml.source_entries import (
 )
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, TURN_SD, Remark
 
-FAMILIES = ("tag36h11", "tag25h9", "tag16h5", "tagCircle21h7", "tagStandard41h12")
+FAMILY_SIZES = {"tag36h11": 587, "tag25h9": 35, "tag16h5": 30, "tagCircle21h7": 38, "tagStandard41h12": 2115}
+FAMILIES = tuple(FAMILY_SIZES)
+MOST_TAGS = 100  # of one recording
 DEFAULT_PLACEMENT_SD = 0.0005  # m, a tag put on by hand with a ruler
 
 

@@ -15,6 +15,14 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from onebend.text_files import ascii_only, quoted
+
+LARGEST, SMALLEST = 1e13, 1e-12  # no quantity is larger in its unit (a modulus, a clock); what is smaller is zero
+MOST_WHOLE = 2**31 - 1
+LONGEST_TEXT = 1000  # characters of a name or a path
+LONGEST_KEY = 100  # characters that are compared and shown
+MOST_SHOWN = 20  # mistakes
+
 Place = tuple[str | int, ...]  # ("tags", "on_beam", 0, "s"): where a value stands in the file
 Check = Callable[[Any], Any]  # returns the value in SI and radians, or raises ValueError with what should stand there
 Record = TypeVar("Record")
@@ -48,14 +56,18 @@ def number(*, above: float = -math.inf, least: float = -math.inf, most: float = 
     """A finite number, larger than `above` and in [`least`, `most`], multiplied by `scale`."""
     wanted = ["a number"]
     wanted += [f"above {above:g}"] if math.isfinite(above) else []
+    only_most = math.isfinite(most) and not math.isfinite(least)
+    wanted += [f"{'and' if math.isfinite(above) else 'of'} at most {most:g}"] if only_most else []
     wanted += [f"of at least {least:g}"] if math.isfinite(least) and not math.isfinite(most) else []
     wanted += [f"between {least:g} and {most:g}"] if math.isfinite(least) and math.isfinite(most) else []
 
     def check(value: Any) -> float:
-        real = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not real or not above < value or not least <= value <= most:
+        if not isinstance(value, int | float) or isinstance(value, bool) or not -LARGEST <= value <= LARGEST:
             raise ValueError(" ".join(wanted))
-        return float(value) * scale
+        size = float(value) if abs(value) >= SMALLEST else 0.0
+        if not above < size or not least <= size <= most:
+            raise ValueError(" ".join(wanted))
+        return size * scale
 
     return check
 
@@ -69,7 +81,7 @@ def whole(*, least: int) -> Check:
     """A whole number of at least `least`."""
 
     def check(value: Any) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= MOST_WHOLE:
             raise ValueError(f"a whole number of at least {least}")
         return value
 
@@ -78,7 +90,7 @@ def whole(*, least: int) -> Check:
 
 def text(value: Any) -> str:
     """Text that is not empty."""
-    if not isinstance(value, str) or not value.strip():
+    if not isinstance(value, str) or not value.strip() or len(value) > LONGEST_TEXT:
         raise ValueError('text in quotes, such as "video.mp4"')
     return value
 
@@ -95,7 +107,7 @@ def one_of(*choices: str) -> Check:
 
     def check(value: Any) -> str:
         if value not in choices:
-            similar = difflib.get_close_matches(str(value), choices, n=1)
+            similar = difflib.get_close_matches(str(value)[:LONGEST_KEY], choices, n=1)
             hint = f' (did you mean "{similar[0]}"?)' if similar else ""
             raise ValueError("one of " + ", ".join(f'"{choice}"' for choice in choices) + hint)
         return str(value)
@@ -133,7 +145,9 @@ class Mistakes:
         self.found.append((self.lines.get(place, 1), message))
 
     def __str__(self) -> str:
-        return "\n".join(f"{self.file}:{line}: {message}" for line, message in sorted(self.found))
+        lines = [f"{self.file}:{line}: {message}" for line, message in sorted(self.found)[:MOST_SHOWN]]
+        more = len(self.found) - MOST_SHOWN
+        return "\n".join([*lines, *([f"There are {more} more mistakes like these."] if more > 0 else [])])
 
 
 def read_table(record: type[Record], table: Any, place: Place, mistakes: Mistakes, **others: Any) -> Record | None:
@@ -141,7 +155,7 @@ def read_table(record: type[Record], table: Any, place: Place, mistakes: Mistake
     and tables that the caller reads itself."""
     name = place_name(place)
     if not isinstance(table, dict):
-        mistakes.add(place, f"{name} must be a table, not {table!r}.")
+        mistakes.add(place, f"{name} must be a table, not {quoted(table)}.")
         return None
     before = len(mistakes.found)
     keys = keys_of(record)
@@ -152,7 +166,7 @@ def read_table(record: type[Record], table: Any, place: Place, mistakes: Mistake
             try:
                 values[field_name] = entry.check(table[entry.name])
             except ValueError as wrong:
-                shown = repr(table[entry.name])
+                shown = quoted(table[entry.name])
                 mistakes.add(
                     (*place, entry.name), f"{name} {entry.name} must be {wrong}, not {shown}. It is {entry.says}."
                 )
@@ -167,11 +181,13 @@ def report_unknown(table: dict[str, Any], known: list[str], place: Place, mistak
     """Note every key of `table` that is not among `known`, with the likeliest intended one."""
     for name in table:
         if name not in known:
-            similar = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            few = len(mistakes.found) <= MOST_SHOWN  # the others are not shown
+            similar = difflib.get_close_matches(name[:LONGEST_KEY], known, n=1, cutoff=0.5) if few else []
             hint = f"Did you mean {similar[0]}?" if similar else "Known here: " + ", ".join(known) + "."
             if homes := mistakes.homes.get(name):
                 hint = "It belongs into " + " or ".join(f"[{table}]" for table in homes) + "."
-            mistakes.add((*place, name), f"{place_name(place)} does not know the key {name}. {hint}")
+            shown = ascii_only(name if len(name) <= LONGEST_KEY else f"{name[:LONGEST_KEY]}...")
+            mistakes.add((*place, name), f"{place_name(place)} does not know the key {shown}. {hint}")
 
 
 def place_name(place: Place) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from onebend.recording.toml.schema import flag, key, number, one_of, several, text, whole
 
+LONGEST_DOUBT = 1e5  # s: whose start is known to a day is not known
 Axes = Literal["beam", "room"]
 Damaged = Literal["refuse", "keep"]
 
@@ -99,7 +100,7 @@ class VideoEntry:
     )
     start_uncertainty: float = key(
         "start_uncertainty_s",
-        number(least=0),
+        number(least=0, most=LONGEST_DOUBT),
         "how far off start_s may be (its largest error), s; 0: exact, nothing is looked for",
         example="2.0",
         default=2.0,
@@ -126,7 +127,7 @@ class MarkersEntry:
     )
     start_uncertainty: float = key(
         "start_uncertainty_s",
-        number(least=0),
+        number(least=0, most=LONGEST_DOUBT),
         "how far off start_s may be (its largest error), s; 0: one clock for both",
         example="0.0",
         default=2.0,

@@ -16,13 +16,14 @@ from onebend.recording.camera.base import MOVED, RUNNING, running_median
 from onebend.recording.camera.projection import FARTHEST, chord_fits
 from onebend.recording.camera.tag_poses import unwrap
 from onebend.recording.force.contact import ContactSettings, find_contact
-from onebend.recording.signals import MAD_TO_SD
+from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.entries import Recording
 from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.plane_fit import best_plane, plane_remarks
 from onebend.records import UNKNOWN_ANGLE_SD, Array, Markers, Remark
 
+FARTHEST_M = 1e6  # m or rad: beyond this nothing is tracked
 LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
 
 
@@ -86,10 +87,13 @@ def read_tracks(rec: Recording) -> Tracks:
     known = ("z_m", "angle_rad", "sd_m")
     table = read_columns(entry.file, ("time_s", "id", "x_m", "y_m"), known, kind="marker table")
     time, wanted = table.get("time_s"), [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    table.refuse(~np.isfinite(time), "time_s is empty. Remove the row, or give its time.")
+    table.refuse(~(np.abs(time) < LATEST), "time_s is empty or no time. Remove the row, or give its time.")
     table.refuse(table.get("id") != np.round(table.get("id")), "id is no whole number. Number the markers.")
     table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
+    for name in ("x_m", "y_m", *known):
+        table.refuse(np.abs(table.get(name)) > FARTHEST_M, f"{name} is more than {FARTHEST_M:g}. Is it in metres?")
     times, frame = np.unique(time, return_inverse=True)
+    check_span(times, str(entry.file), most=MOST_FRAMES)
     grids = {name: np.full((len(times), len(wanted)), np.nan) for name in ("x_m", "y_m", *known)}
     strangers = sorted(set(table.get("id").tolist()) - set(wanted))
     for i, marker in enumerate(wanted):

@@ -67,7 +67,7 @@ def _plain(axes: Axes, k: Array) -> tuple[float, float]:
 
 
 def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
-    """The curve with its bands; returns the highest value to show: a band that says nothing may leave the picture."""
+    """The curve with its bands; returns the highest value to show: what is not known may leave the picture."""
     wide = _bands(axes, uncertain, np.asarray)
     known, k = wide.identified, wide.k
     axes.plot(_S, np.where(known, k, np.nan), color=BLUE, label="k(s)")
@@ -76,8 +76,14 @@ def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
         axes.plot(_S, np.where(_reach(~known), k, np.nan), color=GREY)
         why = "not to be trusted" if uncertain.doubts else "not identified"
         axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label=why)
-    seen = known if known.any() else np.ones(len(_S), dtype=bool)
-    return float(max(np.max(wide.high[seen]), min(np.max(wide.high), 1.5 * np.max(k))))
+    return highest_shown(uncertain)
+
+
+def highest_shown(uncertain: UncertainStiffness) -> float:
+    """N m, the top of an axis of k(s): the known part sets it, and k where it is not known may add three tenths."""
+    band = uncertain.band(_S)
+    known = float(np.max(band.high[uncertain.best_known(_S)]))
+    return max(known, min(float(np.max(band.k)), 1.3 * known))
 
 
 def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | None) -> None:
@@ -88,8 +94,7 @@ def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | N
     axes.plot(_S, np.where(_reach(~wide.identified), 0.0, np.nan), color=GREY)
     if regression is not None:
         axes.plot(_S, 100.0 * (regression(_S) / k - 1.0), color=ORANGE, linewidth=1.3, linestyle="--")
-    seen = wide.identified if wide.identified.any() else np.ones(len(_S), dtype=bool)
-    reach = 120.0 * float(np.max((wide.high / k - 1.0)[seen]))
+    reach = 120.0 * float(np.max((wide.high / k - 1.0)[uncertain.best_known(_S)]))
     axes.set(ylim=(-min(reach, 100.0), reach), ylabel="against k [%]")
 
 

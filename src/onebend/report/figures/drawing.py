@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,13 +14,14 @@ from onebend.errors import OnebendError
 from onebend.learning.explained import explained
 from onebend.learning.outcome import Comparison, Explained
 from onebend.progress import Progress, Silent
-from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import frame_at
 from onebend.records import Observations
 from onebend.report.figures import curves, recordings
-from onebend.report.figures.pictures import Draw, Pictures, draw
+from onebend.report.figures.film import film_of, film_strip
+from onebend.report.figures.pictures import Draw, Pictures, draw, reason_of
 from onebend.report.figures.simulated import largest_push
 from onebend.report.findings import Findings
+from onebend.report.kinds import words_of
 
 
 def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
@@ -44,14 +46,32 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
             wanted[f"{before}shapes"] = partial(recordings.shapes, beam, comparison, observations, fitted)
         if fitted is not None:
             wanted[f"{before}fitted"] = partial(recordings.residuals, fitted.comparison, "left by the fit")
-        wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, "under the force as logged")
+        if fitted is None or not observations.static:  # of static poses the fit's own distance is the one that counts
+            under = words_of(observations).under
+            wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, under)
     if learned is not None:
         wanted["selection"] = partial(recordings.selection, learned)
     if not recording.static:  # poses have no time
         wanted["force"] = partial(recordings.force, recording, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
-    wanted |= validation_figures(beam, pairs, *findings.trainings)
-    return draw(wanted, progress)
+    own = [
+        fitted.comparison if fitted is not None and one.static else one
+        for one, fitted in zip(findings.trainings, fits, strict=True)
+    ]
+    wanted |= validation_figures(beam, pairs, *own)
+    return _with_film(findings, draw(wanted, progress), fits[0])
+
+
+def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None) -> Pictures:
+    """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
+    if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
+        return pictures
+    try:
+        film = film_strip(findings.recordings[0], fitted, findings.beam, findings.posterior.stiffness)
+        return replace(pictures, film=film)
+    except Exception as error:  # as with every picture
+        pictures.failed["film"] = reason_of(error)
+        return pictures
 
 
 def _stiffness(findings: Findings) -> Figure:
@@ -90,12 +110,7 @@ def fit(
         return None
     shown = comparison if fitted is None else fitted.comparison
     try:
-        film = VideoEntry(
-            file=observations.source.video,
-            topic=observations.source.video_topic,
-            damaged="keep" if observations.source.video_topic else "refuse",
-        )
-        image = frame_at(film, int(shown.frame[largest_push(shown)]))
+        image = frame_at(film_of(observations.source.video, observations), int(shown.frame[largest_push(shown)]))
     except OnebendError:
         return None
     return recordings.fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)

@@ -14,6 +14,8 @@ from onebend.progress import Progress, Silent, track
 if TYPE_CHECKING:  # here and in `draw`: Matplotlib is for pictures alone
     from matplotlib.figure import Figure
 
+    from onebend.report.figures.film import FilmStrip
+
 Draw: TypeAlias = "Callable[[], Figure | None]"
 LONGEST = 200  # characters of a reason
 
@@ -24,6 +26,7 @@ class Pictures:
 
     drawn: dict[str, bytes] = field(default_factory=dict)  # PNGs by name
     failed: dict[str, str] = field(default_factory=dict)  # why, by name
+    film: FilmStrip | None = None  # frames to look through on the page
 
     def write(self, folder: Path) -> None:
         """Write each as `NAME.png`."""
@@ -44,5 +47,10 @@ def draw(wanted: Mapping[str, Draw], progress: Progress = Silent()) -> Pictures:
                 if figure is not None:
                     pictures.drawn[name] = png_of(figure)
         except Exception as error:  # whatever it is, the results do not depend on it
-            pictures.failed[name] = one_line(f"{type(error).__name__}: {error}")[:LONGEST]
+            pictures.failed[name] = reason_of(error)
     return pictures
+
+
+def reason_of(error: Exception) -> str:
+    """Why a picture could not be drawn, on one line."""
+    return one_line(f"{type(error).__name__}: {error}")[:LONGEST]

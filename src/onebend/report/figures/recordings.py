@@ -105,7 +105,10 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
     chosen = spread_of_pushes(shown, 6)
     for order, t in enumerate(chosen):
         strength = 0.25 + 0.75 * (order + 1) / len(chosen)
-        logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
+        logged = None
+        if fitted is None or not comparison.static:
+            at = t if fitted is None else same_frame(comparison, shown, t)
+            logged = centreline(beam, comparison, observations, at)
         if fitted is not None and logged is not None:
             axes.plot(*(MM * logged.T), color=MUTED, alpha=strength, linewidth=1.0, **_DASHED)
         line = logged if fitted is None else fitted.line[t]
@@ -117,10 +120,10 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
                 label=f"M{i + 1} measured" if order == len(chosen) - 1 else None,
             )  # fmt: skip
     axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
-    if fitted is not None:
+    if fitted is not None and not comparison.static:
         axes.plot([], [], color=MUTED, linewidth=1.0, **_DASHED, label="under the force\nas logged")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    axes.set_title(f"{figure_text(comparison.name)}: shapes under growing force")
+    axes.set_title(f"{figure_text(comparison.name)}: shapes under growing {'load' if comparison.static else 'force'}")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
@@ -135,7 +138,7 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
         for i in range(len(comparison.tag_id)):
             axes.plot(time[::step], MM * comparison.measured[::step, i, axis], shape(i), color=colour(i), alpha=0.45,
                       markersize=3.2, markeredgewidth=0)  # fmt: skip
-            if fitted is not None:
+            if fitted is not None and not comparison.static:
                 axes.plot(
                     *_unbroken(time, MM * comparison.predicted[:, i, axis]), color=colour(i), linewidth=0.9, **_DASHED
                 )
@@ -144,7 +147,9 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
             axes.plot(*curve, color=colour(i), linewidth=1.4, label=label, **_marked(i, time))
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel(_time_label(comparison))
-    lines = "lines simulated" if fitted is None else "lines fitted, dashed under the force as logged"
+    lines = "lines simulated" if fitted is None else "lines fitted"
+    if fitted is not None and not comparison.static:
+        lines += ", dashed under the force as logged"
     above.set_title(f"{figure_text(comparison.name)}: dots measured, {lines}")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(comparison.tag_id)))
     return figure

@@ -72,11 +72,11 @@ def blank(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tup
     return figure, list(np.ravel(axes))
 
 
-def png_of(figure: Figure) -> bytes:
+def png_of(figure: Figure, *, software: str | None = None) -> bytes:
     """The figure as a PNG, without a date: the same findings give the same bytes."""
     with rc_context(_LOOK):
         stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": None})
+        figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": software})
     return stream.getvalue()
 
 

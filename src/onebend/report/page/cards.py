@@ -8,6 +8,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
+from onebend.report.kinds import only_static, words_of
 from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant, worst_marker
 
@@ -46,6 +47,10 @@ def _training_card(findings: Findings) -> dict[str, str]:
         note = f"RMS over {len(logged.frame)} frames, under the force as logged"
         return {"what": what, "value": worst_marker(logged), "note": note}
     fitted = max(float(np.nanmax(values)) for values in fitted_rms(findings.posterior))
+    if only_static(findings.recordings):
+        words = words_of(findings.recordings[0])
+        note = f"RMS of the fit over {len(logged.frame)} {words.frames}"
+        return {"what": f"learned recording, worst {words.tag}", "value": f"{millimetres(fitted)} mm", "note": note}
     note = f"RMS of the fit; {worst_marker(logged)} under the force as logged; the fit corrects its slow error"
     return {"what": what, "value": f"{millimetres(fitted)} mm", "note": note}
 

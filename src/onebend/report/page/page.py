@@ -15,17 +15,21 @@ from onebend.records import Observations
 from onebend.report.confidence import (
     alarm_words,
     allowance_rows,
-    gain_words,
     load_error_words,
     model_test_rows,
     nuisance_rows,
+    scale_words,
     stop_words,
     tradeoff_words,
     unidentified_words,
 )
+from onebend.report.figures.film import FilmStrip
 from onebend.report.findings import Findings, all_remarks, name_of
+from onebend.report.kinds import learned_from, only_static, words_of
 from onebend.report.page.cards import cards
-from onebend.report.page.template import render
+from onebend.report.page.interactive import SCRIPTS, script_data
+from onebend.report.page.made_from import MadeFrom
+from onebend.report.page.template import COMMON, render
 from onebend.report.verdict import verdict_of
 from onebend.report.wording import (
     assumptions,
@@ -42,9 +46,18 @@ FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
 
 
-def page(findings: Findings, figures: Mapping[str, bytes], *, version: str) -> str:
+def page(
+    findings: Findings,
+    figures: Mapping[str, bytes],
+    *,
+    version: str,
+    made_from: MadeFrom | None = None,
+    film: FilmStrip | None = None,
+) -> str:
     """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
-    return render("onebend.report.page", "page.html", figures, {"version": version, **_content(findings)})
+    content: dict[str, Any] = {"version": version, "made_from": made_from, "film": film, **_content(findings)}
+    content["data"] = script_data(findings, film)
+    return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
 
 def _content(findings: Findings) -> dict[str, Any]:
@@ -54,7 +67,10 @@ def _content(findings: Findings) -> dict[str, Any]:
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
-        "frames": " and ".join(_frames(recording) for recording in findings.recordings),
+        "frames": " and ".join(learned_from(recording) for recording in findings.recordings),
+        "words": words_of(first),
+        "heavy": bool(np.any(first.gravity)),
+        "static": findings.posterior is not None and only_static(findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
@@ -74,17 +90,12 @@ def _content(findings: Findings) -> dict[str, Any]:
         "assumptions": assumptions(findings),
         "files": files_described(findings),
         "stages": _stage_rows(findings),
-        "video": f"{significant(findings.video_seconds)} s",
+        "video": f"{significant(findings.video_seconds)} s" if findings.video_seconds > 0.0 else "",
     }
-
-
-def _frames(observations: Observations) -> str:
-    return f"{int(observations.loaded.sum())} loaded frames out of {len(observations.time)}"
 
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
     """What the page says of the fit."""
-    forced = any(recording.source.clean_force is not None for recording in recordings)
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     return {
         "doubts": "; ".join(posterior.doubts),
@@ -94,7 +105,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "alarm": alarm_words(posterior),
         "unseen": unseen_words(posterior),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
-        "gain": " ".join([gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]),
+        "gain": " ".join([scale_words(posterior.gain_sd, recordings), *load_error_words(posterior.load_error)]),
         "stopped": stop_words(posterior),
         "nuisances": nuisance_rows(posterior.nuisances()),
         "tradeoffs": tradeoff_words(posterior),
@@ -156,11 +167,10 @@ def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
     """Figures of the recordings after the first, whose own stand in the text."""
     captions = []
     for i, comparison in enumerate(findings.trainings[1:], start=2):
-        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured markers."))
-        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
-        captions.append(
-            (f"learned-{i}-residuals", f"{comparison.name}: measured to simulated under the force as logged.")
-        )
+        words = words_of(findings.recordings[i - 1])
+        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured {words.tags}."))
+        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the {words.tags}."))
+        captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
     return captions
 
 

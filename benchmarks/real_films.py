@@ -1,0 +1,111 @@
+"""k(s) from films and marker tracks of benches that do what real ones do, by an independent simulator.
+
+Shares are of places s from 0.05 to 0.9 of the push's place; k is the truth's, tags and relaxation included. A robot's
+gain is taken as 2 % uncertain where nothing better is stated.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.truth import recordings_asked
+from onebend.learning.posterior import Posterior, fit
+from onebend.recording.observe import observe
+from onebend.records import GAIN_SD, Array
+
+PLACES = 60
+LEVELS = (0.5, 0.95)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One fit against its truth; shares of PLACES."""
+
+    name: str
+    effect: str
+    error: float  # RMS of k / truth - 1
+    inside: tuple[float, ...]  # of the bands of LEVELS
+    identified: float
+    half_width: float  # of the 95 % band, in log k, median
+    steps: int
+    converged: bool
+    grade: str
+    seconds: float  # processor time of the fit
+
+
+def learned(folder: Path) -> Found:
+    """Observe, fit, compare."""
+    seen = observe(folder)
+    began = time.process_time()
+    posterior = fit([seen], gain_sd=max(seen.stated.gain_sd, GAIN_SD))
+    seconds = time.process_time() - began
+    truth = np.load(folder / "truth" / "truth.npz")
+    s = np.linspace(0.05, 0.9 * float(np.nanmedian(seen.push_s)), PLACES)
+    return _compared(folder, posterior, s, np.interp(s, truth["s"], truth["k"]), seconds)
+
+
+def _compared(folder: Path, posterior: Posterior, s: Array, k: Array, seconds: float) -> Found:
+    bands = [posterior.band(s, level) for level in LEVELS]
+    wide = bands[-1]
+    effect = ", ".join(a.name for a in posterior.attributions if a.matters) or "none"
+    return Found(
+        name=folder.name,
+        effect=effect,
+        error=float(np.sqrt(np.mean((wide.k / k - 1.0) ** 2))),
+        inside=tuple(float(np.mean((b.low <= k) & (k <= b.high))) for b in bands),
+        identified=float(np.mean(wide.identified)),
+        half_width=float(np.median(np.log(wide.high / wide.low)) / 2.0),
+        steps=posterior.optimum.steps,
+        converged=posterior.optimum.converged,
+        grade=posterior.grade,
+        seconds=seconds,
+    )
+
+
+def row(one: Found) -> str:
+    """Of the table."""
+    inside = " / ".join(f"{100.0 * share:.0f}" for share in one.inside)
+    ended = str(one.steps) if one.converged else f"{one.steps}, not converged"
+    return (
+        f"| {one.name} | {100.0 * one.error:.1f} | {inside} | {100.0 * one.identified:.0f} "
+        f"| {100.0 * one.half_width:.0f} | {one.grade}: {one.effect} | {ended} | {one.seconds:.1f} |"
+    )
+
+
+def summary(name: str, every: list[Found]) -> str:
+    """Means, and the middle run's error."""
+    inside = 100.0 * np.mean([one.inside for one in every], axis=0)
+    known = 100.0 * float(np.mean([one.identified for one in every]))
+    width = 100.0 * float(np.median([one.half_width for one in every]))
+    error = 100.0 * float(np.median([one.error for one in every]))
+    shares = " / ".join(f"{share:.0f}" for share in inside)
+    ended = sum(one.converged for one in every)
+    return f"| **{name}, {len(every)}** | {error:.1f} | {shares} | {known:.0f} | {width:.0f} | | {ended} converged | |"
+
+
+def main() -> None:
+    recordings = recordings_asked(__doc__)
+    head = "| recording | k off, RMS [%] | truth inside 50 / 95 % band [%] | identified [%] "
+    print(head + "| half-width of the 95 % band [%] | grade: what matters | steps | fit, processor time [s] |")
+    print("| --- |" + " --- |" * 7)
+    groups: dict[str, list[Found]] = {}
+    for folder in [*sorted((recordings / "wild").iterdir()), *sorted((recordings / "tracks").iterdir())]:
+        if not (folder / "truth" / "truth.npz").is_file():
+            continue
+        print(folder.name, file=sys.stderr, flush=True)
+        one = learned(folder)
+        print(row(one), flush=True)
+        tracks = folder.parent.name == "tracks"
+        kind = f"tracks, {folder.name.split('_')[0]}" if tracks else "films"
+        groups.setdefault(kind, []).append(one)
+    for name, every in groups.items():
+        print(summary(name, every))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""A film looked at in some twenty frames: enough to know whether its tags can be learned from, and what would stop it.
+
+What would end the reading of the whole film ends up in `Preview.fault` with the same words, so that the rest of the
+recording can still be looked at.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.errors import OnebendError
+from onebend.recording.camera.projection import measure_markers
+from onebend.recording.tag_turns import check_turns
+from onebend.recording.tags.detection import refuse_doubles, refuse_unseen, unseen_remarks
+from onebend.recording.tags.tracking import Finder, Sighting, sure_doubles
+from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import FilmFrame, luma_in, timed
+from onebend.records import Array, Detections, Markers, Remark
+from onebend.workers import available_cores
+
+LOOKS = 20  # frames that are searched for tags
+MOST_READ = 4000  # frames that are read at most, two minutes of a usual film
+SMALLEST = 20.0  # px, side of a tag: smaller ones are often missed
+AGAIN = 0.05  # of the largest displacement: nearer to the first frame than this is at rest
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What some frames of a film show."""
+
+    frames: int  # that were read
+    whole: bool  # whether these are all
+    looked: tuple[FilmFrame, ...]  # the frames that were searched
+    sightings: tuple[tuple[Sighting, ...], ...]  # in each of these
+    markers: Markers | None  # from the sightings; None where they make none
+    remarks: tuple[Remark, ...]
+    fault: str  # what would end the reading of the film; "" where nothing does
+
+    @property
+    def shown(self) -> int:
+        """Which of the looked at frames says most: the one in which the beam is bent most, else with most tags."""
+        if self.markers is not None:
+            return int(np.argmax(displacement(self.markers)))
+        return int(np.argmax([len(seen) for seen in self.sightings]))
+
+
+def displacement(markers: Markers) -> Array:
+    """(P,) m, root mean square distance of the tags from where the first frame shows them; 0 where none is seen."""
+    away = markers.xy - np.nan_to_num(markers.xy[:1], nan=0.0)
+    away[:, ~np.isfinite(markers.xy[0]).all(axis=-1)] = np.nan
+    square = np.sum(away**2, axis=-1)
+    seen = np.isfinite(square)
+    return np.asarray(np.sqrt(np.where(seen, square, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
+
+
+def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
+    """Read the film, and look for tags in `count` frames spread evenly over it.
+
+    Raises:
+        RecordingError: the film cannot be read to its end (or to its first `MOST_READ` frames).
+    """
+    assert rec.video is not None
+    looked, frames, whole = spread_frames(rec.video, count)
+    sightings = search(looked, rec.tags.family)
+    ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    seen = Counter(tag.tag_id for found in sightings for tag in found)
+    corners = np.full((len(looked), len(ids), 4, 2), np.nan)
+    for t, found in enumerate(sightings):
+        for i, wanted in enumerate(ids):
+            corners[t, i] = next((tag.corners for tag in found if tag.tag_id == wanted), np.nan)
+    share = np.isfinite(corners).all(axis=(2, 3)).mean(axis=0)
+    height, width = looked[0].luma.shape
+    markers, fault, remarks = None, "", [*size_remarks(corners, ids)]
+    try:
+        doubled = zip(looked, sightings, strict=True)
+        refuse_doubles(rec.video, [(f.index, tag) for f, found in doubled for tag in sure_doubles(found) if tag in ids])
+        strangers = Counter({tag: number for tag, number in seen.items() if tag not in ids})
+        refuse_unseen(rec.video, rec.tags, share, strangers, [frame.luma for frame in looked], len(looked))
+        remarks += unseen_remarks(ids, share, len(looked))
+        time = np.array([frame.time for frame in looked])
+        markers = measure_markers(Detections(time, np.array(ids), corners, width, height, ()), rec)
+        check_turns(markers, rec)
+    except OnebendError as wrong:
+        fault = str(wrong)
+    return Preview(frames, whole, tuple(looked), sightings, markers, tuple(remarks), fault)
+
+
+def spread_frames(video: VideoEntry, count: int) -> tuple[list[FilmFrame], int, bool]:
+    """About `count` frames spread evenly over the film, how many it has, and whether it was read to its end."""
+    kept: list[FilmFrame] = []
+    step, read = 1, 0
+    for index, time, raw in timed(video):
+        if index % step == 0:
+            kept.append(FilmFrame(index, time, luma_in(video, index, raw)))
+        read = index + 1
+        if len(kept) >= 2 * count:
+            kept, step = kept[::2], 2 * step
+        if read >= MOST_READ:
+            break
+    chosen = np.unique(np.rint(np.linspace(0, len(kept) - 1, count)).astype(int))
+    return [kept[i] for i in chosen], read, read < MOST_READ
+
+
+def search(frames: Sequence[FilmFrame], family: str) -> tuple[tuple[Sighting, ...], ...]:
+    """Every tag of the family in each frame."""
+    threads = min(available_cores(), len(frames))
+    parts = [frames[i::threads] for i in range(threads)]
+
+    def look(part: Sequence[FilmFrame]) -> list[tuple[Sighting, ...]]:
+        finder = Finder(family)
+        return [tuple(finder.look(frame.luma)) for frame in part]
+
+    with ThreadPoolExecutor(threads) as pool:
+        found = list(pool.map(look, parts))
+    return tuple(found[i % threads][i // threads] for i in range(len(frames)))
+
+
+def size_remarks(corners: Array, ids: Sequence[int]) -> list[Remark]:
+    """A warning where tags (P, m, 4, 2) [px] are too small to be found reliably."""
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=2), axis=-1).mean(axis=2)
+    small = [
+        f"tag {tag} ({np.nanmedian(side):.0f} px)"
+        for tag, side in zip(ids, sides.T, strict=True)
+        if np.isfinite(side).any() and np.nanmedian(side) < SMALLEST
+    ]
+    if not small:
+        return []
+    text = f"These tags are less than {SMALLEST:.0f} pixels wide in the picture: {', '.join(small)}. Film from nearer."
+    return [Remark("warning", text)]

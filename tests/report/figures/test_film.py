@@ -1,0 +1,145 @@
+"""The film's frames on the page: small, in their own pixels, and never a reason to fail."""
+
+from __future__ import annotations
+
+import html as markup
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from onebend.learning.explained import explained
+from onebend.recording.camera.lens import project
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import frame_at, frames_at
+from onebend.records import Observations
+from onebend.report.figures import drawing, film
+from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip, shape_band
+from onebend.report.page.page import page
+from tests import made_up
+from tests.made_up import with_source
+from tests.recording.test_video import write_video
+from tests.report.page.browser import after_script
+
+BEAM, UNCERTAIN = made_up.posterior().beam, made_up.posterior().stiffness
+FIT = explained(made_up.posterior())[0]
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Observations:
+    """Noise, as no JPEG packs well, and a bright square where the last tag was seen in the frame."""
+    seen = made_up.posterior().recordings[0].observations
+    assert seen.source.view is not None
+    rng = np.random.default_rng(0)
+    lumas = [rng.integers(0, 120, (480, 640), dtype=np.uint8) for _ in seen.frame]
+    for luma, place in zip(lumas, project(seen.source.view, seen.xy[:, -1]), strict=True):
+        if np.isfinite(place).all():
+            x, y = place.round().astype(int)
+            luma[y - 9 : y + 10, x - 9 : x + 10] = 255
+    path = tmp_path_factory.mktemp("film") / "film.mkv"
+    return with_source(seen, video=write_video(path, lumas, range(0, 40 * len(lumas), 40)).file)
+
+
+def test_frames_are_read_in_one_pass(filmed: Observations) -> None:
+    assert filmed.source.video is not None
+    entry = VideoEntry(file=filmed.source.video)
+    found = dict(frames_at(entry, [7, 2, 5000]))
+    assert list(found) == [2, 7]
+    np.testing.assert_array_equal(found[7], frame_at(entry, 7))
+
+
+def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observations) -> None:
+    strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    assert strip is not None
+    assert strip.width <= WIDEST
+    assert 20 <= len(strip.frames) <= MOST_FRAMES
+    for one in strip.frames:
+        image = Image.open(io.BytesIO(one.jpeg))
+        assert image.size == (strip.width, strip.height)
+        np.testing.assert_allclose(one.beam[-1], one.arrow[1], atol=1e-9)  # pushed at the tip
+        if not np.isfinite(one.tags[-1]).all():
+            continue
+        np.testing.assert_allclose(one.beam[-1], one.tags[-1], atol=3.0)
+        bright = np.argwhere(np.asarray(image.convert("L")) > 200)[:, ::-1]
+        np.testing.assert_allclose(np.median(bright, axis=0), one.tags[-1], atol=1.5)
+    sizes = [np.linalg.norm(one.force) for one in strip.frames]
+    lengths = [np.linalg.norm(one.arrow[1] - one.arrow[0]) for one in strip.frames]
+    assert np.argmax(sizes) == np.argmax(lengths)
+
+
+def test_the_frames_stay_below_their_limit(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    assert fine is not None
+    size = sum(len(one.jpeg) for one in fine.frames)
+    assert size <= film.LARGEST
+    monkeypatch.setattr(film, "LARGEST", size // 2)
+    small = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    assert small is not None
+    assert sum(len(one.jpeg) for one in small.frames) <= size // 2
+
+
+def test_the_band_of_the_shape_is_what_k_does_to_it(filmed: Observations) -> None:
+    """All of k 5 % stiffer or softer (sd): the band's edge is where a beam softer by 1.96 of that stands."""
+    chosen = np.array([len(FIT.comparison.frame) // 2])
+    band = shape_band(BEAM, UNCERTAIN, filmed, FIT, chosen)
+    assert band.shape == (1, 2, 31, 2)
+    assert np.linalg.norm(band[0, 0] - band[0, 1], axis=-1)[0] == pytest.approx(0.0, abs=1e-9)  # at the clamp
+    common = replace(UNCERTAIN, covariance=0.0 * UNCERTAIN.covariance, gain_sd=0.05)
+    wide = shape_band(BEAM, common, filmed, FIT, chosen)
+    force, at = FIT.logged[chosen][0], FIT.comparison.push_s[chosen][0]
+    soft, stiff = (
+        replace(BEAM, stiffness=replace(common, mean=common.mean + shift).profile).equilibrium(force, at).xy(1.0)
+        for shift in (-1.96 * 0.05, 1.96 * 0.05)
+    )
+    assert np.linalg.norm(wide[0, 0, -1] - wide[0, 1, -1]) == pytest.approx(np.linalg.norm(soft - stiff), rel=0.45)
+
+
+def test_without_film_or_camera_there_are_no_frames(filmed: Observations, tmp_path: Path) -> None:
+    assert film_strip(with_source(filmed, video=tmp_path / "gone.mp4"), FIT, BEAM, UNCERTAIN) is None
+    assert film_strip(with_source(filmed, view=None), FIT, BEAM, UNCERTAIN) is None
+
+
+def test_frames_that_cannot_be_made_cost_only_themselves(filmed: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("no memory")
+
+    found = replace(made_up.findings(0), recordings=(filmed,), learned=None)
+    monkeypatch.setattr(drawing, "film_strip", fails)
+    pictures = drawing.draw_all(found)
+    assert pictures.film is None
+    assert pictures.failed == {"film": "ValueError: no memory"}
+    assert "fit" in pictures.drawn
+
+
+def test_the_slider_goes_through_the_film(filmed: Observations, tmp_path: Path) -> None:
+    strip = film_strip(filmed, FIT, BEAM, UNCERTAIN)
+    assert strip is not None
+    html = page(made_up.findings(0), {"fit": b"png"}, version="1", film=strip)
+    assert len(html) < 5_000_000
+    title = after_script(
+        html,
+        """
+        const film = document.getElementById("film"), slider = film.querySelector("input"), said = [];
+        const image = film.querySelector("image");
+        for (const value of [slider.value, 0, slider.max]) {
+          slider.value = value; slider.dispatchEvent(new Event("input"));
+          said.push([Number(value), film.querySelector(".readout").textContent, image.getAttribute("href").length]);
+        }
+        said.push(film.hidden, document.querySelector("[data-instead=film]").hidden);
+        document.title = JSON.stringify(said);
+        """,
+        tmp_path,
+    )
+    hardest, first, last, hidden, still_hidden = json.loads(markup.unescape(title))
+    sizes = [float(np.linalg.norm(one.force)) for one in strip.frames]
+    assert hardest[0] == int(np.argmax(sizes))
+    assert first[1].startswith(f"frame {strip.frames[0].frame} · 0.00 s")
+    assert last[0] == len(strip.frames) - 1
+    assert last[1].startswith(f"frame {strip.frames[-1].frame} · ")
+    assert first[2] > 1000
+    assert not hidden
+    assert still_hidden
