@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,10 @@ from typer.testing import CliRunner, Result
 
 from onebend import __version__, cli
 from onebend.cli import learning as learning_commands
+from onebend.cli import recordings as recording_commands
 from onebend.errors import LearningError, ObservationError
+from onebend.recording.bags.topics import BagContents
+from onebend.report.figures.pictures import Pictures
 from onebend.results.model import load_model, save_model
 from tests import made_up
 
@@ -66,14 +70,26 @@ def test_version_and_help() -> None:
         assert command in result.stdout
 
 
+def test_new_takes_one_kind_and_what_a_bag_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = tmp_path / "a bag.mcap"
+    found = BagContents(bag, (), force="/wrench", image='/camera/"raw"', fault="")
+    monkeypatch.setattr(recording_commands, "bag_contents", lambda *_: found)
+    assert run("new", tmp_path / "mine", "--ros", bag).exit_code == 0
+    text = (tmp_path / "mine" / "recording.toml").read_text(encoding="utf-8")
+    written = [line for line in text.splitlines() if line.startswith(("file = ", "topic = "))]
+    data = tomllib.loads("\n".join(line.replace(" = ", f"{i} = ", 1) for i, line in enumerate(written)))
+    values = ["../a bag.mcap", '/camera/"raw"', "../a bag.mcap", "/wrench"]
+    assert list(data.values()) == values
+    assert any(line.startswith("axes =   ") for line in text.splitlines())  # which of the bag's axes, it cannot tell
+    refused(run("new", tmp_path / "both", "--photos", "--mocap"), "--photos and --mocap", "one kind")
+    assert not (tmp_path / "both").exists()
+
+
 def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
     out = tmp_path / "out"
     result = run("learn", "REC", "-o", out, "--validate", "A", "--validate", "B")
     assert result.exit_code == 0, result.output
-    for words in (
-        "chosen", "k(s) is not positive", "k(s) = EI / L", "other-2", "tag 3 was hidden", "together", "95 % band",
-        "the paper's k", "clamp angle", "sd before", "Hardly told apart", "1 % too stiff", "converged",
-    ):  # fmt: skip
+    for words in ("verdict", "k(s) = EI / L", "validation on other-2", "tag 3 was hidden", "95 % band", "next"):
         assert words in result.stdout, words
     assert result.stdout.splitlines()[-1] == f"report {out / 'report.html'}"
     written = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
@@ -90,6 +106,35 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
     assert load_model(out) == made_up.posterior().beam
     assert set(json.loads((out / "summary.json").read_text(encoding="utf-8"))["files"]) == written
     assert pipeline[0]["validate_on"] == [Path("A"), Path("B")]
+
+
+def test_learn_shows_all_of_it_when_asked(
+    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
+    details = (
+        "chosen", "k(s) is not positive", "together", "the paper's k", "clamp angle", "sd before", "Hardly told apart",
+        "1 % too stiff", "converged", "Allowed for",
+    )  # fmt: skip
+    shown = [run("learn", "REC", "-o", tmp_path / name, *option).stdout for name, option in (("a", ["-v"]), ("b", []))]
+    for words in details:
+        assert words in shown[0], words
+        assert words not in shown[1], words
+    assert len(pipeline) == 2
+
+
+def test_the_answer_comes_before_the_pictures(
+    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(learning_commands, "draw_all", fails(KeyboardInterrupt()))
+    result = run("learn", "REC", "-o", out)
+    assert result.exit_code == 130
+    assert f"report {out / 'report.html'}" in result.stdout
+    assert "but for the pictures" in result.stderr
+    assert (out / "report.html").is_file()
+    assert run("learn", "REC", "-o", tmp_path / "other", "--json").stdout == ""
+    assert len(pipeline) == 2
 
 
 def test_learn_passes_its_options_on(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
@@ -251,7 +296,7 @@ def test_new_then_check_leads_to_the_next_step(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "onebend check" in result.stdout
     refused(run("new", tmp_path / "mine"), "exists already")
-    refused(run("check", tmp_path / "mine"), "video.mp4")
+    refused(run("check", tmp_path / "mine"), "length_m is empty")
 
 
 def test_check_says_what_was_understood(tmp_path: Path) -> None:

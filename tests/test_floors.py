@@ -78,7 +78,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("findings", "kinds"),
         ("wording",),
         ("overview", "confidence"),
-        ("figures",),
+        ("figures", "verdict"),
         ("page",),
     ),
 }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +15,11 @@ from rich.console import Console
 from onebend import cli
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import RecordingError
 from onebend.progress import track
 from onebend.report.overview import overview
-from onebend.terminal import bars, parts, plots, tables
+from onebend.terminal import bars, parts, plots, screens, tables
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "fast"
@@ -50,7 +53,32 @@ def test_bars_close_a_stage_that_is_left_early() -> None:
         for i in track(shown_bars, "stage", range(10), 10):
             if i == 4:
                 break
-    assert "4/4" in shown(where)
+        for _ in track(shown_bars, "next", range(3), 3):
+            pass
+    assert "4/10" in shown(where)
+    assert "3/3" in shown(where)
+
+
+@pytest.mark.parametrize("where_cut", ["inside", "outside"])
+def test_an_interrupted_bar_shows_how_far_it_came(where_cut: str) -> None:
+    def items() -> Iterator[int]:
+        yield from range(4)
+        if where_cut == "inside":
+            raise KeyboardInterrupt
+        yield 4
+
+    where = console(screen=True)
+
+    def work(progress: bars.Bars) -> None:
+        for i in track(progress, "stage", items(), 192):
+            if i == 4:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), bars.Bars(where) as shown_bars:
+        work(shown_bars)
+    assert "4/192" in shown(where).splitlines()[-1]
+    assert "192/192" not in shown(where)
+    assert "4/4" not in shown(where)
 
 
 def test_a_pipe_gets_one_line_for_a_long_stage_and_none_for_a_short_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,7 +110,7 @@ def test_the_band_is_drawn_around_k_and_the_table_has_both() -> None:
     printed = shown(where).splitlines()[1:11]
     top = float(printed[0].split()[0])
     k = fit.band(np.linspace(0, 1, 41)).k
-    lines = [next(9 - i for i, row in enumerate(printed) if row[10 + column] == "━") for column in range(41)]
+    lines = [next(9 - i for i, row in enumerate(printed) if row[10 + column] in "━-") for column in range(41)]
     np.testing.assert_allclose(
         (np.array(lines) + 0.5) * top / 10, k, atol=0.55 * top / 10
     )  # half a line, and the rounding of its label
@@ -92,6 +120,61 @@ def test_the_band_is_drawn_around_k_and_the_table_has_both() -> None:
     band = fit.band(np.array([0.5]))
     expected = [0.5, band.k[0], band.low[0], band.high[0], made_up.BEAM.stiffness(0.5)]
     np.testing.assert_allclose([float(c) for c in cells if c not in ("yes", "no")], expected, rtol=6e-3)
+
+
+def blind_tip() -> UncertainStiffness:
+    """k = 0.05 N m, known to a tenth but for the last fifth, where it rises to some 70 N m and nothing is known."""
+    spline = made_up.posterior().stiffness
+    at = np.linspace(0.0, 1.0, len(spline.mean))
+    mean = np.log(np.where(at > 0.8, 70.0, 0.05))
+    return replace(spline, mean=mean, covariance=np.diag(np.where(at > 0.8, 4.0, 0.0025)), shape=None, doubts=())
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_the_known_part_sets_the_axis(log: bool) -> None:
+    where = console(width=80)
+    where.print(plots.band_plot(blind_tip(), columns=61, rows=8, log=log))
+    lines = shown(where).splitlines()
+    assert "not identified" in lines[0]
+    assert 0.05 < float(lines[1].split()[0]) < 0.2  # not 70
+    known = [next(i for i, row in enumerate(lines[1:9]) if row[10 + column] == "━") for column in range(30)]
+    assert max(known) - min(known) <= 1
+    assert min(known) >= 1 or log
+    assert all(row[70] not in "━░" for row in lines[1:9])  # what is not known looks otherwise, without colour too
+
+
+@pytest.mark.parametrize(("width", "height", "most"), [(80, 24, 31), (120, 50, 50)])
+def test_the_answer_fits_the_screen(width: int, height: int, most: int) -> None:
+    where = Console(file=io.StringIO(), width=width, height=height, color_system=None)
+    screens.show_run(where, made_up.findings(1), Path("out"))
+    lines = shown(where).splitlines()
+    assert len(lines) <= most
+    assert max(map(len, lines)) <= width
+    assert lines[0].startswith("verdict")
+    assert lines[-1] == "report out/report.html"
+    numbers = next(line for line in lines if line.startswith(" k [N m]"))
+    assert len(numbers.split()) == 3 + (11 if width == 120 else 6)
+
+
+@pytest.mark.parametrize("markers", [3, 28])
+def test_tables_fit_80_columns(markers: int) -> None:
+    found = made_up.findings(1)
+    ids = 100 + np.arange(markers)
+    many = replace(
+        found.validations[0], name="a recording's name", tag_id=ids, marker_s=np.linspace(0.1, 1.0, markers),
+        rms=np.full(markers, 0.0123), sensor_rms=np.full(markers, 0.0012),
+    )  # fmt: skip
+    chosen = [replace(trial, rms=np.full(markers, 0.0123)) for trial in made_up.learned().trials]
+    learned = replace(made_up.learned(), training=many, trials=tuple(chosen))
+    where = console(width=80)
+    where.print(tables.comparison_table([many], "Validation"))
+    where.print(tables.selection_table(learned))
+    text = shown(where)
+    assert "…" not in text
+    assert "a recording's name" in text
+    assert f"M{markers}, tag {99 + markers}" in text
+    assert "12.30" in text
+    assert "k(s) is not positive" in text
 
 
 @pytest.mark.parametrize("k", [0.0, -0.1])
@@ -109,8 +192,8 @@ def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
     assert any("k(s) is not positive" in line and " – " in line for line in lines)
     where = console()
     where.print(tables.comparison_table(made_up.findings(2).validations, "Validation"))
-    assert "1.67 (0.10)" in shown(where)
-    assert "(–)" in shown(where)
+    rows = [line.split() for line in shown(where).splitlines() if "M1, tag 1" in line or "M3, tag 3" in line]
+    assert [row[-2:] for row in rows][:2] == [["1.67", "0.10"], ["1.69", "–"]]
 
 
 def test_nothing_odd_is_said_too() -> None:

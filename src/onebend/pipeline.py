@@ -88,7 +88,9 @@ def learn(
         remarks += said
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
-        pairs = compare(beam, others, observing=observing, detect=detect, progress=watch)
+        compared = compare(beam, others, observing=observing, detect=detect, progress=watch)
+        pairs, said = _not_learned_from(compared, seen)
+        remarks += said
     films = (*seen, *(where for _, where in pairs))
     return Run(
         beam=beam,
@@ -102,6 +104,27 @@ def learn(
         stage_seconds=watch.seconds,
         video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films if not one.static),
     )
+
+
+def _not_learned_from(
+    pairs: list[tuple[Comparison, Observations]], seen: Sequence[Observations]
+) -> tuple[list[tuple[Comparison, Observations]], tuple[Remark, ...]]:
+    """The comparisons that validate; a warning on each with data that the beam was learned from, copied or not."""
+    known = [any(_same_data(other, one) for one in seen) for _, other in pairs]
+    remarks = tuple(
+        Remark(
+            "warning",
+            f"the beam was learned from {comparison.name}, so this recording is no validation and was left out: a fit "
+            "always looks good on its own data. Film another push, and validate on that",
+        )
+        for (comparison, _), learned in zip(pairs, known, strict=True)
+        if learned
+    )
+    return [pair for pair, learned in zip(pairs, known, strict=True) if not learned], remarks
+
+
+def _same_data(one: Observations, other: Observations) -> bool:
+    return np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
 
 
 def check_together(wanted: Sequence[Recording], fitting: FitSettings | None) -> None:

@@ -176,7 +176,7 @@ def test_nothing_named_reaches_the_terminal_as_a_sequence(name: str) -> None:
 def test_the_screens_take_any_name(name: str) -> None:
     stream = io.StringIO()
     console = text_alone(Console(file=stream, width=100, color_system=None, highlight=False))
-    show_run(console, named(made_up.findings(1), name), {"learn": 1.0}, Path("out"))
+    show_run(console, named(made_up.findings(1), name), Path("out"), verbose=True)
     show_overview(console, replace(overview(EXAMPLE), name=name))
     text = stream.getvalue()
     assert not ACTING & set(text)

@@ -224,6 +224,19 @@ def test_one_gain_is_common_to_all_recordings(monkeypatch: pytest.MonkeyPatch) -
     assert [one.name for one in run.trainings] == ["made", "again"]
 
 
+def test_what_was_learned_from_is_no_validation(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = read_recording(EXAMPLE / "train")
+    train = replace(train, beam=replace(train.beam, length=SOFT.length))
+    seen = {"train": made(), "copy": with_source(made(), name="copy"), "fast": with_source(made(1), name="other")}
+    monkeypatch.setattr(pipeline, "observe", lambda recording, **_: seen[recording.folder.name])
+    monkeypatch.setattr(pipeline, "read_recording", lambda folder: replace(train, folder=Path(folder)))
+    run = pipeline.learn("train", fitting=replace(IDEAL, functions=8), validate_on=["train", "copy", "fast"])
+    assert [one.name for one in run.validations] == ["other"]
+    assert [one.source.name for one in run.validation_observations] == ["other"]
+    told = [remark.text for remark in run.remarks if "no validation" in remark.text]
+    assert ["made" in told[0], "copy" in told[1], len(told)] == [True, True, 2]
+
+
 def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")

@@ -23,7 +23,7 @@ from onebend.cli.common import (
     workplace,
 )
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Threads
+from onebend.cli.options import LEAST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.model.parameters import Priors
@@ -48,7 +48,7 @@ from onebend.results.summary import (
     validation_summary,
 )
 from onebend.terminal.plans import show_plan
-from onebend.terminal.screens import show_run, show_validation
+from onebend.terminal.screens import show_run, show_times, show_validation
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml, of one beam.")]
 ValidateOn = Annotated[
@@ -104,6 +104,10 @@ ClampSd = Annotated[
         f"{math.degrees(CLAMP_SD):.2g}. It trades off against k.",
     ),
 ]
+Verbose = Annotated[
+    bool,
+    typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times."),
+]
 
 
 def learn(
@@ -121,6 +125,8 @@ def learn(
     epsilon: Epsilon = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    log: LogAxis = False,
     open_report: OpenReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -130,17 +136,18 @@ def learn(
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
-    with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+    with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
-        run = learn_from(
-            *recordings,
-            settings=settings,
-            fitting=fitting,
-            observing=observing,
-            validate_on=validate_on or (),
-            detect=DetectionCache(place.work, onebend.__version__).detect,
-            progress=progress,
-        )
+        with progress_of(quiet) as progress:
+            run = learn_from(
+                *recordings,
+                settings=settings,
+                fitting=fitting,
+                observing=observing,
+                validate_on=validate_on or (),
+                detect=DetectionCache(place.work, onebend.__version__).detect,
+                progress=progress,
+            )
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
         settled = {"fit": fitting, "regression": settings, "observing": observing}
@@ -151,12 +158,16 @@ def learn(
             put_in_place(place, write, pictures, made_from=made_from)
 
         put(Pictures())  # the fit is safe before a picture is drawn
-        put(draw_all(run, progress=progress))
+        if not as_json:
+            show_run(screen(), run, out, verbose=verbose, log=log)
+        with progress_of(quiet) as progress:
+            pictures = draw_all(run, progress=progress)
+        put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
         print_json({**summary, "stage_seconds": seconds, "output": str(out)})
-    else:
-        show_run(screen(), run, seconds, out)
+    elif verbose:
+        show_times(screen(), run, seconds)
     if open_report:
         open_in_browser(out / "report.html")
 

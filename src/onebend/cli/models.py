@@ -8,14 +8,14 @@ from pathlib import Path
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import has_mass
 from onebend.cli.common import clean_errors, print_json, say, screen
-from onebend.cli.options import Json, Model
+from onebend.cli.options import Json, LogAxis, Model
 from onebend.errors import ControlError
 from onebend.results.model import StoredModel, model_file, read_model
 
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
-def show(model: Model, *, as_json: Json = False) -> None:
+def show(model: Model, *, log: LogAxis = False, as_json: Json = False) -> None:
     """Draw the learned k(s) in the terminal."""
     # here: the other commands that take a model, which share what is below, do without
     from onebend.results.summary import model_summary
@@ -27,7 +27,7 @@ def show(model: Model, *, as_json: Json = False) -> None:
     if as_json:
         print_json(model_summary(stored))
     else:
-        show_model(screen(), stored)
+        show_model(screen(), stored, log=log)
 
 
 def read_trusted(model: Path) -> StoredModel:

@@ -35,3 +35,4 @@ Threads = Annotated[
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+LogAxis = Annotated[bool, typer.Option("--log", help="Draw k(s) on a logarithmic axis.")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +11,12 @@ import typer
 
 from onebend.cli.common import clean_errors, print_json, say, screen
 from onebend.cli.options import Json, Overwrite, Recording
-from onebend.errors import ObservationError
+from onebend.errors import ObservationError, RecordingError
 from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
-from onebend.recording.template import write_template
+from onebend.recording.template import Kind, write_template
+from onebend.strict_json import to_json
 from onebend.terminal.recordings import show_bag, show_overview
 
 if TYPE_CHECKING:
@@ -34,6 +36,20 @@ Definitions = Annotated[
 PICTURE = "check.png"
 SOFTWARE = "onebend check"  # what stands in the picture, so that only such a one is replaced unasked
 
+VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
+RosKind = Annotated[
+    Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
+]
+PhotosKind = Annotated[bool, typer.Option("--photos", help="Photos of the tags under known loads.")]
+WeightsKind = Annotated[bool, typer.Option("--weights", help="Points measured by hand under hung weights.")]
+MocapKind = Annotated[bool, typer.Option("--mocap", help="Tracks of motion capture and a force log.")]
+BESIDE: dict[Kind, str] = {
+    "video": "put the video and the force log beside it",
+    "ros": "leave the bag where it is",
+    "photos": "put the photos and loads.csv beside it",
+    "weights": "put poses.csv and loads.csv beside it",
+    "mocap": "put the tracks and the force log beside it",
+}
 # What no bag knows.
 TO_ADD = (
     'axes = ["x", "y"]  # the two in the plane of bending, in the order of x and y',
@@ -42,11 +58,42 @@ TO_ADD = (
 )
 
 
-def new(folder: Folder) -> None:
+def new(
+    folder: Folder,
+    *,
+    video: VideoKind = False,
+    ros: RosKind = None,
+    photos: PhotosKind = False,
+    weights: WeightsKind = False,
+    mocap: MocapKind = False,
+) -> None:
     """Write a recording.toml to fill in."""
+    asked: dict[Kind, bool] = {
+        "video": video, "ros": ros is not None, "photos": photos, "weights": weights, "mocap": mocap
+    }  # fmt: skip
+    kinds = [kind for kind, wanted in asked.items() if wanted]
     with clean_errors():
-        path = write_template(folder)
-    say(f"Wrote {path}. Fill it in, put the video and the force log beside it, then: onebend check {folder}")
+        if len(kinds) > 1:
+            names = " and ".join(f"--{kind}" for kind in kinds)
+            raise RecordingError(f"{names}: a recording is of one kind. Make a folder of each")
+        kind: Kind = kinds[0] if kinds else "video"
+        filled = {} if ros is None else bag_values(ros, folder)
+        path = write_template(folder, kind, **filled)
+    say(f"Wrote {path}. Fill in what is empty, {BESIDE[kind]}, then: onebend check {folder}")
+
+
+def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:
+    """What a bag tells of [video] and [force]: its place from `folder` on, the likeliest topics; the axes it cannot."""
+    found = bag_contents(bag, None)
+    file = quoted(os.path.relpath(found.path.resolve(), folder.resolve()))
+    video = {"file": file, "topic": quoted(found.image)}
+    return {"video": video, "force": {"file": file, "topic": quoted(found.force), "axes": ""}}
+
+
+def quoted(text: str) -> str:
+    """Text as TOML; nothing, to be filled in, where there is none or no file can hold it."""
+    written = to_json(text) if text else ""
+    return written if written.isprintable() and written.encode("utf-8", "replace").decode() == written else ""
 
 
 def check(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.attribution import Attribution
+from onebend.learning.criticism.criticism import Finding
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
@@ -15,8 +15,8 @@ from onebend.records import Array, Observations, Remark
 
 _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
-_ANOTHER = 1.0  # change of log k, to first order: beyond, its size says nothing
-_MOST_NAMED = 4  # allowances in one sentence
+_OF_THE_PUSH = ("push place", "push beside", "place", "force direction", "direction")
+_G = 9.81  # m/s^2
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -30,24 +30,34 @@ def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     )
 
 
-def grade_words(posterior: Posterior) -> str:
-    """The verdict on k(s) in a sentence: what it allows for, and what that costs."""
-    if posterior.grade == "not to be trusted":
-        return f"k(s) is not to be trusted: {'; '.join(posterior.doubts)}"
-    matter = [a for a in posterior.attributions if a.matters]
-    if not matter:
-        return "k(s) holds: the beam and the bench are as the model has them"
-    return "k(s) holds with allowances: " + "; ".join(_share_words(a) for a in matter[:_MOST_NAMED])
+def possible(posterior: Posterior) -> Posterior:
+    """The posterior without the tests of what cannot be.
+
+    Poses under known loads have no place of a push and no axes of a log; and nothing that hangs on a beam by mistake is
+    much heavier than what bends it otherwise.
+    """
+    critic = posterior.criticism
+    kept = tuple(one for one in critic.findings if _can_be(one, posterior))
+    return replace(posterior, criticism=replace(critic, findings=kept))
 
 
-def _share_words(share: Attribution) -> str:
-    """One allowance and its share."""
-    parts = []
-    if share.sure:
-        off = f"{100.0 * np.expm1(share.shift):.2g} % off" if share.shift < _ANOTHER else "another altogether"
-        parts.append(f"without it k(s) would be {off}")
-    parts.append(f"it widens the band by a factor of {share.widening:.2f}")
-    return f"{share.name} ({', '.join(parts)})"
+def _can_be(finding: Finding, posterior: Posterior) -> bool:
+    suspect = finding.score.suspect
+    whose = [one.observations for one in posterior.recordings]
+    whose = [one for one in whose if suspect.recording in ("", one.source.name)]
+    if suspect.name in _OF_THE_PUSH:
+        return any(not one.static and np.any(one.force != 0.0) for one in whose)
+    if suspect.name == "weight":
+        return float(np.linalg.norm(finding.score.value)) <= max(_heaviest(one) for one in whose)
+    return True
+
+
+def _heaviest(one: Observations) -> float:
+    """N, the most that could hang on a beam by mistake: its own weight, or the largest force, and as much again."""
+    force = float(np.nanmax(np.linalg.norm(one.force, axis=1), initial=0.0))
+    if one.known_loads is not None:
+        force = max(force, float(np.nanmax(np.linalg.norm(one.known_loads.force, axis=2), initial=0.0)))
+    return 2.0 * max(force, _G * one.stated.mass if np.isfinite(one.stated.mass) else 0.0)
 
 
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
@@ -58,10 +68,21 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     ]
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
-    told = criticism_remarks(posterior)
-    allows = any(recording.allowances for recording in posterior.recordings)
-    grade = [Remark("note", grade_words(posterior))] if allows and not posterior.doubts else []
-    return (*wrong, *grade, *_search(posterior), *told, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+    tests = _tests(posterior)
+    return (*wrong, *_search(posterior), *tests, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+
+
+def _tests(posterior: Posterior) -> tuple[Remark, ...]:
+    """What the tests of the model say."""
+    able = possible(posterior)
+    told = criticism_remarks(able)
+    if posterior.criticism.trusted or not able.criticism.trusted:
+        return told
+    text = (
+        "there is more in the recording than the fit allows for, and nothing that is known of explains it. Look at the "
+        "residuals in the report"
+    )
+    return (Remark("warning", text), *told)
 
 
 def _search(posterior: Posterior) -> list[Remark]:
@@ -116,13 +137,14 @@ def _noise(posterior: Posterior) -> list[Remark]:
     for seen, noise in zip(posterior.recordings, posterior.optimum.hyperparameters.noise, strict=True):
         if noise.marker > _LOUD:
             whose = _whose(posterior, seen.observations.source.name)
+            times = f"{float(f'{noise.marker:.2g}'):g} times"
             text = (
-                f"{whose}the tags' misfit, which lasts from frame to frame, counts as "
-                f"{noise.marker:.1f} times the noise that the pictures explain; the band is that much wider"
+                f"{whose}the tags stay farther from the fit than their noise in the pictures explains, for many frames "
+                f"in a row; for this the band is {times} as wide"
             )
             if seen.observations.static:
-                said = "as sd_m says" if seen.observations.sd_known else "as was guessed of the readings"
-                text = f"{whose}the points miss {noise.marker:.1f} times as far {said}; the band is that much wider"
+                said = "sd_m says" if seen.observations.sd_known else "was guessed of the readings"
+                text = f"{whose}the points are {times} as far from the fit as {said}; the band is as much wider"
             out.append(Remark("note", text))
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,15 @@ from onebend.recording.toml.entries import (
     TagsEntry,
 )
 from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
-from onebend.recording.toml.schema import LONGEST_KEY, Mistakes, keys_of, read_table, report_unknown
+from onebend.recording.toml.schema import (
+    LONGEST_KEY,
+    Mistakes,
+    keys_of,
+    lines_of_keys,
+    place_name,
+    read_table,
+    report_unknown,
+)
 from onebend.recording.toml.source_entries import (
     CameraEntry,
     MarkersEntry,
@@ -34,7 +43,7 @@ from onebend.recording.toml.source_entries import (
     VideoEntry,
 )
 from onebend.records import Remark
-from onebend.text_files import ascii_only, quoted, read_toml
+from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml
 
 FILE_NAME = "recording.toml"
 FORMAT = 1
@@ -50,6 +59,7 @@ SECTIONS: dict[str, type] = {
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
+EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
 TABLES = ("beam", "tags", *SECTIONS)
 RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS}
 # Which tables know a key: what stands in the wrong one is told its place.
@@ -114,7 +124,25 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
         raise RecordingError(f"{folder} is not a folder. Give the folder that holds {FILE_NAME}.")
     if not path.is_file():
         raise RecordingError(f"{folder} holds no {FILE_NAME}. Write one with `onebend new {folder}` and fill it in.")
-    return read_toml(path, RecordingError)
+    try:
+        return read_toml(path, RecordingError)
+    except RecordingError:
+        if empty := empty_values(read_text(path, RecordingError, most=MOST_TOML)):
+            raise RecordingError("\n".join(f"{path}:{line}: {words}" for line, words in empty)) from None
+        raise
+
+
+def empty_values(content: str) -> list[tuple[int, str]]:
+    """Lines (from 1) of keys that have no value, as a template leaves them, and what to fill in."""
+    rows = content.splitlines()
+    found = []
+    for place, line in lines_of_keys(content).items():
+        if EMPTY.match(rows[line - 1]):
+            record = TagEntry if place[1:2] in (("on_base",), ("on_beam",)) else RECORDS.get(str(place[0]))
+            keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
+            says = keys[str(place[-1])].says if place[-1] in keys else "a value, or a # before the line"
+            found.append((line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
+    return sorted(found)
 
 
 def camera_record(data: dict[str, Any]) -> type:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Literal
 
 from onebend.errors import RecordingError
 from onebend.recording.folder import FILE_NAME, FORMAT
@@ -11,23 +13,33 @@ from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, 
 from onebend.recording.toml.schema import keys_of
 from onebend.recording.toml.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 
+Kind = Literal["video", "ros", "photos", "weights", "mocap"]
 INTRODUCTION = f"""\
-# What was filmed, for onebend. Fill in your own values; lines that start with # are optional and show an example.
-# Units are in the names. Film so that all tags face the camera; start and stop with nothing touching the beam.
+# {{what}}, for onebend. Fill in what is empty; lines that start with # are optional and show an example.
+# Units are in the names.{{hint}}
 
 format = {FORMAT}
 """
-# Written out though they are optional:
-WRITTEN = {"start_s", "start_uncertainty_s", "rest", "family", "turn_deg", "rotation_deg", "acts_on", "at_s", "size_m"}
+WHAT: dict[Kind, tuple[str, str]] = {
+    "video": (
+        "What was filmed",
+        " Film so that all tags face the camera; start and stop with nothing touching the beam.",
+    ),
+    "ros": ("What was filmed and logged in a bag", " Start and stop with nothing touching the beam."),
+    "photos": ("What was photographed", " One picture a pose, one of them with no load."),
+    "weights": ("What was measured by hand", " One pose a load, one of them with no load."),
+    "mocap": ("What was tracked", " Start and stop with nothing touching the beam."),
+}
+EMPTY = ""  # what only the experimenter knows: no value is better than one that looks right
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
-MARKERS = "In place of [video]: tracks from a motion capture or any tracker."
-POSES = "In place of [video], [force] and [push]: static poses measured by hand, with weighed loads."
-PHOTOS = "In place of [video], [force] and [push]: stills of the tags, with weighed loads."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 
 
-def write_template(folder: Path | str) -> Path:
-    """Write a commented `recording.toml` into `folder` (made if need be) and return its path.
+def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[str, str]) -> Path:
+    """Write a `recording.toml` to fill in into `folder` (made if need be) and return its path.
+
+    Args:
+        filled: by table, what is known already: keys with their values as TOML.
 
     Raises:
         RecordingError: the folder holds one already, or cannot be written.
@@ -36,7 +48,7 @@ def write_template(folder: Path | str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
-            file.write(template())
+            file.write(template(kind, **filled))
     except FileExistsError:
         raise RecordingError(f"{path} exists already. Edit it, or name another folder.") from None
     except OSError as wrong:
@@ -44,36 +56,75 @@ def write_template(folder: Path | str) -> Path:
     return path
 
 
-def template() -> str:
-    """The text of the template; it is valid TOML and keeps the schema."""
+def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:
+    """The text of the template: it keeps the schema once what is empty is filled in."""
+    what, hint = WHAT[kind]
+    known = {name: dict(values) for name, values in filled.items()}
+    seen_by_camera = kind in ("video", "ros", "photos")
     parts = [
-        INTRODUCTION,
-        table("[beam]", BeamEntry),
-        table("[tags]", TagsEntry),
-        table("[[tags.on_base]]", TagEntry, id="0", s="0.0"),
-        *(
-            table("[[tags.on_beam]]", TagEntry, id=str(i), s=s)
-            for i, s in ((1, "0.333333"), (2, "0.666667"), (3, "1.0"))
-        ),
-        table("[video]", VideoEntry),
-        table("[force]", ForceEntry),
-        table("[push]", PushEntry),
-        optional(CAMERA, table("[camera]", CameraEntry)),
-        optional(GRAVITY, table("[gravity]", GravityEntry)),
-        optional(MARKERS, table("[markers]", MarkersEntry)),
-        optional(POSES, table("[poses]", PosesEntry)),
-        optional(PHOTOS, table("[photos]", PhotosEntry)),
+        INTRODUCTION.format(what=what, hint=hint),
+        table("[beam]", BeamEntry, length_m=EMPTY, **({"mass_kg": EMPTY} if kind == "weights" else {})),
+        table("[tags]", TagsEntry, **({"size_m": EMPTY} if seen_by_camera else {})),
+        *([tag("[[tags.on_base]]", "0.0")] if seen_by_camera else []),
+        *(tag("[[tags.on_beam]]", EMPTY) for _ in range(3)),
+        *_SOURCES[kind](known),
     ]
+    if kind != "weights":
+        parts.append(optional(GRAVITY, table("[gravity]", GravityEntry)))
     return "\n".join(parts)
 
 
+def _filmed(known: dict[str, dict[str, str]]) -> list[str]:
+    video = {"file": '"video.mp4"'} | known.get("video", {})
+    camera = optional(CAMERA, table("[camera]", CameraEntry))
+    return [table("[video]", VideoEntry, **video), *_pushed(known), camera]
+
+
+def _tracked(known: dict[str, dict[str, str]]) -> list[str]:
+    return [table("[markers]", MarkersEntry, file='"markers.csv"'), *_pushed(known)]
+
+
+def _photographed(_: dict[str, dict[str, str]]) -> list[str]:
+    photos = table("[photos]", PhotosEntry, folder='"photos"', loads='"loads.csv"', axes=EMPTY)
+    return [photos, optional(CAMERA, table("[camera]", CameraEntry))]
+
+
+def _weighed(_: dict[str, dict[str, str]]) -> list[str]:
+    poses = table("[poses]", PosesEntry, file='"poses.csv"', loads='"loads.csv"', axes=EMPTY)
+    return [poses, table("[gravity]", GravityEntry, **WEIGHT)]
+
+
+def _pushed(known: dict[str, dict[str, str]]) -> list[str]:
+    force = {"file": '"force.csv"', "acts_on": EMPTY, "rotation_deg": EMPTY} | known.get("force", {})
+    return [table("[force]", ForceEntry, **force), table("[push]", PushEntry, at_s=EMPTY)]
+
+
+WEIGHT = {"direction_deg": "-90.0", "base_angle_deg": EMPTY}
+_SOURCES: dict[Kind, Callable[[dict[str, dict[str, str]]], list[str]]] = {
+    "video": _filmed,
+    "ros": _filmed,
+    "photos": _photographed,
+    "weights": _weighed,
+    "mocap": _tracked,
+}
+
+
+def tag(header: str, s: str) -> str:
+    """One tag to fill in; more of them are more such tables."""
+    return table(header, TagEntry, id=EMPTY, s=s)
+
+
 def table(header: str, record: type, **values: str) -> str:
-    """One table with every key it may have and what each says; optional keys are commented out."""
+    """One table with every key it may have and what each says; those without a value here are commented out."""
     lines = [header]
-    for entry, required in keys_of(record).values():
-        mark = "" if required or entry.name in WRITTEN else "# "
-        assignment = f"{mark}{entry.name} = {values.get(entry.name, entry.example)}"
-        lines.append(f"{assignment:<40}  # {entry.says}")
+    for entry, _ in keys_of(record).values():
+        value = values.get(entry.name)
+        if value is None:
+            assignment, says = f"# {entry.name} = {entry.example}", entry.says
+        else:
+            says = entry.says if value else f"{entry.says}; such as {entry.example}"
+            assignment = f"{entry.name} = {value}"
+        lines.append(f"{assignment:<40}  # {says}")
     return "\n".join(lines) + "\n"
 
 

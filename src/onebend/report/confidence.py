@@ -15,6 +15,7 @@ from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
 from onebend.recording.signals import runs
 from onebend.records import Observations
+from onebend.report.findings import Findings
 from onebend.report.kinds import is_forced, only_static
 from onebend.report.wording import millimetres, significant
 
@@ -51,6 +52,25 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
     s = np.linspace(0.0, 1.0, _PLACES)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
+
+
+def typical_half_width(uncertain: UncertainStiffness) -> float:
+    """Half the 95 % band of log k: the median over the identified places; NaN where there is none."""
+    ranges = identified_ranges(uncertain)
+    if not ranges:
+        return float("nan")
+    s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
+    return float(np.median(uncertain.half_width(s)))
+
+
+def stiffness_range(findings: Findings) -> tuple[float, float]:
+    """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
+    s = np.linspace(0.0, 1.0, 201)
+    k = findings.beam.stiffness(s)
+    if findings.posterior is not None:
+        known = findings.posterior.band(s).identified
+        k = k[known] if known.any() else k
+    return float(k.min()), float(k.max())
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
@@ -114,9 +134,11 @@ def load_error_words(load_error: tuple[float, float]) -> list[str]:
 
 
 def stop_words(posterior: Posterior) -> str:
-    """Whether the fit converged, and why it stopped."""
-    end = "converged" if posterior.optimum.converged else "did not converge"
-    return f"{end} after {posterior.optimum.steps} steps: {posterior.optimum.stopped}"
+    """Whether the fit converged; where not, why it stopped."""
+    steps = f"after {posterior.optimum.steps} steps"
+    if posterior.optimum.converged:
+        return f"converged {steps}: the last moved k(s) by next to nothing of its sd"
+    return f"did not converge {steps}: {posterior.optimum.stopped}"
 
 
 def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:

@@ -78,6 +78,11 @@ def worst_marker(comparison: Comparison) -> str:
     return f"{millimetres(comparison.rms[i])} mm (M{i + 1})"
 
 
+def marker_words(comparison: Comparison, index: int) -> str:
+    """The marker as pictures call it, M1 from the clamp on, and as `recording.toml` does."""
+    return f"M{index + 1}, tag {int(comparison.tag_id[index])}"
+
+
 def clock_words(clock: ClockOffset) -> str:
     """The offset with its sd, against what was said."""
     if clock.sd == 0.0:

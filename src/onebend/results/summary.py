@@ -18,6 +18,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings, all_remarks, pair_remarks
+from onebend.report.verdict import verdict_of
 from onebend.results.model import StoredModel
 
 LEARN_FORMAT = "onebend-learn-1"
@@ -35,6 +36,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "recordings": [recording.source.name for recording in findings.recordings],
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
+        "verdict": verdict_of(findings).as_dict(),
         "stiffness": _stiffness(findings.beam, None if posterior is None else posterior.stiffness),
         "fit": None if posterior is None else _fit(posterior),
         "regression": None if learned is None else _regression(learned),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from time import monotonic
 
@@ -90,6 +91,8 @@ class Bars:
 
     def done(self) -> None:
         task, stage, began = self._open.pop()
+        if sys.exc_info()[0] is not None:
+            return  # the stage was left early: its bar stays where it was
         count = self._count(task)
         self._bars.update(task, total=count, completed=count)
         seconds = monotonic() - began

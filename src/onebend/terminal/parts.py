@@ -36,6 +36,16 @@ def say_written(console: Console, output: Path | None, files: str) -> None:
         console.print(f"\nWrote {output}: {files}", highlight=False, markup=False)
 
 
+def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:
+    """Warnings alone, each with what to do about it."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for whose, remark in remarks:
+        table.add_row("[yellow]![/]", Text(f"{whose}: {remark.text}"))
+    return table
+
+
 def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
     """What looked odd: warnings in colour, notes in grey."""
     if not remarks:

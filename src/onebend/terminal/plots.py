@@ -8,46 +8,65 @@ from rich.table import Table
 from rich.text import Text
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import Band, UncertainStiffness
+from onebend.records import Array, BoolArray
 from onebend.report.wording import significant
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
+MOST = 4.0  # times k: a band that says nothing may leave the picture
+CURVE, BAND = ("-", "━"), ("·", "░")  # where k is not identified, and where it is
 
 
-def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12) -> RenderableType:
-    """k(s) as a line in its 95 % band; grey where it is not identified. The band may leave the picture there."""
+def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12, log: bool = False) -> RenderableType:
+    """k(s) as a line in its 95 % band; thinner and grey where it is not identified.
+
+    What is known sets the axis, the rest may leave the picture. `log`: a logarithmic axis.
+    """
     s = np.linspace(0.0, 1.0, columns)
     band = uncertain.band(s)
-    seen = band.identified if band.identified.any() else np.ones(columns, dtype=bool)
-    top = 1.05 * max(float(np.max(band.high[seen])), min(float(np.max(band.high)), 1.5 * float(np.max(band.k))))
+    edges = _edges(band, uncertain.best_known(s), rows, log=log)
     lines = []
     for row in range(rows - 1, -1, -1):
-        low, high = top * row / rows, top * (row + 1) / rows
-        text = Text(_mark(row, rows, top), "dim")
+        low, high = edges[row], edges[row + 1]
+        text = Text(_mark(row, rows, edges), "dim")
         for i in range(columns):
+            known = bool(band.identified[i])
             inside = band.high[i] > low and band.low[i] < high
-            cell = "━" if low <= band.k[i] < high else "░" if inside else " "
-            text.append(cell, "blue" if band.identified[i] else "bright_black")
+            cell = CURVE[known] if low <= band.k[i] < high else BAND[known] if inside else " "
+            text.append(cell, "blue" if known else "bright_black")
         lines.append(text)
-    heading = Text("Bending stiffness k(s) = EI / L [N m], with its 95 % band (grey: not identified)", "italic")
-    return Group(heading, *lines, *_axis(columns))
+    unknown = "" if band.identified.all() else "; - and (): not identified"
+    heading = Text(f"k(s) = EI / L [N m], with its 95 % band{unknown}", "italic")
+    return Group(heading, *lines, _axis(columns)[0])
+
+
+def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
+    """(rows + 1,) N m, where the rows of a plot begin and end, the lowest first."""
+    top = min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown])))
+    if log:
+        low = max(float(np.min(band.low[shown])) / 1.05, float(np.min(band.k[shown])) / MOST)
+        return np.asarray(np.geomspace(low, top, rows + 1))
+    return np.linspace(0.0, top, rows + 1)
 
 
 def stiffness_plot(beam: Beam, *, columns: int = 61, rows: int = 8) -> RenderableType:
     """k(s) as an area of block characters, with numbers at eleven places below."""
     k = beam.stiffness(np.linspace(0.0, 1.0, columns))
     top = max(float(k.max()), 0.0)
+    edges = np.linspace(0.0, top, rows + 1)
     level = np.zeros(columns) if top == 0.0 else np.clip(k / top, 0.0, 1.0) * rows * 8
     lines = []
     for row in range(rows - 1, -1, -1):
         cells = np.clip(np.round(level - 8 * row), 0, 8).astype(int)
-        lines.append(Text(_mark(row, rows, top), "dim") + Text("".join(BLOCKS[c] for c in cells), "blue"))
+        lines.append(Text(_mark(row, rows, edges), "dim") + Text("".join(BLOCKS[c] for c in cells), "blue"))
     heading = Text("Bending stiffness k(s) = EI / L [N m]", "italic")
     return Group(heading, *lines, *_axis(columns), _numbers(beam))
 
 
-def _mark(row: int, rows: int, top: float) -> str:
-    return f"{significant(top):>8} ┤" if row == rows - 1 else f"{'0':>8} ┤" if row == 0 else " " * 9 + "│"
+def _mark(row: int, rows: int, edges: Array) -> str:
+    if row not in (0, rows - 1):
+        return " " * 9 + "│"
+    return f"{significant(float(edges[-1] if row else edges[0])):>8} ┤"
 
 
 def _axis(columns: int) -> tuple[Text, Text]:

@@ -8,23 +8,24 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console, RenderableType
 from rich.markup import escape
-from rich.panel import Panel
+from rich.table import Table
 from rich.text import Text
 
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms, grade_words
+from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
-from onebend.report.page.cards import band_card, stiffness_range
-from onebend.report.wording import millimetres, significant, worst_marker
+from onebend.report.verdict import hopeless, verdict_of
+from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
 from onebend.terminal.damping import damping_words
-from onebend.terminal.parts import remarks_list
+from onebend.terminal.parts import remarks_list, warnings_list
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
     allowance_table,
+    band_table,
     comparison_table,
     estimate_table,
     nuisance_table,
@@ -32,47 +33,78 @@ from onebend.terminal.tables import (
     stages_table,
 )
 
-
-def headline(run: Findings) -> Panel:
-    """The result in a few lines."""
-    low, high = stiffness_range(run)
-    lines = [f"[bold]k(s)[/] from {significant(low)} to {significant(high)} N m"]
-    if run.posterior is not None:
-        card = band_card(run.posterior.stiffness)
-        if run.posterior.doubts:
-            lines.append(f"[bold red]{card['value']}[/]: {escape(card['note'])} (see above)")
-        else:
-            lines[0] += f", known to {card['value']} ({card['note']})"
-            lines.append(f"[bold]verdict[/] {escape(grade_words(run.posterior))}")
-        lines.append(f"[bold]fit[/] {stop_words(run.posterior)}")
-    elif run.learned is not None:
-        trial = run.learned.trials[run.learned.chosen]
-        how = f"m = {trial.m} {run.learned.family}, {run.learned.method}"
-        lines.append(f"[bold]model[/] n = {trial.n} curvature modes, {how}")
-    for i, comparison in enumerate(run.trainings):
-        logged = f"{worst_marker(comparison)} RMS under the force as logged"
-        if run.posterior is not None:
-            rms = float(np.nanmax(fitted_rms(run.posterior)[i]))
-            logged = f"{millimetres(rms)} mm RMS in the fit; {logged}; the fit corrects its slow error"
-        lines.append(f"[bold]{escape(comparison.name)}[/] worst marker {logged}")
-    doubted = run.posterior is not None and bool(run.posterior.doubts)
-    return Panel("\n".join(lines), expand=False, border_style="red" if doubted else "green")
+_COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trusted": "red", "no band": "yellow"}
+_FEWEST_ROWS, _MOST_ROWS = 8, 16  # of the plot of k(s)
 
 
-def show_run(console: Console, run: Findings, seconds: Mapping[str, float], out: Path) -> None:
-    """All that `onebend learn` says in the end."""
+def show_run(console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False) -> None:
+    """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it."""
+    if verbose:
+        for part in _everything(run):
+            console.print(part)
+            console.print()
+    console.print(verdict_rows(run))
+    console.print()
+    for part in [] if hopeless(run) else _stiffness(console, run, log=log):
+        console.print(part)
+    console.print()
+    remarks = all_remarks(run)
+    warnings = [pair for pair in remarks if pair[1].level == "warning"]
+    if warnings and not verbose:
+        console.print(warnings_list(warnings))
+    if (notes := len(remarks) - len(warnings)) and not verbose:
+        what = "1 note is" if notes == 1 else f"{notes} notes are"
+        console.print(f"[dim]{what} in the report, or here with --verbose[/]")
+    say_path(console, "report", out / "report.html")
+
+
+def verdict_rows(run: Findings) -> Table:
+    """The verdict, a row each."""
+    verdict = verdict_of(run)
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column(overflow="fold")
+    table.add_row("verdict", Text(verdict.headline, f"bold {_COLOURS[verdict.grade]}"))
+    for label, words in verdict.rows:
+        table.add_row(label, Text(words))
+    return table
+
+
+def _stiffness(console: Console, run: Findings, *, log: bool) -> list[RenderableType]:
+    """The plot as large as the screen lets it be, and the numbers below."""
+    columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
+    rows = min(max(console.height - 17, _FEWEST_ROWS), _MOST_ROWS)
+    if run.posterior is None:
+        return [stiffness_plot(run.beam, rows=_FEWEST_ROWS)]
+    uncertain = run.posterior.stiffness
+    return [band_plot(uncertain, columns=columns, rows=rows, log=log), band_table(uncertain, columns=columns)]
+
+
+def _everything(run: Findings) -> list[RenderableType]:
+    """What the answer does not need: it stands in the report as well."""
     parts: list[RenderableType] = []
     if run.learned is not None:
         parts.append(selection_table(run.learned))
-    parts += [stiffness_plot(run.beam)] if run.posterior is None else _fit(run, run.posterior)
-    parts.append(comparison_table(run.trainings, "Learned from"))
+    if run.posterior is not None:
+        parts += _fit(run, run.posterior)
+    parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
+    if run.posterior is not None:
+        parts.append(_sentences(_as_logged_words(run, run.posterior)))
     if run.validations:
         parts.append(comparison_table(run.validations, "Validation"))
-    parts += [remarks_list(all_remarks(run)), stages_table(seconds, run.video_seconds), headline(run)]
-    for part in parts:
-        console.print(part)
-        console.print()
-    say_path(console, "report", out / "report.html")
+    return [*parts, remarks_list(all_remarks(run))]
+
+
+def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
+    """Why there are two errors of what was learned from."""
+    words = []
+    for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
+        largest = millimetres(float(np.nanmax(rms)))
+        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every marker."
+        if not comparison.static:
+            text += " The table is larger by the log's slow error, which the fit takes off."
+        words.append(text)
+    return words
 
 
 def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
@@ -80,14 +112,24 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     uncertain = posterior.stiffness
     forced = any(recording.source.clean_force is not None for recording in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
-    found: list[RenderableType] = [band_plot(uncertain), estimate_table(uncertain, run.learned)]
+    found: list[RenderableType] = [estimate_table(uncertain, run.learned)]
     force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
-    found.append(_sentences([*blind, *force]))
+    found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
     words = tradeoff_words(posterior)
-    return [*found, _sentences(["Hardly told apart:", *words])] if words else found
+    return (
+        [*found, _sentences(["Hardly told apart (the level of k(s) is its mean over the identified places):", *words])]
+        if words
+        else found
+    )
+
+
+def show_times(console: Console, run: Findings, seconds: Mapping[str, float]) -> None:
+    """The time that each stage took."""
+    console.print()
+    console.print(stages_table(seconds, run.video_seconds))
 
 
 def _sentences(words: Sequence[str]) -> Text:
@@ -116,14 +158,14 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
         say_path(console, "\ntables and figures", out)
 
 
-def show_model(console: Console, stored: StoredModel) -> None:
+def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
     """What `onebend show` draws."""
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
     if uncertain is None:
         console.print(stiffness_plot(beam))
     else:
-        console.print(band_plot(uncertain))
-        console.print(estimate_table(uncertain, None))
+        console.print(band_plot(uncertain, log=log))
+        console.print(band_table(uncertain, columns=61))
         for text in unidentified_words(uncertain):
             console.print(text, markup=False, highlight=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())

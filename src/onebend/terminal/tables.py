@@ -7,46 +7,85 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.report.confidence import allowance_rows, nuisance_rows
-from onebend.report.wording import bic_words, millimetres, percent, significant, stage_rows
+from onebend.report.wording import (
+    UNKNOWN,
+    bic_words,
+    marker_words,
+    millimetres,
+    percent,
+    significant,
+    stage_rows,
+)
+
+FEW = 4  # markers whose columns fit side by side in 80
+WIDE = 91  # columns of a plot: eleven numbers fit below it
 
 
 def selection_table(learned: Learned) -> Table:
     """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
-    title = f"{escape(learned.training.name)}: the paper's regression, RMS per marker and BIC"
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the markers and BIC"
     table = Table(title=title, title_justify="left", box=None)
     table.add_column("")
-    for name in ("n", "m", *_marker_names(learned.training), "BIC"):
+    names, errors = _trial_errors(learned)
+    for name in ("n", "m", *names, "BIC"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
-        cells = [str(trial.n), str(trial.m), *map(millimetres, trial.rms), bic_words(trial.bic)]
+        cells = [str(trial.n), str(trial.m), *errors[i], bic_words(trial.bic)]
         style = "bold green" if chosen else "dim" if trial.why_out else ""
         table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
     return table
 
 
-def _marker_names(comparison: Comparison) -> list[str]:
-    return [f"M{i + 1} \\[mm]" for i in range(len(comparison.tag_id))]
+def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
+    """Headings, and cells of every trial: each marker's RMS, or the worst alone where there are many."""
+    markers = len(learned.training.tag_id)
+    if markers <= FEW:
+        return [f"M{i + 1} \\[mm]" for i in range(markers)], [list(map(millimetres, t.rms)) for t in learned.trials]
+    worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
+    return ["worst marker \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
-    """Tables IV to VI: RMS per marker, and in brackets what the force's noise alone explains."""
-    widest = max(comparisons, key=lambda comparison: len(comparison.tag_id))
-    table = Table(title=f"{what}: RMS per marker (explained by the force's noise)", title_justify="left", box=None)
-    table.add_column("recording", overflow="fold")
-    table.add_column("frames", justify="right")
-    for name in _marker_names(widest):
+    """Tables IV to VI, one marker a row: RMS, and what the force's noise alone explains of it."""
+    table = Table(
+        title=f"{what}: RMS distance (noise: what the force's alone explains)", title_justify="left", box=None
+    )
+    table.add_column("recording", overflow="fold", ratio=1)
+    table.add_column("frames", justify="right", no_wrap=True)
+    table.add_column("marker", no_wrap=True)
+    for name in ("s", "RMS \\[mm]", "noise \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
-    for comparison in comparisons:
-        pairs = zip(comparison.rms, comparison.sensor_rms, strict=True)
-        cells = [f"{millimetres(rms)} [dim]({millimetres(sensor)})[/]" for rms, sensor in pairs]
-        table.add_row(escape(comparison.name), str(len(comparison.frame)), *cells)
+    for one in comparisons:
+        for i, (s, rms, sensor) in enumerate(zip(one.marker_s, one.rms, one.sensor_rms, strict=True)):
+            whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
+            table.add_row(*whose, marker_words(one, i), f"{s:.3g}", millimetres(rms), f"[dim]{millimetres(sensor)}[/]")
+    return table
+
+
+def band_table(uncertain: UncertainStiffness, *, columns: int) -> Table:
+    """k and its band at six or eleven places, as many as fit below a plot of so many columns, and as it lies there."""
+    count = 11 if columns >= WIDE else 6
+    s = np.linspace(0.0, 1.0, count)
+    band = uncertain.band(s)
+    table = Table(box=None, show_header=False, pad_edge=False, padding=0)
+    table.add_column(width=9)
+    for i in range(count):
+        table.add_column(width=(columns - 1) // (count - 1) if i < count - 1 else None, no_wrap=True)
+    styles = ["" if known else "bright_black" for known in band.identified]
+    for name, values in (("s", s), ("k [N m]", band.k), ("from", band.low), ("to", band.high)):
+        cells = [significant(float(value)) for value in values]
+        cells = [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)]
+        if name == "s":
+            cells = ["0 clamp", *(f"{value:.1f}" for value in values[1:-1]), "1 tip"]
+        table.add_row(Text(f"{name:>8}", "dim"), *(Text(*pair) for pair in zip(cells, styles, strict=True)))
     return table
 
 
@@ -55,7 +94,7 @@ def estimate_table(uncertain: UncertainStiffness, regression: Learned | None) ->
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name in ("s", "k [N m]", "95 % band", "", "identified"):
+    for name in ("s", "k [N m]", "95 % from", "to", "identified"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     if regression is not None:
         table.add_column("the paper's k", justify="right", no_wrap=True)

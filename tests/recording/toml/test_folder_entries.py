@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import tomllib
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from onebend.errors import RecordingError
 from onebend.recording.folder import read_recording
-from onebend.recording.template import template, write_template
+from onebend.recording.template import Kind, template, write_template
 from onebend.recording.toml import beam_entry, entries, source_entries
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry
@@ -205,18 +206,58 @@ def test_no_folder_no_file_no_toml(tmp_path: Path) -> None:
         read_recording(tmp_path)
 
 
-def test_template_is_a_recording_and_names_every_key(tmp_path: Path) -> None:
-    path = write_template(tmp_path / "new")
-    recording = read_recording(folder_with(path.parent, path.read_text(encoding="utf-8")))
-    assert [tag.id for tag in (*recording.tags.on_base, *recording.tags.on_beam)] == [0, 1, 2, 3]
-    assert recording.camera is None
+ANSWERS = {
+    "length_m": "0.15", "size_m": "0.012", "mass_kg": "0.05", "acts_on": '"beam"', "rotation_deg": "0", "at_s": "1.0",
+    "axes": '"room"', "base_angle_deg": "0.0", "id": "0 1 2 3", "s": "0.3 0.6 1.0",
+}  # fmt: skip
+
+
+def filled_in(text: str) -> str:
+    """A template as a person leaves it."""
+    several = {name: iter(value.split()) for name, value in ANSWERS.items() if name in ("id", "s")}
+    base = "[[tags.on_base]]" in text
+    if not base:
+        next(several["id"])
+
+    def fill(found: re.Match[str]) -> str:
+        name = found[1]
+        return f"{name} = {next(several[name]) if name in several else ANSWERS[name]}  #"
+
+    return re.sub(r"^(\w+) = +#", fill, text, flags=re.MULTILINE)
+
+
+KINDS: tuple[Kind, ...] = ("video", "photos", "weights", "mocap")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_template_is_a_recording_once_it_is_filled_in(tmp_path: Path, kind: Kind) -> None:
+    path = write_template(tmp_path / "new", kind)
+    with pytest.raises(RecordingError) as refused:
+        read_recording(path.parent)
+    empty = [row for row in path.read_text(encoding="utf-8").splitlines() if re.match(r"\w+ = +#", row)]
+    lines = str(refused.value).splitlines()
+    assert len(lines) == len(empty)
+    assert re.search(r"recording\.toml:\d+: \[beam\] length_m is empty\. Fill it in: the beam's length", lines[0])
+    for file in ("poses.csv", "loads.csv", "markers.csv"):
+        (path.parent / file).write_text("pose\n")
+    (path.parent / "photos").mkdir()
+    recording = read_recording(folder_with(path.parent, filled_in(path.read_text(encoding="utf-8"))))
+    assert [tag.id for tag in recording.tags.on_beam] == [1, 2, 3]
+    assert [tag.s for tag in recording.tags.on_beam] == [0.3, 0.6, 1.0]
+    assert not math.isfinite(recording.start[0])  # nothing is taken of the clocks that nobody wrote
+    sources = {"video": recording.video, "photos": recording.photos, "weights": recording.poses,
+               "mocap": recording.markers}  # fmt: skip
+    assert [name for name, source in sources.items() if source is not None] == [kind]
+    live = [row for row in path.read_text(encoding="utf-8").splitlines() if row and not row.startswith(("#", "["))]
+    assert len(live) <= 19
     with pytest.raises(RecordingError, match="exists already"):
         write_template(path.parent)
 
 
 def test_template_examples_all_keep_the_schema() -> None:
     uncommented = [
-        row[2:] if row.startswith("# ") and (" = " in row or row[2] == "[") else row for row in template().splitlines()
+        row[2:] if row.startswith("# ") and (" = " in row or row[2] == "[") else row
+        for row in filled_in(template()).splitlines()
     ]
     data = tomllib.loads("\n".join(uncommented))
     for record, table in ((BeamEntry, "beam"), (CameraEntry, "camera"), (ForceEntry, "force")):

@@ -12,10 +12,10 @@ import pytest
 
 from onebend.learning.model.fit_data import FitData
 from onebend.records import ClockOffset, Remark
-from onebend.report.confidence import alarm_words, allowance_rows, tradeoff_words, unidentified_words
+from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
 from onebend.report.figures.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
-from onebend.report.page.cards import cards, stiffness_range
+from onebend.report.page.cards import cards
 from onebend.report.page.page import page
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
 from tests import made_up
@@ -95,7 +95,7 @@ def test_page_says_the_figures() -> None:
         worst_marker(found.trainings[0]),
         "1 % too stiff",
         "made-up: clamp angle",
-        fit.optimum.stopped,
+        f"converged after {fit.optimum.steps} steps",
         *unidentified_words(fit.stiffness),
         *tradeoff_words(fit),
         "k(s) is not positive",

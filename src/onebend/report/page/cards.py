@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
-from onebend.report.confidence import identified_ranges
+from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
 from onebend.report.kinds import only_static, words_of
+from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant, worst_marker
 
 
@@ -18,7 +18,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     recording = findings.recordings[0]
     rows = [_stiffness_card(findings)]
     if findings.posterior is not None:
-        rows += [band_card(findings.posterior.stiffness), verdict_card(findings.posterior)]
+        rows += [band_card(findings.posterior.stiffness), verdict_card(verdict_of(findings))]
     rows.append(_training_card(findings))
     if findings.validations:
         worst = max(findings.validations, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
@@ -34,11 +34,9 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     return rows
 
 
-def verdict_card(posterior: Posterior) -> dict[str, str]:
+def verdict_card(verdict: Verdict) -> dict[str, str]:
     """The grade, and what k(s) rests on."""
-    named = ", ".join(share.name for share in posterior.attributions if share.matters)
-    note = "; ".join(posterior.doubts) or named or "the beam and the bench are as the model has them"
-    return {"what": "verdict", "value": posterior.grade, "note": note}
+    return {"what": "verdict", "value": verdict.grade, "note": verdict.rests_on}
 
 
 def _training_card(findings: Findings) -> dict[str, str]:
@@ -67,16 +65,6 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
     }
 
 
-def stiffness_range(findings: Findings) -> tuple[float, float]:
-    """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
-    s = np.linspace(0.0, 1.0, 201)
-    k = findings.beam.stiffness(s)
-    if findings.posterior is not None:
-        known = findings.posterior.band(s).identified
-        k = k[known] if known.any() else k
-    return float(k.min()), float(k.max())
-
-
 def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     """The width of the band, where k is identified, and whether the fit can be trusted."""
     what = "k(s) is known to"
@@ -85,8 +73,7 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     ranges = identified_ranges(uncertain)
     if not ranges:
         return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
-    s = np.concatenate([np.linspace(low, high, 51) for low, high in ranges])
-    wide = float(np.median(uncertain.half_width(s)))
+    wide = typical_half_width(uncertain)
     where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
     return {
         "what": what,

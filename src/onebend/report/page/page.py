@@ -10,7 +10,7 @@ import numpy as np
 from onebend.learning.criticism_messages import unseen_words
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms, grade_words
+from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.confidence import (
     alarm_words,
@@ -30,6 +30,7 @@ from onebend.report.page.cards import cards
 from onebend.report.page.interactive import SCRIPTS, script_data
 from onebend.report.page.made_from import MadeFrom
 from onebend.report.page.template import COMMON, render
+from onebend.report.verdict import verdict_of
 from onebend.report.wording import (
     assumptions,
     bic_words,
@@ -74,6 +75,7 @@ def _content(findings: Findings) -> dict[str, Any]:
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
         "cards": cards(findings),
+        "verdict": verdict_of(findings),
         "warnings": [row for row in remarks if row["level"] == "warning"],
         "remarks": remarks,
         "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
@@ -98,7 +100,6 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     return {
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
-        "grade": grade_words(posterior),
         "allowances": allowance_rows(posterior),
         "tests": model_test_rows(posterior),
         "alarm": alarm_words(posterior),

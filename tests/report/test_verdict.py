@@ -1,0 +1,158 @@
+"""One verdict: the same words everywhere, one error, one thing to do next."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from onebend.learning.criticism.criticism import Finding
+from onebend.learning.posterior import Posterior
+from onebend.learning.verdict import fit_remarks, fitted_rms, possible
+from onebend.records import MassLine, Remark
+from onebend.report.page.cards import cards
+from onebend.report.page.page import page
+from onebend.report.verdict import hopeless, verdict_of
+from onebend.results.summary import summary_of
+from onebend.terminal.screens import show_run
+from tests import made_up
+
+
+def fitted() -> Posterior:
+    found = made_up.posterior()
+    assert not found.doubts
+    return found
+
+
+def with_alarm(name: str, value: list[float] | None = None) -> Posterior:
+    """A fit whose test of `name` stands out, and of nothing else."""
+    found = fitted()
+    critic = found.criticism
+
+    def one(finding: Finding) -> Finding:
+        odd = finding.score.suspect.name == name
+        there = finding.score.value if value is None or not odd else np.array(value)
+        score = replace(finding.score, log10_p=-30.0 if odd else -0.1, value=there, gain=500.0 if odd else 1.0)
+        return replace(finding, score=score, sds=9.0 if odd else 0.1)
+
+    assert any(finding.score.suspect.name == name for finding in critic.findings)
+    return replace(found, criticism=replace(critic, findings=tuple(map(one, critic.findings))))
+
+
+def as_poses(found: Posterior) -> Posterior:
+    """The same, as if it had been learned from poses on a bench."""
+    whole = tuple(replace(r, observations=replace(r.observations, static=True)) for r in found.recordings)
+    return replace(found, problem=replace(found.problem, recordings=whole))
+
+
+def validated(rms: float, sensor: float, **changes: Any) -> made_up.MadeUp:
+    found = made_up.findings(1)
+    one = replace(found.validations[0], rms=np.array([0.0001, 0.0002, rms]), sensor_rms=np.array([1e-4, 2e-4, sensor]))
+    return replace(found, validations=(one,), **changes)
+
+
+def test_terminal_report_and_summary_say_the_same() -> None:
+    found = made_up.findings(1)
+    verdict = verdict_of(found)
+    where = Console(file=io.StringIO(), width=300, color_system=None)
+    show_run(where, found, Path("out"))
+    assert isinstance(where.file, io.StringIO)
+    html, shown = page(found, {}, version="1"), where.file.getvalue()
+    summary = summary_of(found, written_by="a test")["verdict"]
+    for words in (verdict.headline, *(words for _, words in verdict.rows)):
+        assert words in shown
+        assert words.replace("'", "&#39;") in html
+        assert words in summary.values()
+    assert summary["error_m"] == pytest.approx(max(found.validations[0].rms))
+    [card] = [card for card in cards(found) if card["what"] == "verdict"]
+    assert (card["value"], card["note"]) == (verdict.grade, verdict.rests_on)
+
+
+def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
+    motion = 1e3 * np.ptp(made_up.comparison(largest=0.2).measured[:, 2, 1][np.r_[0:10, 12:90]])
+    good = verdict_of(validated(0.0033, 0.0038))
+    assert "3.30 mm RMS (worst: M3, tag 3); the force's noise alone explains 3.80: as good" in good.use
+    assert (good.error, good.error_of) == (0.0033, "validation")
+    fair = verdict_of(validated(0.0020, 0.0010))
+    assert f"shapes are predicted to {100 * 2.0 / motion:.1f}"[:-1] in fair.use
+    bad = verdict_of(validated(0.030, 0.0010))
+    assert "no good prediction" in bad.use
+    assert "of this beam" in bad.next
+    unknown = verdict_of(validated(0.0020, np.nan))
+    assert "noise" not in unknown.use
+    assert "nan" not in unknown.use.lower()
+
+
+def test_what_was_not_validated_is_said_to_be_so_and_a_push_asked_for() -> None:
+    found = made_up.findings(0)
+    verdict = verdict_of(found)
+    assert "not validated on another push" in verdict.use
+    assert verdict.error == pytest.approx(max(float(np.nanmax(rms)) for rms in fitted_rms(fitted())))
+    assert "second push" in verdict.next
+    alone = verdict_of(made_up.findings(0, fitted=False))
+    assert (alone.grade, alone.error_of) == ("no band", "as logged")
+    assert "--method fit" in alone.next
+
+
+def test_a_fit_that_needs_a_wrong_force_is_no_good_prediction() -> None:
+    found = made_up.findings(0)
+    off = replace(found.trainings[0], rms=np.array([0.001, 0.002, 0.040]))
+    assert "under the force as logged by 40.00" in verdict_of(replace(found, trainings=(off,))).use
+
+
+def test_what_comes_next_is_one_thing_and_the_gravest_first() -> None:
+    remark = Remark("warning", "The force looks reversed. Give acts_on the other value.", doubt=True)
+    found = made_up.findings(0)
+    doubted = fitted()
+    first = doubted.recordings[0]
+    seen = made_up.with_source(first.observations, remarks=(remark,))
+    doubted = replace(doubted, problem=replace(doubted.problem, recordings=(replace(first, observations=seen),)))
+    verdict = verdict_of(replace(found, posterior=doubted))
+    assert verdict.grade == "not to be trusted"
+    assert verdict.next == "The force looks reversed. Give acts_on the other value"
+    assert verdict.use.startswith("none")
+    alarmed = verdict_of(replace(found, posterior=with_alarm("push place", [-0.1])))
+    assert "check [push] at_s" in alarmed.next
+    assert "1 stands out (push place)" in alarmed.rests_on
+
+
+@pytest.mark.parametrize("name", ["push place", "force direction"])
+def test_poses_have_no_place_of_a_push_and_no_log(name: str) -> None:
+    pushed = with_alarm(name, [-0.1])
+    assert possible(pushed).criticism.causes
+    poses = as_poses(pushed)
+    assert not possible(poses).criticism.causes
+    verdict = verdict_of(replace(made_up.findings(0), posterior=poses))
+    words = " ".join((verdict.rests_on, verdict.next, *(remark.text for remark in fit_remarks(poses))))
+    assert "at_s" not in words
+    assert "rotation_deg" not in words
+    assert "1 stands out" in verdict.rests_on  # what does not fit is said nevertheless
+    assert any("nothing that is known of explains it" in remark.text for remark in fit_remarks(poses))
+
+
+def test_no_weight_is_named_that_the_beam_cannot_bear() -> None:
+    light, absurd = with_alarm("weight", [0.0, 0.1]), with_alarm("weight", [0.0, 84.0])
+    assert possible(light).criticism.causes
+    assert not possible(absurd).criticism.causes
+    heavy = made_up.with_stated(absurd.recordings[0].observations, mass=9.0, mass_line=MassLine(np.ones(1), np.ones(1)))
+    borne = replace(absurd.recordings[0], observations=heavy)
+    assert possible(replace(absurd, problem=replace(absurd.problem, recordings=(borne,)))).criticism.causes
+
+
+def test_where_nothing_means_anything_no_value_is_shown() -> None:
+    found, problem = made_up.findings(0), fitted().problem
+    moved = tuple(replace(recording, measured=recording.measured + 1.0) for recording in problem.recordings)
+    far = replace(found, posterior=replace(fitted(), problem=replace(problem, recordings=moved)))
+    assert hopeless(far)
+    verdict = verdict_of(far)
+    assert "no value that came out counts" in verdict.known
+    assert verdict.rests_on.startswith("nothing")
+    where = Console(file=io.StringIO(), width=100, color_system=None)
+    show_run(where, far, Path("out"))
+    assert isinstance(where.file, io.StringIO)
+    assert "EI / L" not in where.file.getvalue()
