@@ -13,7 +13,7 @@ from onebend.learning.allowances.contact import sliding
 from onebend.learning.allowances.course import course
 from onebend.learning.allowances.discrepancy import discrepancy
 from onebend.learning.allowances.posture import POSTURE_SD, posture_bias
-from onebend.learning.allowances.section import KNOWN_SD, UNKNOWN_SD, USUAL_THICKNESS, section, thickness_factor
+from onebend.learning.allowances.section import KNOWN_SD, UNKNOWN_SD, USUAL_THICKNESS, section, section_at
 from onebend.learning.model.allowed import allowed, allowed_length, allowed_section
 from onebend.learning.model.forward import predict
 from onebend.records import Array
@@ -73,25 +73,25 @@ def test_a_section_is_as_thick_as_stated_or_as_usual() -> None:
     assert section(known=True).prior_sd[0] == KNOWN_SD
     assert section(known=False).prior_sd[0] == UNKNOWN_SD
     one, layout, x = with_everything(share=0.0)
-    factor, _ = thickness_factor(float(x[layout.index["section", -1].start]))
+    change = float(x[layout.index["section", -1].start])
     made, _ = allowed_section(one, layout, x)
     assert made is not None
-    assert made.thickness == pytest.approx(USUAL_THICKNESS * 0.15 * factor)
+    assert made.thickness == pytest.approx(USUAL_THICKNESS * 0.15)
+    assert made.share == pytest.approx(1.0 + change)
     stated = replace(one.observations.stated, thickness=0.02)
     known, _ = allowed_section(replace(one, observations=replace(one.observations, stated=stated)), layout, x)
     assert known is not None
-    assert known.thickness == pytest.approx(0.02 * factor)
+    assert known.thickness == 0.02
 
 
-def test_the_square_of_the_thickness_goes_with_its_parameter_and_stays_above_zero() -> None:
-    changes = np.array([-5.0, -1.0, -0.2, 0.0, 0.7, 3.0])
-    squares = np.array([thickness_factor(change)[0] ** 2 for change in changes])
-    np.testing.assert_allclose(squares[3:], 1.0 + changes[3:], rtol=0.02)
-    assert np.all(np.diff(squares) > 0.0)
-    assert squares[0] > 0.0
-    for change in changes:
-        ends = [np.log(thickness_factor(change + h)[0]) for h in (1e-5, -1e-5)]
-        assert thickness_factor(change)[1] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-6)
+def test_stretch_goes_with_its_parameter_through_nothing() -> None:
+    k, weights, length = np.array([0.02, 0.05]), np.array([0.5, 0.5]), np.array(0.15)
+    usual = section_at(0.0, np.nan, 0.15)[0].compliance(k, weights, length)[0]
+    for change in (-2.0, -1.0, -0.3, 3.0):
+        made, slope = section_at(change, np.nan, 0.15)
+        found = made.compliance(k, weights, length)[0]
+        np.testing.assert_allclose(found, (1.0 + change) * usual, atol=1e-8 * float(np.max(usual)))
+        np.testing.assert_allclose(2.0 * slope * found, usual)  # its derivative with the parameter
 
 
 def test_a_longer_beam_puts_its_tags_farther_out() -> None:

@@ -28,6 +28,7 @@ class RectangularSection:
     thickness: float | Array  # h0, m, where k is its mean along the beam: a number, or (T, 1) for T beams
     poisson: float = POISSON  # nu
     varies: Literal["thickness", "width"] = "thickness"
+    share: float = 1.0  # of the stretch and shear that such a section has; 0: none
 
     def __post_init__(self) -> None:
         if not np.all(np.asarray(self.thickness) > 0.0):
@@ -44,7 +45,7 @@ class RectangularSection:
 
     def compliance(self, k: Array, weights: Array, length: Array) -> tuple[Array, Array]:
         """1/EA and 1/kGA [1/N] at nodes of quadrature `weights` (Q,) or (T, Q); `length` () or (T, 1) m."""
-        squared = np.asarray(self.thickness) ** 2
+        squared = self.share * np.asarray(self.thickness) ** 2
         if self.exponent:
             squared = squared * np.cbrt(k / _mean(k, weights)) ** 2
         stretch = np.asarray(squared / (12.0 * length * k))

@@ -13,7 +13,7 @@ from onebend.learning.allowances.allowance import Allowance
 
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
-_LEAST = 0.1  # of it: where the parameter would make the square smaller or negative, it levels off above zero
+_NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
 def section(*, known: bool) -> Allowance:
@@ -24,16 +24,12 @@ def section(*, known: bool) -> Allowance:
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:
-    """The section at this value of the parameter, and how the log of its thickness goes with it; `stated` m, NaN where
-    nobody says it."""
-    usual = stated if np.isfinite(stated) else USUAL_THICKNESS * beam_length
-    factor, slope = thickness_factor(change)
-    return RectangularSection(usual * factor), slope
+    """By which the beam stretches and shears, and half of how the log of that goes with the parameter.
 
-
-def thickness_factor(change: float) -> tuple[float, float]:
-    """The thickness over the stated or usual one, and how its log goes with the parameter."""
-    wanted = 1.0 + change
-    root = float(np.hypot(wanted, 2.0 * _LEAST))
-    square = 0.5 * (wanted + root) if wanted > 0.0 else 2.0 * _LEAST**2 / (root - wanted)
-    return float(np.sqrt(square)), 0.5 / root
+    `stated` m, NaN where nobody says it. Less than no stretch is taken too: then noise moves a beam that hardly
+    stretches to either side of nothing alike.
+    """
+    usual, share = stated if np.isfinite(stated) else USUAL_THICKNESS * beam_length, 1.0 + change
+    if abs(share) < _NEAR_NONE:
+        share = _NEAR_NONE
+    return RectangularSection(usual, share=share), 0.5 / share

@@ -49,7 +49,7 @@ class BentBeam:
     log_k: Mapping[str, Array] = field(default_factory=dict)  # (Q, n) or (F, Q, n): further functions of log k, by name
     rest_shift: Array | None = None  # (F, Q, n): of the curvature at rest, with the parameters of relaxation
     lengthens: bool = False  # the length is a parameter
-    thickens: float = 1.0  # how the log of the section's thickness goes with its parameter
+    thickens: float = 1.0  # half of how the log of stretch and shear goes with its parameter
 
 
 def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
