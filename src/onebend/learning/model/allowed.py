@@ -38,8 +38,8 @@ def allowed_length(recording: FitData, layout: Layout, x: Array) -> Array:
 
 
 def allowed_section(recording: FitData, layout: Layout, x: Array) -> tuple[RectangularSection | None, float]:
-    """By which the beam stretches and shears, None where it does neither; and how the log of its thickness goes with
-    the parameter."""
+    """By which the beam stretches and shears, None where it does neither, and how it goes with the parameter: see
+    `section_at`."""
     for a in recording.allowances:
         if a.enters == "section":
             o = recording.observations
