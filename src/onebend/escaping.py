@@ -32,7 +32,7 @@ def csv_cell(value: object) -> object:
     if not isinstance(value, str):
         return value
     text = one_line(value)
-    return f"'{text}" if text.lstrip(" \"'").startswith(_FORMULA) and not _is_number(text) else text
+    return f"'{text}" if text.lstrip(" \"'").startswith(_FORMULA) and not is_number(text) else text
 
 
 def figure_text(text: str) -> str:
@@ -50,7 +50,8 @@ def _code(letter: str) -> str:
     return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a table's reader takes the text for a number."""
     try:
         float(text)
     except ValueError:

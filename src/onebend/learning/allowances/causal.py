@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
-from onebend.learning.allowances.chosen import AllowanceName
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding, turn_at_push
 from onebend.learning.allowances.course import PushCourse
@@ -25,19 +25,8 @@ from onebend.learning.allowances.relaxation import relaxation
 from onebend.learning.allowances.section import section
 from onebend.records import Array, BoolArray
 
-CAUSAL_ALLOWANCES: frozenset[AllowanceName] = frozenset(
-    {
-        "section",
-        "relaxation",
-        "slide",
-        "clamp gives",
-        "posture",
-        "patches",
-        "length",
-        "discrepancy",
-        "angle discrepancy",
-    }
-)
+# Of the others, inertia needs frames to come, and three need the camera's place.
+CAUSAL_ALLOWANCES: frozenset[AllowanceName] = EVERY_ALLOWANCE - {"inertia", "heights", "camera", "rolling shutter"}
 _LINEAR = (0, 2)  # those of the discrepancy's functions that are linear in the displacement, on both ways
 # For time's sake these stand for all five. Their sd is such that at the largest displacement they are worth as much.
 _WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))

@@ -15,8 +15,6 @@ from onebend.learning.allowances.course import with_rest
 from onebend.records import Array, BoolArray, Observations
 
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
-
-
 MASS_SD = 25.0  # kg/m^3, of the length cubed: a solid rubber beam, 0.08 by 0.2 of its length thick and wide, has 18
 
 

@@ -10,6 +10,8 @@ fit's k(s) is that: it says how the beam answers a push like this one.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
@@ -29,13 +31,20 @@ def relaxation(run: PushCourse) -> Allowance:
 
 def lags(time: Array) -> Array:
     """(n, T, T): each turns values that are straight in `time` (T,) [s] between frames, from rest at the first frame,
-    into those that lag behind them with one of the times."""
+    into those that lag behind them with one of the times; made once for each `time`, and read only."""
+    return _lags(np.asarray(time, dtype=float).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _lags(instants: bytes) -> Array:
+    time = np.frombuffer(instants)
     kept, before, now = lag_weights(np.diff(time))
     out = np.zeros((len(TIMES), len(time), len(time)))
     for i in range(len(time) - 1):
         out[:, i + 1] = kept[:, i, None] * out[:, i]
         out[:, i + 1, i] += before[:, i]
         out[:, i + 1, i + 1] += now[:, i]
+    out.flags.writeable = False
     return out
 
 

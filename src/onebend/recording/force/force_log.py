@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import RecordingError
+from onebend.escaping import is_number
 from onebend.recording.dropped_samples import false_zeros, held, missing_remarks
 from onebend.recording.force import franka
 from onebend.recording.force.implausible_force import at_its_end, still_columns, unit_in_name
@@ -154,14 +155,6 @@ def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
     if header[0].startswith("#"):
         return " The header must be the first line: remove the lines above it."
     return ""
-
-
-def is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def check_times(path: Path, time: Array, lines: Array) -> None:
