@@ -26,9 +26,24 @@ READINGS: dict[str, Array] = {
     "turned by +90 deg": np.array([[0.0, -1.0], [1.0, 0.0]]),
     "turned by -90 deg": np.array([[0.0, 1.0], [-1.0, 0.0]]),
 }
+_OTHER = "give acts_on the other value, beam or robot"
+_EXCHANGE = "exchange the two forces in {key}"
+_NEGATE = "give the {axis} force the opposite sign, or exchange both in {{key}} and set rotation_deg to {{fits:.0f}}"
+_TURN = "correct rotation_deg (about {fits:.0f} would fit)"
+_MENDED: dict[str, tuple[float, str]] = {  # what then has to be added to rotation_deg, in rad, and what to do
+    "opposite": (0.0, _OTHER),
+    "x and y swapped": (0.0, _EXCHANGE),
+    "x and y swapped and both of opposite sign": (0.0, f"{_EXCHANGE}, and {_OTHER}"),
+    "x of opposite sign": (math.pi / 2.0, _NEGATE.format(axis="x")),
+    "y of opposite sign": (-math.pi / 2.0, _NEGATE.format(axis="y")),
+    "turned by +90 deg": (math.pi / 2.0, _TURN),
+    "turned by -90 deg": (-math.pi / 2.0, _TURN),
+}
 TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
-BETTER = 0.1  # of that share: a reading that leaves less is named in the message
+BETTER = 0.5  # of that share: another reading leaves less only where the log as it is is not the right one
+CLEARLY = 0.003  # by which it must leave less: a right log whose axes are off by 5 deg leaves 0.0003 more
+AS_SIMPLE = 3.0  # times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn
 DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
 SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
 
@@ -53,14 +68,17 @@ class Reading:
 
     @property
     def better(self) -> str:
-        """The reading that fits far better than the log as it is, or nothing."""
+        """The reading that fits better than the log as it is by more than errors of a log can do, or nothing."""
         best = min(self.unexplained, key=lambda name: self.unexplained[name])
-        as_written = self.unexplained["as it is"]
-        return best if self.unexplained[best] < BETTER * as_written and as_written > 0.2 else ""
+        as_written, left = self.unexplained["as it is"], self.unexplained[best]
+        clearly = left < min(BETTER * as_written, as_written - CLEARLY)
+        return best if clearly and left < max(AS_SIMPLE * self.turned, CLEARLY) else ""
 
     @property
     def rotated(self) -> bool:
-        """The log explains the bending far better when its axes are turned by `turn`."""
+        """The log explains the bending far better when its axes are turned by `turn`, and no reading does as well."""
+        if self.better:
+            return False
         as_written = self.unexplained["as it is"]
         return as_written > DOUBT and self.turned < SHARPER * as_written
 
@@ -96,6 +114,26 @@ def _unexplained(force: Array, turns: Array, levers: Array) -> float:
     moment = levers[..., 0] * force[:, None, 1] - levers[..., 1] * force[:, None, 0]
     stiffness = np.maximum(np.sum(moment * turns, axis=0) / np.maximum(np.sum(turns**2, axis=0), 1e-12), 0.0)
     return float(np.sum((moment - stiffness * turns) ** 2) / max(float(np.sum(moment**2)), TINY))
+
+
+def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> str:
+    """What the log's axes look like, and the line of [force] to mend; `rotation` [rad] is what is written there, `key`
+    the line that names its two axes."""
+    if reading.better:
+        turn, line = _MENDED[reading.better]
+        fits = math.degrees(math.remainder(rotation + turn, 2.0 * math.pi))
+        how = reading.better if reading.better.startswith("turned") else f"with {reading.better}"
+        how = "with both axes of opposite sign" if reading.better == "opposite" else how
+        return f"The force fits the bending far better {how}. In [force], {line.format(key=key, fits=fits)}."
+    if reading.rotated:
+        fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
+        return (
+            f"The force fits the bending far better turned by {math.degrees(reading.turn):.0f} deg. In [force], "
+            f"{_TURN.format(fits=fits)}."
+        )
+    if reading.inexplicable:
+        return "The force does not follow the bending, however its axes are read. Check that the log is of this push."
+    return f"The force contradicts the bending. In [force], check {key}, rotation_deg and acts_on."
 
 
 def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from onebend.recording.force.contact import ContactSettings, find_contact
 from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.entries import Recording
-from onebend.recording.tracks.chords import with_angles
+from onebend.recording.tracks.chords import check_angles, with_angles
 from onebend.recording.tracks.plane_fit import best_plane, plane_remarks
 from onebend.records import UNKNOWN_ANGLE_SD, Array, Markers, Remark
 
@@ -77,6 +77,7 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     back = np.array([[cos, sin], [-sin, cos]])
     xy = (in_base - origin) @ back.T
     check_scale(rec, xy)
+    check_angles(xy, raw.s, angle, rec.name)
     return Markers(**{**vars(raw), "xy": xy, "angle": unwrap(angle - direction)})
 
 
