@@ -41,10 +41,11 @@ _MENDED: dict[str, tuple[float, str]] = {  # what then has to be added to rotati
 }
 TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
-BETTER = 0.5  # of that share: another reading leaves less only where the log as it is is not the right one
+BETTER = 0.25  # of that share: another reading leaves less only where the log as it is is not the right one
 CLEARLY = 0.003  # by which it must leave less: a right log whose axes are off by 5 deg leaves 0.0003 more
 AS_SIMPLE = 3.0  # times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn
 DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
+SHIFTS = np.arange(-10, 11) * 0.05  # s: clocks that were matched by wrong axes are off by a few tenths
 SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
 
 
@@ -90,7 +91,8 @@ def read_force(
 
     For each span between neighbouring tags up to the push, the moment of the force about the span's middle is
     explained by the span's turn since rest times one stiffness that is not negative. The readings are of the log's own
-    axes, whose x stands at `rotation` [rad] in the beam's frame.
+    axes, whose x stands at `rotation` [rad] in the beam's frame. Where the log as it is leaves something, each reading
+    may have the clock that suits it best: the clocks were matched by the log as it is.
     """
     if not np.isfinite(push_s[loaded]).any():
         return None
@@ -101,19 +103,38 @@ def read_force(
     if good.sum() < 10 or not turns.shape[1] or float(np.ptp(turns[good], axis=0).max()) < 0.05:
         return None
     turns, levers = turns[good], levers[good]
+    now = _unexplained(np.eye(2)[None], force[None, good], turns, levers)
+    shifts = SHIFTS if float(now[0]) > CLEARLY else np.zeros(1)
+    moved = np.stack([_later(force, markers.time, float(shift))[good] for shift in shifts])
     axes = to_beam(rotation)
-    unexplained = {n: _unexplained(force[good] @ axes.T @ turn.T @ axes, turns, levers) for n, turn in READINGS.items()}
+    readings = np.stack([axes.T @ turn.T @ axes for turn in READINGS.values()])
     angles = np.arange(-math.pi, math.pi, math.radians(2.0))
-    by_angle = [_unexplained(force[good] @ to_beam(float(a)), turns, levers) for a in angles]
+    by_angle = _unexplained(np.stack([to_beam(float(a)) for a in angles]), moved, turns, levers)
     best = int(np.argmin(by_angle))
-    return Reading(unexplained, float(angles[best]), by_angle[best])
+    left = _unexplained(readings, moved, turns, levers)
+    return Reading(dict(zip(READINGS, left.tolist(), strict=True)), float(angles[best]), float(by_angle[best]))
 
 
-def _unexplained(force: Array, turns: Array, levers: Array) -> float:
-    """Share of the moments' squares that is left when each span has one stiffness."""
-    moment = levers[..., 0] * force[:, None, 1] - levers[..., 1] * force[:, None, 0]
-    stiffness = np.maximum(np.sum(moment * turns, axis=0) / np.maximum(np.sum(turns**2, axis=0), 1e-12), 0.0)
-    return float(np.sum((moment - stiffness * turns) ** 2) / max(float(np.sum(moment**2)), TINY))
+def _later(force: Array, time: Array, shift: float) -> Array:
+    """(T, 2) N of the log `shift` [s] later; frames without a force are stepped over."""
+    if shift == 0.0:
+        return force
+    known = np.isfinite(force).all(axis=1)
+    return np.stack([np.interp(time + shift, time[known], column[known]) for column in force.T], axis=1)
+
+
+def _unexplained(axes: Array, force: Array, turns: Array, levers: Array) -> Array:
+    """(A,) share of the moments' squares that is left when each span has one stiffness, the force being F @ axes
+    (A, 2, 2): the least of those of the forces F (D, T, 2)."""
+    across = np.stack([-levers[..., 1], levers[..., 0]], axis=-1)  # (T, k, 2): moment = across . force
+    one = np.einsum("dti,tkj->dktij", force, across).reshape(len(force), turns.shape[1], len(turns), 4)
+    squares = np.swapaxes(one, 2, 3) @ one  # (D, k, 4, 4)
+    with_turn = np.einsum("dktn,tk->dkn", one, turns)
+    a = axes.reshape(-1, 4)
+    moments = np.einsum("an,dknm,am->adk", a, squares, a, optimize=True)
+    explained = np.maximum(np.einsum("an,dkn->adk", a, with_turn), 0.0) ** 2
+    explained /= np.maximum(np.sum(turns**2, axis=0), 1e-12)
+    return np.asarray(np.min(1.0 - explained.sum(axis=2) / np.maximum(moments.sum(axis=2), TINY), axis=1))
 
 
 def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> str:

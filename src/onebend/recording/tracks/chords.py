@@ -58,8 +58,8 @@ def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
     if share < 0.0 or share > MOST_TURN:
         how = "the other way than" if share < 0.0 else f"{share:.2g} times as far as"
         raise ObservationError(
-            f"{name}: angle_rad turns {how} the markers' places do. Angles are in radians and grow from x to y: correct "
-            "the sign or the unit of angle_rad, or the order or the sign of x_m and y_m."
+            f"{name}: angle_rad turns {how} the markers' places do. Angles are in radians and grow from x to y: "
+            "correct the sign or the unit of angle_rad, or the order or the sign of x_m and y_m."
         )
 
 
