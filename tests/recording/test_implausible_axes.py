@@ -53,7 +53,7 @@ def read(o: Observations, axes: Array, late: float = 0.0) -> Reading:
 @pytest.mark.parametrize("late", [0.0, 0.2])
 @pytest.mark.parametrize("how", LINE)
 def test_every_wrong_sign_or_axis_is_named_with_its_line(seen: Observations, how: str, late: float) -> None:
-    found = read(seen, np.linalg.inv(READINGS[how]), late)
+    found = read(seen, READINGS[how].T, late)
     text = axes_words(found, 0.0)
     assert found.better == how
     assert "The force fits the bending far better" in text

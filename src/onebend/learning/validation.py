@@ -114,9 +114,16 @@ def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
             Remark(
                 "warning",
                 f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
-                "branch that grows from rest (it would snap through); these frames are left out of the comparison",
+                "branch that grows from rest (it would snap through); these frames are left out of the comparison: "
+                "check the force and its place",
             )
         )
     if not np.all(stable | ~converged):
-        out.append(Remark("warning", f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"))
+        out.append(
+            Remark(
+                "warning",
+                f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled: check the force's sign, and "
+                "that it is this beam",
+            )
+        )
     return tuple(out)

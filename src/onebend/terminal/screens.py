@@ -15,7 +15,7 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
-from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
+from onebend.report.confidence import load_error_words, scale_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.verdict import hopeless, verdict_of
 from onebend.report.wording import millimetres, significant
@@ -100,9 +100,9 @@ def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
         largest = millimetres(float(np.nanmax(rms)))
-        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every marker."
+        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every tag."
         if not comparison.static:
-            text += " The table is larger by the log's slow error, which the fit takes off."
+            text += " The table is larger by the slow error of the force log, which the fit takes off."
         words.append(text)
     return words
 
@@ -110,17 +110,16 @@ def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
 def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
-    forced = any(recording.source.clean_force is not None for recording in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [estimate_table(uncertain, run.learned)]
-    force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
+    force = [scale_words(posterior.gain_sd, run.recordings), *load_error_words(posterior.load_error)]
     found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
     words = tradeoff_words(posterior)
     return (
-        [*found, _sentences(["Hardly told apart (the level of k(s) is its mean over the identified places):", *words])]
+        [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
         if words
         else found
     )

@@ -16,20 +16,20 @@ from onebend.report.confidence import allowance_rows, nuisance_rows
 from onebend.report.wording import (
     UNKNOWN,
     bic_words,
-    marker_words,
     millimetres,
     percent,
     significant,
     stage_rows,
+    tag_words,
 )
 
-FEW = 4  # markers whose columns fit side by side in 80
+FEW = 4  # tags whose columns fit side by side in 80
 WIDE = 91  # columns of a plot: eleven numbers fit below it
 
 
 def selection_table(learned: Learned) -> Table:
     """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
-    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the markers and BIC"
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
     table = Table(title=title, title_justify="left", box=None)
     table.add_column("")
     names, errors = _trial_errors(learned)
@@ -45,28 +45,29 @@ def selection_table(learned: Learned) -> Table:
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    """Headings, and cells of every trial: each marker's RMS, or the worst alone where there are many."""
-    markers = len(learned.training.tag_id)
-    if markers <= FEW:
-        return [f"M{i + 1} \\[mm]" for i in range(markers)], [list(map(millimetres, t.rms)) for t in learned.trials]
+    """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
+    if len(learned.training.tag_id) <= FEW:
+        return [f"tag {tag} \\[mm]" for tag in learned.training.tag_id], [
+            list(map(millimetres, t.rms)) for t in learned.trials
+        ]
     worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
-    return ["worst marker \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
+    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
-    """Tables IV to VI, one marker a row: RMS, and what the force's noise alone explains of it."""
+    """Tables IV to VI, one tag a row: RMS, and the force noise."""
     table = Table(
-        title=f"{what}: RMS distance (noise: what the force's alone explains)", title_justify="left", box=None
+        title=f"{what}: RMS distance (force noise: what the log's noise alone causes)", title_justify="left", box=None
     )
     table.add_column("recording", overflow="fold", ratio=1)
     table.add_column("frames", justify="right", no_wrap=True)
-    table.add_column("marker", no_wrap=True)
-    for name in ("s", "RMS \\[mm]", "noise \\[mm]"):
+    table.add_column("tag", no_wrap=True)
+    for name in ("s", "RMS \\[mm]", "force noise \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in comparisons:
         for i, (s, rms, sensor) in enumerate(zip(one.marker_s, one.rms, one.sensor_rms, strict=True)):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
-            table.add_row(*whose, marker_words(one, i), f"{s:.3g}", millimetres(rms), f"[dim]{millimetres(sensor)}[/]")
+            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(rms), f"[dim]{millimetres(sensor)}[/]")
     return table
 
 

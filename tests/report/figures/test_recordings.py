@@ -31,7 +31,9 @@ def every_figure() -> dict[str, Figure]:
     learned = made_up.learned(ONE)
     assert SEEN.source.view is not None
     return {
-        "stiffness": curves.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
+        "stiffness": curves.stiffness(
+            learned.beam, tags=dict(zip(ONE.tag_id.tolist(), ONE.marker_s.tolist(), strict=True)), push_s=0.8
+        ),
         "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
         "nuisances": curves.nuisances(FIT.nuisances()),
         "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, learned.beam, ONE, SEEN),

@@ -229,14 +229,19 @@ def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) 
 def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
     out: list[Remark] = []
     if fitted.moved:
-        out.append(Remark("warning", "The fit still moved when its rounds were used up: its numbers are provisional."))
+        out.append(
+            Remark(
+                "warning",
+                "The fit still moved when its rounds were used up: its numbers are provisional. Film for longer.",
+            )
+        )
     travel = np.sqrt(np.nanmean(np.sum((fit.swing.seen - fit.swing.rest)[..., :2] ** 2, axis=-1), axis=0))
     worst = int(np.nanargmax(fit.rms / travel))
     if fit.rms[worst] > _FAR_OFF * travel[worst]:
         text = (
             f"The tag at s = {fit.swing.s[worst]:.3g} is {1000 * fit.rms[worst]:.2g} mm (RMS) from the fitted motion, "
             f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) or "
-            "mass along it), or is touched while it swings."
+            "mass along it), or is touched while it swings. Learn k(s) again, and film a release that nothing touches."
         )
         out.append(Remark("warning", text))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:

@@ -169,7 +169,13 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
         remarks.append(Remark("note", text))
     elif float(np.ptp(zero.value, axis=0).max()) > 0.2 * largest:
         change = float(np.ptp(zero.value, axis=0).max())
-        remarks.append(Remark("warning", f"The force's zero drifted by {change:.2g} N between the rests."))
+        remarks.append(
+            Remark(
+                "warning",
+                f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up, and push "
+                "again.",
+            )
+        )
     if not math.isfinite(cutoff):
         remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
     return tuple(remarks)

@@ -79,7 +79,7 @@ def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
 def _from_mean(values: Array) -> Array:
     """Columns (T, m) less their means; NaN where a column has no value."""
     count = np.maximum(np.sum(np.isfinite(values), axis=0), 1)
-    return values - np.nansum(values, axis=0) / count
+    return np.asarray(values - np.nansum(values, axis=0) / count)
 
 
 def _continuous(angle: Array) -> Array:

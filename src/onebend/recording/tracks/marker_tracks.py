@@ -155,7 +155,11 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     text = f"The base moves, by up to {1000 * float(step.max()):.2g} mm and {math.degrees(float(np.ptp(turn))):.2g} deg"
     if base == 1 and not np.isfinite(angle).any():
         text += "; one marker without an angle does not show its turn. Put a second one on it"
-    return shift, turn, (Remark("warning", f"{text}. It was followed from frame to frame."),)
+    return (
+        shift,
+        turn,
+        (Remark("warning", f"{text}. It was followed from frame to frame. Fix the base, and the tracker"),),
+    )
 
 
 def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactSettings) -> tuple[Array, float]:
