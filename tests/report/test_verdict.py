@@ -76,7 +76,7 @@ def test_terminal_report_and_summary_say_the_same() -> None:
 def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
     motion = 1e3 * np.ptp(made_up.comparison(largest=0.2).measured[:, 2, 1][np.r_[0:10, 12:90]])
     good = verdict_of(validated(0.0033, 0.0038))
-    assert "3.30 mm RMS (worst: M3, tag 3); the force's noise alone explains 3.80: as good" in good.use
+    assert "3.30 mm RMS (worst: tag 3); force noise 3.80: as good" in good.use
     assert (good.error, good.error_of) == (0.0033, "validation")
     fair = verdict_of(validated(0.0020, 0.0010))
     assert f"shapes are predicted to {100 * 2.0 / motion:.1f}"[:-1] in fair.use

@@ -9,9 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import Band, UncertainStiffness, half_width_words
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
+from onebend.records import Array
 from onebend.report.confidence import allowance_rows, nuisance_rows
 from onebend.report.wording import (
     UNKNOWN,
@@ -47,7 +48,7 @@ def selection_table(learned: Learned) -> Table:
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
     """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
     if len(learned.training.tag_id) <= FEW:
-        return [f"tag {tag} \\[mm]" for tag in learned.training.tag_id], [
+        return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
             list(map(millimetres, t.rms)) for t in learned.trials
         ]
     worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
@@ -57,7 +58,7 @@ def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
     """Tables IV to VI, one tag a row: RMS, and the force noise."""
     table = Table(
-        title=f"{what}: RMS distance (force noise: what the log's noise alone causes)", title_justify="left", box=None
+        title=f"{what}: RMS distance (force noise: from the log's noise alone)", title_justify="left", box=None
     )
     table.add_column("recording", overflow="fold", ratio=1)
     table.add_column("frames", justify="right", no_wrap=True)
@@ -81,13 +82,28 @@ def band_table(uncertain: UncertainStiffness, *, columns: int) -> Table:
     for i in range(count):
         table.add_column(width=(columns - 1) // (count - 1) if i < count - 1 else None, no_wrap=True)
     styles = ["" if known else "bright_black" for known in band.identified]
-    for name, values in (("s", s), ("k [N m]", band.k), ("from", band.low), ("to", band.high)):
-        cells = [significant(float(value)) for value in values]
-        cells = [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)]
-        if name == "s":
-            cells = ["0 clamp", *(f"{value:.1f}" for value in values[1:-1]), "1 tip"]
+    places = ["0 clamp", *(f"{value:.1f}" for value in s[1:-1]), "1 tip"]
+    rows = [(name, [significant(float(v)) for v in values]) for name, values in _columns(band).items()]
+    rows.insert(1, ("±", half_widths(band)))
+    rows = [
+        (name, [c if known else f"({c})" for c, known in zip(cells, band.identified, strict=True)])
+        for name, cells in rows
+    ]
+    for name, cells in (("s", places), *rows):
         table.add_row(Text(f"{name:>8}", "dim"), *(Text(*pair) for pair in zip(cells, styles, strict=True)))
     return table
+
+
+def half_widths(band: Band) -> list[str]:
+    """Half the band at each place: "7.4 %", "x 2.4"."""
+    return [
+        half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ")
+        for half in 0.5 * np.log(band.high / band.low)
+    ]
+
+
+def _columns(band: Band) -> dict[str, Array]:
+    return {"k [N m]": band.k, "from": band.low, "to": band.high}
 
 
 def estimate_table(uncertain: UncertainStiffness, regression: Learned | None) -> Table:
@@ -95,13 +111,13 @@ def estimate_table(uncertain: UncertainStiffness, regression: Learned | None) ->
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name in ("s", "k [N m]", "95 % from", "to", "identified"):
+    for name in ("s", "k [N m]", "± 95 %", "from", "to", "identified"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     if regression is not None:
         table.add_column("the paper's k", justify="right", no_wrap=True)
-    columns = zip(s, band.k, band.low, band.high, band.identified, strict=True)
-    for i, (place, k, low, high, known) in enumerate(columns):
-        cells = [f"{place:.1f}", significant(k), significant(low), significant(high), "yes" if known else "no"]
+    columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
+    for i, (place, k, half, low, high, known) in enumerate(columns):
+        cells = [f"{place:.1f}", significant(k), half, significant(low), significant(high), "yes" if known else "no"]
         if regression is not None:
             cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
         table.add_row(*cells, style="" if known else "bright_black")

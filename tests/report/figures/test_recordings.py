@@ -74,7 +74,7 @@ def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
     dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
     assert len(dashed) == len(blue) + 1  # and one for the legend
     above, _ = recordings.markers(LOGGED, FITTED).axes
-    solid = [line for line in above.lines if str(line.get_label()).startswith("M")]
+    solid = [line for line in above.lines if str(line.get_label()).startswith("tag ")]
     np.testing.assert_allclose(np.array(solid[0].get_ydata(), dtype=float), 1000 * FITTED.comparison.predicted[:, 0, 0])
     force = recordings.force(seen, FITTED).axes[0]
     labels = [str(line.get_label()) for line in force.lines]

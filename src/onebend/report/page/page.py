@@ -125,7 +125,9 @@ def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
         band = posterior.band(s)
         for row, low, high, known in zip(rows, band.low, band.high, band.identified, strict=True):
             row |= {"low": significant(low), "high": significant(high), "known": bool(known)}
-            row["half"] = half_width_words(0.5 * float(np.log(high / low))).removeprefix("± ")
+            row["half"] = (
+                half_width_words(0.5 * float(np.log(high / low))).removeprefix("± ").replace("a factor of ", "× ")
+            )
     if posterior is not None and findings.learned is not None:
         for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
             row["regression"] = significant(k)
