@@ -69,7 +69,7 @@ def test_hung_weights_have_one_distance_from_the_fit() -> None:
     text = Links(page(run, {}, version="1")).text
     worst = max(float(np.nanmax(rms)) for rms in fitted_rms(run.posterior))
     card = next(card for card in cards(run) if "worst tag" in card["what"])
-    assert card["value"].startswith(f"{millimetres(worst)} mm (tag ")
+    assert card["value"].startswith(f"{millimetres(worst)}\u00a0mm (tag")
     as_written = validate(run.beam, run.recordings[0]).rms
     said = text.split("Fit to what it was learned from")[1].split("What a real beam and a real bench also do")[0]
     fitted = {millimetres(value) for value in fitted_rms(run.posterior)[0]}

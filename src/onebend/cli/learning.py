@@ -38,6 +38,7 @@ from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import DetectionCache
 from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.model import model_file
+from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of
 from onebend.results.recording_files import recording_files
 from onebend.results.summary import (
@@ -186,7 +187,8 @@ def validate(
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     with clean_errors():
         beam = read_trusted(model).beam
-        work = partial(compare, beam, recordings, observing=_observing(threads, epsilon))
+        known = observations_beside(model)
+        work = partial(compare, beam, recordings, learned_from=known, observing=_observing(threads, epsilon))
         if output is None:
             with progress_of(quiet) as progress:
                 pairs = work(progress=progress)

@@ -101,7 +101,7 @@ def _first_check(posterior: Posterior) -> str:
     """What is most often wrong where the fit misses the tags."""
     if all(one.observations.static for one in posterior.recordings):
         return "Check the loads and their unit, then the signs of x and y"
-    if any(one.observations.source.clean_force is not None for one in posterior.recordings):
+    if any(np.any(one.observations.force != 0.0) for one in posterior.recordings):
         return "Check the sign and the axes of [force], then the clocks"
     return "Check the tags' places and the direction of gravity"
 

@@ -75,7 +75,8 @@ def worst_tag(comparison: Comparison) -> str:
     if not np.isfinite(comparison.rms).any():
         return UNKNOWN
     i = int(np.nanargmax(comparison.rms))
-    return f"{millimetres(comparison.rms[i])} mm ({tag_words(comparison, i)})"
+    whole = f"{millimetres(comparison.rms[i])} mm ({tag_words(comparison, i)})"
+    return whole.replace("tag ", "tag\N{NO-BREAK SPACE}").replace(" mm", "\N{NO-BREAK SPACE}mm")
 
 
 def tag_words(comparison: Comparison, index: int) -> str:

@@ -93,7 +93,7 @@ def test_page_says_the_figures() -> None:
         "onebend 1.2.3",
         "n = 4 curvature modes",
         f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
-        f"{millimetres(float(np.nanmax(fitted_rms(fit)[0])))} mm (tag ",
+        f"{millimetres(float(np.nanmax(fitted_rms(fit)[0])))}\u00a0mm (tag\u00a0",
         millimetres(float(found.trainings[0].rms[0])),  # as logged, folded below
         "1 % too stiff",
         "made-up: clamp angle",
