@@ -1,7 +1,7 @@
 """What README and docs show of the commands, made again: `python -m benchmarks.shown [NAME ...]`.
 
-A screen stands in its page between `<!-- shown: NAME -->` and `<!-- end of NAME -->`. `docs/shown.json` beside the pages
-keeps two checksums of the source files behind each: of those that word or draw it, and of those that its numbers come
+A screen stands in its page between `<!-- shown: NAME -->` and `<!-- end of NAME -->`. `docs/shown.json` keeps
+two checksums of the source files behind each: of those that word or draw it, and of those that its numbers come
 from. `--list` says which are older than their sources; `tests/test_shown.py` does so too.
 """
 
