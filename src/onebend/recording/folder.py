@@ -218,7 +218,16 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     """`entry` with the files it names made whole paths; each must exist."""
     if entry is None:
         return None
-    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder", "definitions"):
+    for field_name in (
+        "file",
+        "frame_times",
+        "base_angle_file",
+        "mass_file",
+        "section_file",
+        "loads",
+        "folder",
+        "definitions",
+    ):
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue

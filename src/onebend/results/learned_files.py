@@ -8,6 +8,7 @@ from typing import Any
 
 from onebend.files.manifest import write_summary
 from onebend.learning.design.instruments import instruments_if_pushed
+from onebend.learning.modulus import stated_section
 from onebend.learning.outcome import Comparison
 from onebend.records import Observations
 from onebend.report.figures.pictures import Pictures
@@ -46,7 +47,7 @@ def learned_writer(
         bench = None if posterior is None else instruments_if_pushed(posterior)
         by = f"onebend {version}"
         save_model(folder / FILE_NAME, findings.beam, written_by=by, origin=origin, uncertain=uncertain, bench=bench)
-        write_stiffness(folder / "stiffness.csv", findings.beam, uncertain)
+        write_stiffness(folder / "stiffness.csv", findings.beam, uncertain, stated_section(findings.recordings))
         if learned is not None:
             write_selection(folder / "selection.csv", learned)
         if posterior is not None:

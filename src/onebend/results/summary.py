@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.modulus import modulus_along, stated_section
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.swing.damping import SwingFit
@@ -30,6 +31,7 @@ DAMP_FORMAT = "onebend-damp-1"
 def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
     """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
     learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
+    uncertain = None if posterior is None else posterior.stiffness
     return {
         "format": LEARN_FORMAT,
         "written_by": written_by,
@@ -37,7 +39,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
         "verdict": verdict_of(findings).as_dict(),
-        "stiffness": _stiffness(findings.beam, None if posterior is None else posterior.stiffness),
+        "stiffness": _stiffness(findings.beam, uncertain) | _modulus(findings, uncertain),
         "fit": None if posterior is None else _fit(posterior),
         "regression": None if learned is None else _regression(learned),
         "training": [comparison_summary(comparison) for comparison in findings.trainings],
@@ -172,6 +174,20 @@ def _stiffness(beam: Beam, uncertain: UncertainStiffness | None) -> dict[str, An
         found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
         found |= {"doubts": uncertain.doubts}
     return found
+
+
+def _modulus(findings: Findings, uncertain: UncertainStiffness | None) -> dict[str, Any]:
+    """Young's modulus at the places of `_stiffness`, and the section that it is by; nothing where no section is
+    stated."""
+    section = stated_section(findings.recordings)
+    band = modulus_along(findings.beam, uncertain, findings.recordings, np.linspace(0.0, 1.0, 11))
+    if section is None or band is None:
+        return {}
+    found: dict[str, Any] = {"E_Pa": band.modulus}
+    if uncertain is not None:
+        found |= {"E_lo_Pa": band.low, "E_hi_Pa": band.high}
+    sizes = {"s": section.s, "in_plane_m": section.thickness, "across_m": section.width, "sd_m": section.sd}
+    return {**found, "section": {"shape": section.shape, **sizes}}
 
 
 def _force(observed: Observations) -> dict[str, Any] | None:

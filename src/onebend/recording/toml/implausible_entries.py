@@ -59,6 +59,12 @@ def unit_remarks(beam: BeamEntry, tags: TagsEntry, entries: dict[str, Any]) -> t
         warnings.append(f"length_m = {length:g} is a beam longer than {LONG:g} m: is it in metres?")
     if tags.size > length:
         warnings.append(f"size_m = {tags.size:g} is a tag wider than the beam is long: are both in metres?")
+    sizes = (("width_m", beam.width), ("thickness_m", beam.thickness), ("diameter_m", beam.diameter))
+    warnings += [
+        f"{name} = {size:g} is a section larger than the beam is long: are both in metres?"
+        for name, size in sizes
+        if size > length
+    ]
     push, force = entries["push"], entries["force"]
     sds = [("placement_sd_m", tags.placement_sd), ("at_sd_m", math.nan if push is None else push.at_sd)]
     for name, sd in sds:
