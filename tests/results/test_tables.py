@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +13,12 @@ import pytest
 
 from onebend.beam.profiles.modulus import modulus_band
 from onebend.files.manifest import seal, write_summary
-from onebend.records import Detections, Remark, StatedSection
-from onebend.results.detection_cache import DetectionCache, key_of
+from onebend.records import StatedSection
 from onebend.results.summary import summary_of, validation_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
 from tests import made_up
-from tests.made_up import same, with_source
+from tests.made_up import with_source
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -184,40 +183,3 @@ def test_summary_without_force_or_clock() -> None:
 def test_plain_leaves_no_array_and_no_infinity() -> None:
     value = plain({"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf"), "text", None, True)})
     assert value == {"a": [1.0, None], "b": [3, None, "text", None, True]}
-
-
-def detections() -> Detections:
-    corners = np.arange(2 * 2 * 4 * 2, dtype=float).reshape(2, 2, 4, 2) / 7
-    corners[1, 0] = np.nan
-    return Detections(
-        np.array([0.0, 1 / 30]), np.array([0, 4]), corners, 1280, 720, (Remark("note", "blurred – much"),)
-    )
-
-
-def test_cached_detections_are_found_again(tmp_path: Path) -> None:
-    cache = DetectionCache(tmp_path / "out.partial", "1")
-    assert cache.load("k") is None
-    cache.save("k", detections())
-    again = cache.load("k")
-    assert again is not None
-    assert all(same(getattr(again, field.name), getattr(detections(), field.name)) for field in fields(Detections))
-    assert cache.load("another") is None
-
-
-@pytest.mark.parametrize("size", [0, 10, 300])
-def test_kept_detections_that_were_cut_count_as_not_there(tmp_path: Path, size: int) -> None:
-    cache = DetectionCache(tmp_path, "1")
-    cache.save("k", detections())
-    file = tmp_path / "detections-k.npz"
-    file.write_bytes(file.read_bytes()[:size])
-    assert cache.load("k") is None
-
-
-def test_the_key_follows_the_file_and_the_settings(tmp_path: Path) -> None:
-    video = tmp_path / "video.mp4"
-    video.write_bytes(b"12345")
-    key = key_of((video,), "tag36h11", (0, 1))
-    assert key == key_of((video,), "tag36h11", (0, 1))
-    assert key != key_of((video,), "tag36h11", (0, 2))
-    video.write_bytes(b"123456")
-    assert key != key_of((video,), "tag36h11", (0, 1))

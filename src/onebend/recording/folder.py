@@ -70,13 +70,19 @@ HOMES: dict[str, tuple[str, ...]] = {
 }
 
 
+def folder_of(path: Path | str) -> Path:
+    """The folder of a recording that is named by its `recording.toml` or by itself."""
+    path = Path(path)
+    return path.parent if path.name == FILE_NAME and not path.is_dir() else path
+
+
 def read_recording(folder: Path | str) -> Recording:
-    """Read and check `recording.toml` of `folder`, and that the files it names exist.
+    """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
     """
-    folder = Path(folder)
+    folder = folder_of(folder)
     content, data = load(folder)
     mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
     check_top(data, mistakes)
