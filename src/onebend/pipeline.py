@@ -16,7 +16,7 @@ from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
-from onebend.learning.modulus import modulus_along, modulus_remarks
+from onebend.learning.modulus import modulus_along, modulus_remarks, stated_section
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
@@ -56,7 +56,7 @@ class Run:
         """Young's modulus E(s) [Pa] at places s (S,), with its band where k(s) has one; None where no recording states
         the section (`width_m` with `thickness_m`, or `diameter_m`)."""
         uncertain = None if self.posterior is None else self.posterior.stiffness
-        return modulus_along(self.beam, uncertain, self.recordings, s, level)
+        return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
 
 
 @one_blas_thread

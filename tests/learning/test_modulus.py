@@ -29,13 +29,13 @@ def told(section: StatedSection | None, *, scale: float = 1.0, doubts: tuple[str
 def test_without_a_section_nothing_is_said() -> None:
     fit = made_up.posterior()
     assert stated_section([seen(None)]) is None
-    assert modulus_along(fit.beam, fit.stiffness, [seen(None)], S) is None
+    assert modulus_along(fit.beam, fit.stiffness, None, S) is None
     assert told(None, scale=1e20) == []
 
 
 def test_the_modulus_is_k_over_the_stated_section() -> None:
     fit = made_up.posterior()
-    found = modulus_along(fit.beam, fit.stiffness, [seen(None), seen(BAR)], S)
+    found = modulus_along(fit.beam, fit.stiffness, stated_section([seen(None), seen(BAR)]), S)
     assert found is not None
     second = 0.03 * 0.012**3 / 12.0
     np.testing.assert_allclose(found.modulus, fit.beam.stiffness(S) * made_up.LENGTH / second, rtol=1e-9)

@@ -29,14 +29,13 @@ def stated_section(recordings: Sequence[Observations]) -> StatedSection | None:
 
 
 def modulus_along(
-    beam: Beam, uncertain: UncertainStiffness | None, recordings: Sequence[Observations], s: Array, level: float = 0.95
+    beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None, s: Array, level: float = 0.95
 ) -> ModulusBand | None:
-    """E(s) [Pa] at places s (S,), with its band where k(s) has one; None where no recording states the section.
+    """E(s) [Pa] at places s (S,), with its band where k(s) has one; None where the section is not known.
 
     Raises:
         MechanicsError: sizes of the section that are not positive.
     """
-    section = stated_section(recordings)
     return None if section is None else modulus_band(uncertain or beam.stiffness, beam.length, section, s, level)
 
 
@@ -66,7 +65,7 @@ def modulus_remarks(
 ) -> tuple[Remark, ...]:
     """A warning where no material has such a modulus, one where the recordings state different sections."""
     section, s = stated_section(recordings), np.linspace(0.0, 1.0, _PLACES)
-    band = modulus_along(beam, uncertain, recordings, s)
+    band = modulus_along(beam, uncertain, section, s)
     if section is None or band is None:
         return ()
     others = [one.stated.section for one in recordings]

@@ -53,11 +53,9 @@ def test_width_and_thickness_are_not_mixed_up() -> None:
 def test_the_band_is_the_quantiles_of_the_draws(stated: StatedSection, sd: float) -> None:
     one, rng = uncertain(0.02), np.random.default_rng(5)
     band = modulus_band(one, LENGTH, replace(stated, sd=sd), S, 0.9)
-    drawn = []
-    for k in one.draw(4000, seed=3):
-        errors = np.nan_to_num(sd) * rng.normal(size=2)
-        sizes = (THICK + errors[0], WIDE + errors[1] if stated is RECTANGLE else THICK + errors[0])
-        drawn.append(k(S) * LENGTH / second_moment(StatedSection(stated.shape, PLACES, *sizes), S)[0])
+    k = np.array([profile(S) for profile in one.draw(4000, seed=3)])
+    h, w = (table(size)(S) + np.nan_to_num(sd) * rng.normal(size=(4000, 1)) for size in (THICK, WIDE))
+    drawn = k * LENGTH / (np.pi * h**4 / 64.0 if stated is CIRCLE else w * h**3 / 12.0)
     np.testing.assert_allclose(band.low, np.quantile(drawn, 0.05, axis=0), rtol=0.03)
     np.testing.assert_allclose(band.high, np.quantile(drawn, 0.95, axis=0), rtol=0.03)
     assert np.array_equal(band.identified, one.band(S).identified)

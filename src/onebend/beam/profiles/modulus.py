@@ -7,6 +7,7 @@ first order: `d log I = dw/w + 3 dh/h`, or `4 dd/d`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, get_args
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from onebend.beam.profiles.stiffness import Profile, Table
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
-from onebend.records import Array, BoolArray, StatedSection
+from onebend.records import Array, BoolArray, SectionShapeName, StatedSection
 
 
 @dataclass(frozen=True)
@@ -70,3 +71,22 @@ def modulus_band(
     modulus = band.k * length / moment
     wide = np.exp(np.hypot(stiffness.half_width(s, level), half_width(sd, level)))
     return ModulusBand(s, modulus, modulus / wide, modulus * wide, band.identified & np.isfinite(moment))
+
+
+def section_as_dict(section: StatedSection) -> dict[str, Any]:
+    """For JSON: `in_plane_m` is the size in the plane of bending, `across_m` the one across it."""
+    sizes = {"in_plane_m": section.thickness.tolist(), "across_m": section.width.tolist()}
+    sd = section.sd if np.isfinite(section.sd) else None
+    return {"shape": section.shape, "s": section.s.tolist(), **sizes, "sd_m": sd}
+
+
+def section_from_dict(data: dict[str, Any]) -> StatedSection:
+    """From `section_as_dict`. Raises `MechanicsError` where it is no section."""
+    s, thickness, width = (np.array(data[key], dtype=float) for key in ("s", "in_plane_m", "across_m"))
+    sd = np.nan if data["sd_m"] is None else float(data["sd_m"])
+    if data["shape"] not in get_args(SectionShapeName) or s.ndim != 1 or not s.shape == thickness.shape == width.shape:
+        raise MechanicsError("a section is a rectangle or a circle with as many sizes as places")
+    section = StatedSection(data["shape"], s, thickness, width, sd)
+    if sd < 0.0 or not np.all(np.isfinite(second_moment(section, s)[0])):
+        raise MechanicsError("a section holds numbers that are not finite, or an sd below zero")
+    return section

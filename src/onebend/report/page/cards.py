@@ -9,7 +9,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
 from onebend.report.kinds import only_static, words_of
-from onebend.report.modulus import modulus_range
+from onebend.report.modulus import measured_beam, modulus_range
 from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant, worst_marker
 
@@ -68,7 +68,7 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
 
 def _modulus_card(findings: Findings) -> list[dict[str, str]]:
     """Young's modulus, where the section was measured."""
-    found = modulus_range(findings)
+    found = modulus_range(measured_beam(findings))
     note = "E(s) = k L / I, where k is identified, by the section that recording.toml states"
     return [{"what": "Young's modulus E(s)", "value": found, "note": note}] if found else []
 
