@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from onebend.learning.modulus import modulus_along, modulus_remarks, modulus_unit, stated_section
+from onebend.learning.posterior import FitSettings
+from onebend.pipeline import learn
 from onebend.records import Observations, StatedSection
+from onebend.report.overview import overview
 from tests import made_up
 
+WEIGHTS = Path(__file__).parents[2] / "examples" / "hung-weights"
 ENDS, S = np.array([0.0, 1.0]), np.linspace(0.0, 1.0, 11)
 BAR = StatedSection("rectangle", ENDS, np.full(2, 0.012), np.full(2, 0.03))
 
@@ -89,3 +94,24 @@ def test_the_unit_goes_by_the_size() -> None:
     sizes = [5e2, 7e5, 2e6, 2.1e11, 3e13]
     assert [modulus_unit(np.array([size, np.nan]))[1] for size in sizes] == ["kPa", "kPa", "MPa", "GPa", "GPa"]
     assert modulus_unit(np.array([np.nan]))[1] == "kPa"
+
+
+@pytest.mark.parametrize(("size", "known"), [("0.006", True), ("6", False)])
+def test_a_run_has_the_modulus_and_says_where_there_is_no_such_material(tmp_path: Path, size: str, known: bool) -> None:
+    """A rod of 6 mm, and one that was written in millimetres."""
+    for file in WEIGHTS.iterdir():
+        (tmp_path / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8")
+    text = (WEIGHTS / "recording.toml").read_text(encoding="utf-8")
+    (tmp_path / "recording.toml").write_text(text.replace("[beam]", f"[beam]\ndiameter_m = {size}"), encoding="utf-8")
+    run = learn(tmp_path / "recording.toml", fitting=FitSettings(functions=6, most_frames=10))
+    found = run.modulus(S)
+    assert found is not None
+    assert run.posterior is not None
+    second = np.pi * float(size) ** 4 / 64.0
+    np.testing.assert_allclose(found.modulus, run.beam.stiffness(S) * run.beam.length / second, rtol=1e-9)
+    np.testing.assert_allclose(found.low, run.posterior.band(S).low * run.beam.length / second, rtol=1e-9)
+    said = [one.text for one in run.remarks if "Young's modulus" in one.text]
+    assert len(said) == (0 if known else 1)
+    assert known or "diameter_m 6 m" in said[0]
+    rows = dict(overview(tmp_path).rows)
+    assert rows["section"] == ("diameter_m 6 mm" if known else "diameter_m 6 m")

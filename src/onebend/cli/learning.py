@@ -134,7 +134,10 @@ def learn(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
+    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).
+
+    The tags of a film are looked for once and kept for the next run (`onebend cache`).
+    """
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
