@@ -96,3 +96,10 @@ def test_a_section_larger_than_the_beam_is_warned_of(tmp_path: Path) -> None:
     warnings = [r.text for r in read_recording(folder_with(tmp_path, content)).remarks if r.level == "warning"]
     assert [text for text in warnings if "width_m = 12 is a section larger than the beam is long" in text]
     assert not [text for text in warnings if "thickness_m" in text]
+
+
+@pytest.mark.parametrize(("width", "thickness", "asked"), [(0.03, 0.012, 1), (0.012, 0.03, 0), (0.01, 0.01, 0)])
+def test_sizes_that_look_swapped_are_asked_after(tmp_path: Path, width: float, thickness: float, asked: int) -> None:
+    content = FULL.replace("mass_kg = 0.08\n", f"mass_kg = 0.08\nwidth_m = {width}\nthickness_m = {thickness}\n")
+    notes = [r for r in read_recording(folder_with(tmp_path, content)).remarks if "swapped" in r.text]
+    assert [note.level for note in notes] == asked * ["note"]
