@@ -45,7 +45,7 @@ SHOWN = {
         "", ("examples/readme_picture.py",), ("report/figures/curves.py", "report/figures/style.py"), LEARNING
     ),
     "reproduce": Shown(
-        "docs/reproduce.md",
+        "",
         ("reproduce", "-o", "out/paper", "--force"),
         ("terminal/reproducing.py", "studies/figures.py", "studies/tables.py"),
         (*LEARNING, "lab", "control", "studies"),

@@ -182,7 +182,7 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
     time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
     for i, rms in enumerate(comparison.rms):
         distance, tint = distances(residual[:, i]), colour(i, count)
-        label = f"tag {comparison.tag_id[i]}: {millimetres(rms)} mm RMS" if i in named(count) else None
+        label = f"tag {comparison.tag_id[i]}: {millimetres(rms)} RMS" if i in named(count) else None
         left.plot(*_unbroken(time, distance), color=tint, linewidth=1.1, label=label, **_marked(i, time))
         right.plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
