@@ -7,7 +7,7 @@ import io
 import json
 import zipfile
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ class DetectionCache:
         """The detections under `key`, or None; a file that cannot be read counts as missing."""
         try:
             with self._file(key).open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-                remarks = tuple(Remark(*pair) for pair in json.loads(str(data["remarks"])))
+                remarks = tuple(Remark(**said) for said in json.loads(str(data["remarks"])))
                 width, height = (int(n) for n in data["size"])
                 return Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks)
         except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
@@ -66,7 +66,7 @@ class DetectionCache:
             tag_id=detections.tag_id,
             corners=detections.corners,
             size=np.array([detections.width, detections.height]),
-            remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
+            remarks=np.array(json.dumps([asdict(remark) for remark in detections.remarks])),
         )
         with suppress(ResultsError):
             write_file(self._file(key), content.getvalue(), overwrite=True)
