@@ -63,7 +63,7 @@ COMMANDS = {
         "damp",
         "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
         "out/linear-beam out/released",
-        "onebend film linear --push free -o out/released",
+        "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "reach": Place(
         "control",
@@ -154,7 +154,7 @@ COMMANDS = {
         "filming",
         "film",
         "Film a known beam that is pushed: a recording folder to learn from, with the truth beside it.",
-        "linear --push free -o out/released",
+        "linear --push free --sensor wrist -o out/released",
     ),
     "reproduce": Place(
         "reproducing",
