@@ -16,7 +16,6 @@ from importlib import import_module
 from typing import Annotated, Any, Literal, NoReturn
 
 import typer
-from typer.completion import completion_init, get_completion_script
 from typer.core import TyperCommand, TyperGroup
 
 import onebend
@@ -232,6 +231,9 @@ def _say_version(asked: bool) -> None:
 
 def _print_completion(shell: str | None) -> None:
     if shell is not None:
+        # here, as below: Typer promises nothing of these names, and every other command does without
+        from typer.completion import get_completion_script  # type: ignore[attr-defined]
+
         typer.echo(get_completion_script(prog_name=NAME, complete_var=COMPLETE, shell=shell))
         raise typer.Exit
 
@@ -257,5 +259,7 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 def main() -> NoReturn:
     """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
     if COMPLETE in os.environ:
+        from typer.completion import completion_init  # type: ignore[attr-defined]
+
         completion_init()
     guarded(app, onebend.__version__)
