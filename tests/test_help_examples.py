@@ -40,7 +40,7 @@ def run(line: str) -> Result:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_help_ends_with_an_example_that_can_be_copied(name: str) -> None:
     place = COMMANDS[name]
-    assert example_of(name) == [*filter(None, [place.first]), f"onebend {name} {place.example}"]
+    assert example_of(name) == [*filter(None, [place.first]), f"onebend {name} {place.example}".strip()]
 
 
 def workplace(folder: Path) -> None:

@@ -108,7 +108,9 @@ SECTIONS: dict[str, str] = {
     "rest shape": "the-beam-is-bent-at-rest",
     "curvature": "the-beam-is-bent-at-rest",
     "swing": "the-swing-is-not-as-the-model-says",
+    "no material": "youngs-modulus-is-that-of-no-material",
     # recording.toml
+    "two sections": "the-recordings-state-different-sections",
     "unit": "a-number-looks-written-in-another-unit",
     "wide tolerance": "a-tolerance-is-very-wide",
     # bags

@@ -107,6 +107,12 @@ COMMANDS = {
         "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
         "examples/linear-beam/train",
     ),
+    "cache": Place(
+        "recordings",
+        "show_cache",
+        "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
+        "",
+    ),
     "calibrate": Place(
         "calibrating",
         "calibrate",
@@ -195,7 +201,7 @@ class Command(TyperCommand):
         """The command itself. It works with one BLAS thread."""
         module = import_module(f"onebend.cli.{self.place.module}")
         single = typer.Typer(add_completion=False)
-        lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}"))
+        lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
         single.command(self.name, epilog="\n\n".join(lines))(
             one_blas_thread(remembered(getattr(module, self.place.function)))
         )
