@@ -58,7 +58,7 @@ SECTIONS: dict[str, str] = {
     "not identified": "ks-is-not-identified",
     "no scale": "the-size-of-ks-is-not-identifiable",
     "mass unknown": "the-mass-is-not-identifiable",
-    "marker missed": "the-simulated-beam-misses-a-marker",
+    "tag missed": "the-simulated-beam-misses-a-tag",
     "another beam": "the-validation-misses-by-more-than-the-noise",
     "no validation": "a-recording-cannot-validate-itself",
     "no equilibrium": "the-simulated-beam-snaps-or-buckles",

@@ -76,7 +76,7 @@ def poor_fit(comparison: Comparison, *, other: bool = False) -> list[Remark]:
         f"the simulated beam misses M{worst + 1} by {1000 * comparison.rms[worst]:.3g} mm RMS where it moves by "
         f"{1000 * motion[worst]:.3g} mm: this is no good fit. Check {check}"
     )
-    return [Remark("warning", text, about="marker missed")]
+    return [Remark("warning", text, about="tag missed")]
 
 
 def another_beam(comparison: Comparison) -> list[Remark]:
