@@ -125,6 +125,7 @@ def _not_learned_from(
             "warning",
             f"the beam was learned from {comparison.name}, so this recording is no validation and was left out: a fit "
             "always looks good on its own data. Film another push, and validate on that",
+            about="no validation",
         )
         for (comparison, _), learned in zip(pairs, known, strict=True)
         if learned
@@ -174,7 +175,7 @@ def _regression(
     except LearningError as error:
         if needed:
             raise
-        return None, (Remark("warning", f"the paper's regression found no beam: {error}"),)
+        return None, (_no_regression(error),)
     except np.linalg.LinAlgError as error:
         why = f"{seen.source.name}: the regression's equations cannot be solved ({error})"
         if not np.isfinite(seen.force_sd).all():
@@ -184,8 +185,12 @@ def _regression(
             )
         if needed:
             raise LearningError(why) from error
-        return None, (Remark("warning", f"the paper's regression found no beam: {why}"),)
+        return None, (_no_regression(why),)
     return learned, learned.remarks
+
+
+def _no_regression(why: object) -> Remark:
+    return Remark("warning", f"the paper's regression found no beam: {why}", about="no regression")
 
 
 def _fit(

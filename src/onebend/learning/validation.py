@@ -115,8 +115,10 @@ def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
                 "warning",
                 f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
                 "branch that grows from rest (it would snap through); these frames are left out of the comparison",
+                about="no equilibrium",
             )
         )
     if not np.all(stable | ~converged):
-        out.append(Remark("warning", f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"))
+        text = f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"
+        out.append(Remark("warning", text, about="no equilibrium"))
     return tuple(out)

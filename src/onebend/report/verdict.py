@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from onebend.errors import section
 from onebend.learning.criticism.alternatives import Suspect
 from onebend.learning.criticism_messages import cause_words
 from onebend.learning.outcome import Comparison
@@ -41,16 +42,19 @@ class Verdict:
     next: str  # the one thing to do
     error: float  # m RMS of the worst marker; NaN: not known
     error_of: ErrorOf
+    about: str = ""  # what is wrong with k(s), a key of `errors.SECTIONS`; "": nothing is
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         fields = asdict(self)
-        return {name: value for name, value in fields.items() if name != "error"} | {"error_m": self.error}
+        kept = {name: value for name, value in fields.items() if name not in ("error", "about")}
+        return kept | {"error_m": self.error, "docs": section(self.about)}
 
     @property
     def rows(self) -> tuple[tuple[str, str], ...]:
         """Label and words of all below the headline."""
-        return (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("next", self.next))
+        docs = (("docs", section(self.about)),) if self.about else ()
+        return (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("next", self.next), *docs)
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,17 @@ def verdict_of(findings: Findings) -> Verdict:
         next=_next(findings, error),
         error=error.rms,
         error_of=error.of,
+        about=_about(findings.posterior),
     )
+
+
+def _about(posterior: Posterior | None) -> str:
+    """What the verdict itself finds wrong; warnings have sections of their own."""
+    if posterior is None:
+        return ""
+    if posterior.doubts:
+        return "not trusted"
+    return "" if identified_ranges(posterior.stiffness) else "not identified"
 
 
 def hopeless(findings: Findings) -> bool:
