@@ -18,6 +18,7 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Array, Observations
+from onebend.report.allowance_words import narrower_words, share_words
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
 from onebend.report.wording import marker_words, millimetres, significant
@@ -38,6 +39,7 @@ class Verdict:
     known: str  # k(s), and how well it is known
     rests_on: str
     use: str  # how far off its predictions are, and what that means
+    narrower: str  # what to state for a narrower band; empty where nothing would help much
     next: str  # the one thing to do
     error: float  # m RMS of the worst marker; NaN: not known
     error_of: ErrorOf
@@ -50,7 +52,8 @@ class Verdict:
     @property
     def rows(self) -> tuple[tuple[str, str], ...]:
         """Label and words of all below the headline."""
-        return (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("next", self.next))
+        rows = (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("narrower", self.narrower))
+        return (*(row for row in rows if row[1]), ("next", self.next))
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,7 @@ def verdict_of(findings: Findings) -> Verdict:
         known=_known(findings),
         rests_on=_rests_on(posterior),
         use=_use(findings, error),
+        narrower="" if posterior is None or posterior.doubts else narrower_words(posterior),
         next=_next(findings, error),
         error=error.rms,
         error_of=error.of,
@@ -92,7 +96,7 @@ def _headline(posterior: Posterior | None) -> str:
         return "k(s) by the paper's regression: it has no band, and nothing tests it"
     if posterior.doubts:
         return f"k(s) is NOT TO BE TRUSTED: {'; '.join(posterior.doubts)}"
-    matter = [share.name for share in posterior.attributions if share.matters]
+    matter = [share_words(share) for share in posterior.attributions if share.matters]
     if not matter:
         return "k(s) holds: the beam and the bench are as the model has them"
     return f"k(s) holds with allowances: {', '.join(matter[:_MOST_NAMED])}"
