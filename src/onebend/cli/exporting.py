@@ -96,7 +96,9 @@ def rerun_command(
         path = output or Path(f"{recording.resolve().name}.rrd")
         with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
             observing = ObserveSettings(threads=threads)
-            [(found, seen)] = compare(stored.beam, [recording], observing=observing, progress=progress)
+            [(found, seen)] = compare(
+                stored.beam, [recording], stiffness=stored.uncertain, observing=observing, progress=progress
+            )
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)

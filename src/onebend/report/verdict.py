@@ -64,6 +64,7 @@ class _Error:
     rms: float  # m
     marker: str
     sensor: float  # m, what the force's noise alone explains of it
+    likely: float  # m, what that, the band of k(s) and the push's tolerances let expect
     motion: float  # m, how far the marker moves
     name: str
     failed: bool  # a warning says so
@@ -162,7 +163,9 @@ def _worst(of: ErrorOf, comparisons: Sequence[Comparison], rms: Sequence[Array])
     motion = float(np.linalg.norm(np.fmax.reduce(seen) - np.fmin.reduce(seen))) if known else math.nan
     failed = of == "validation" and any(poor_fit(two, other=True) or another_beam(two) for two in comparisons)
     value = float(values[m]) if known else math.nan
-    return _Error(of, value, marker_words(one, m), float(one.sensor_rms[m]), motion, one.name, failed)
+    return _Error(
+        of, value, marker_words(one, m), float(one.sensor_rms[m]), float(one.likely_rms[m]), motion, one.name, failed
+    )
 
 
 def _use(findings: Findings, error: _Error) -> str:
@@ -180,9 +183,14 @@ def _use(findings: Findings, error: _Error) -> str:
     means = f"no good prediction, {part}" if error.failed else f"shapes are predicted to {part}"
     if not (math.isfinite(error.sensor) and error.sensor > 0.0):
         return f"{where}: {means}"
+    explained = f"the force's noise alone explains {millimetres(error.sensor)}"
     if error.rms <= AS_GOOD * error.sensor and not error.failed:
-        means = "as good as the sensor allows"
-    return f"{where}; the force's noise alone explains {millimetres(error.sensor)}: {means}"
+        return f"{where}; {explained}: as good as the sensor allows"
+    if math.isfinite(error.likely):
+        explained += f", with the band of k(s) and the push's place {millimetres(error.likely)}"
+        if error.rms <= AS_GOOD * error.likely and not error.failed:
+            means += ", as well as its band says"
+    return f"{where}; {explained}: {means}"
 
 
 def _poor(trainings: Sequence[Comparison]) -> str:
