@@ -119,6 +119,7 @@ def test_the_scale_of_the_force_is_one_cause_among_the_others() -> None:
     assert scale.widening == pytest.approx(np.sqrt(mean(whole, whole) / mean(variance, whole)))
     assert (scale.shift, scale.sds) == (0.0, 0.0)
     assert scale.size == pytest.approx(gain_sd)
+    assert scale.sd == pytest.approx(np.sqrt(mean(whole, whole)))
 
 
 def test_of_two_effects_as_sure_the_open_one_counts_by_what_it_may_do() -> None:
@@ -147,10 +148,20 @@ def test_what_has_nothing_to_do_with_k_neither_widens_nor_shifts() -> None:
 
 @pytest.mark.parametrize(
     ("widening", "shift", "sds", "matters"),
-    [(1.2, 0.0, 0.0, True), (1.05, 0.1, 1.0, False), (1.05, 0.1, 3.0, True), (1.05, 0.01, 9.0, False)],
+    [
+        (1.2, 0.0, 0.0, True),
+        (1.05, 0.0, 0.0, False),
+        (1.0, 0.03, 1.0, False),
+        (1.0, 0.06, 1.0, True),
+        (1.0, 0.03, 3.0, True),
+        (1.0, 0.01, 9.0, False),
+    ],
 )
 def test_what_matters(widening: float, shift: float, sds: float, matters: bool) -> None:
-    assert Attribution("it", widening, shift, sds, shift).matters is matters
+    """What the data leave open and what they show without being sure count alike: by the change to be expected."""
+    sd = 0.1
+    size = np.hypot(shift, sd * np.sqrt(1.0 - 1.0 / widening**2))
+    assert Attribution("it", widening, shift, sds, float(size), sd).matters is matters
 
 
 def test_shift_and_widening_are_those_of_a_fit_without_it() -> None:

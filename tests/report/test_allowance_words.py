@@ -14,14 +14,14 @@ from tests import made_up
 
 
 def share(widening: float = 1.0, shift: float = 0.0, sds: float = 0.0) -> Attribution:
-    return Attribution("relaxation", widening, shift, sds, max(shift, 0.01))
+    return Attribution("relaxation", widening, shift, sds, max(shift, 0.01), 0.05)
 
 
 @pytest.mark.parametrize(
     ("one", "words"),
     [
-        (share(), "relaxation"),
-        (share(shift=0.1, sds=1.0), "relaxation"),  # may be chance
+        (share(), "relaxation (k(s) may be 1 % off without it)"),
+        (share(shift=0.1, sds=1.0), "relaxation (k(s) may be 11 % off without it)"),  # or it is chance
         (share(shift=0.1, sds=5.0), "relaxation (k(s) 11 % off without it)"),
         (share(shift=2.0, sds=5.0), "relaxation (another k(s) without it)"),  # more than first order tells
         (share(widening=1.25), "relaxation (band 1.25 times as wide)"),

@@ -58,6 +58,9 @@ _OF_EVERY_BENCH = (
     "direction of the force",
 )
 WIDENS = 1.1  # the band, at least
+_MUCH = float(
+    np.sqrt(1.0 - 1.0 / WIDENS**2)
+)  # of the sd of log k: the change to be expected of what widens it by so much
 SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
 _LEAST_LEFT = 1e-4  # of the variance: what is left at least
 _MOST_TOLD = 1e-9  # of the largest eigenvalue of the correlations in C_bb: directions below are fixed
@@ -72,11 +75,13 @@ class Attribution:
     shift: float  # RMS of the change of log k, were this as on the ideal bench
     sds: float  # how far its parameters are from the ideal bench's, in sd, less what several reach by chance
     size: float  # RMS of the same change, as the data leave it open
+    sd: float  # of log k
 
     @property
     def matters(self) -> bool:
         """Whether k(s) or its band would be visibly otherwise without it."""
-        return self.name not in _OF_EVERY_BENCH and (self.widening > WIDENS or (self.sure and self.shift > SHIFTS))
+        much = self.size > _MUCH * self.sd or (self.sure and self.shift > SHIFTS)
+        return self.name not in _OF_EVERY_BENCH and much
 
     @property
     def sure(self) -> bool:
@@ -118,7 +123,8 @@ def _attribution(
     """From log k's `variance` (S,), the part of it that is `explained` (S,), and the `change` (S,) of log k."""
     whole, part, square = float(weights @ variance), float(weights @ explained), float(np.sum(weights * change**2))
     widening = float(np.sqrt(whole / max(whole - part, _LEAST_LEFT * whole)))
-    return Attribution(name, widening, float(np.sqrt(square)), sds, float(np.sqrt(square + max(part, 0.0))))
+    size = float(np.sqrt(square + max(part, 0.0)))
+    return Attribution(name, widening, float(np.sqrt(square)), sds, size, float(np.sqrt(whole)))
 
 
 def _inverse(covariance: Array) -> Array:

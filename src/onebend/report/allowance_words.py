@@ -22,7 +22,9 @@ def share_words(share: Attribution) -> str:
         does.append(f"{change} k(s) without it" if change == ANOTHER else f"k(s) {change} off without it")
     if share.widening > WIDENS:
         does.append(f"band {share.widening:.2f} times as wide")
-    return f"{share.name} ({', '.join(does)})" if does else share.name
+    if not does:
+        does.append(f"k(s) may be {change_words(share.size)} off without it")
+    return f"{share.name} ({', '.join(does)})"
 
 
 def narrower_words(posterior: Posterior) -> str:
