@@ -31,10 +31,11 @@ ROOT = 0.01 * np.array(
 KNOWN = UncertainStiffness(KNOTS, MEAN, ROOT @ ROOT.T, gain_sd=0.3)
 BEAM = Beam(0.15, KNOWN.profile)
 PLACE_SD, DIRECTION_SD, AT = 2e-3, 0.02, 0.8
+COUNT = 10  # frames
 
 
 def seen() -> Observations:
-    made = observed(BEAM, forces(40), at_s=AT)
+    made = observed(BEAM, forces(COUNT), at_s=AT)
     return replace(made, stated=replace(made.stated, place_sd=PLACE_SD, direction_sd=DIRECTION_SD))
 
 
@@ -48,14 +49,14 @@ def mean_square(way: Array) -> Array:
 
 
 def parts() -> dict[str, Array]:
-    made, every = seen(), np.ones(40, dtype=bool)
+    made, every = seen(), np.ones(COUNT, dtype=bool)
     [solved] = solved_frames(BEAM, made, every)
     return variances(solved, made, every, KNOWN)
 
 
 def test_the_band_counts_as_its_principal_changes_do() -> None:
     """Symmetric differences along the columns of the covariance's root; the common scale of the force is left out."""
-    force, total = forces(40), np.zeros(3)
+    force, total = forces(COUNT), np.zeros(3)
     for column in 0.1 * ROOT.T:
         both = [Beam(0.15, LogSpline(tuple(KNOTS), tuple(MEAN + sign * column))) for sign in (1.0, -1.0)]
         total += mean_square((tags(both[0], force) - tags(both[1], force)) / 0.2)
@@ -63,7 +64,7 @@ def test_the_band_counts_as_its_principal_changes_do() -> None:
 
 
 def test_the_place_and_the_direction_of_the_push_count_by_their_tolerances() -> None:
-    force, step = forces(40), 0.01
+    force, step = forces(COUNT), 0.01
     turn = BEAM.equilibrium(force, AT).angle(np.array([AT]))[:, 0]
     sd = np.hypot(PLACE_SD, SLIDE_SD * turn)  # it slides as it turns
     away = step * PLACE_SD / BEAM.length
@@ -88,7 +89,7 @@ def test_a_validation_says_how_far_off_it_is_likely_to_be_where_the_band_is_know
 
 
 def test_of_poses_the_loads_are_where_they_are_said_to_be() -> None:
-    poses, every = replace(seen(), static=True), np.ones(40, dtype=bool)
+    poses, every = replace(seen(), static=True), np.ones(COUNT, dtype=bool)
     [solved] = solved_frames(BEAM, poses, every)
     assert set(variances(solved, poses, every, KNOWN)) == {"stiffness"}
 
