@@ -18,16 +18,7 @@ from tests.learning.bench import forces, observed
 
 KNOTS = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, 4), np.ones(3)])
 MEAN = np.log(np.array([0.02, 0.03, 0.025, 0.03, 0.02, 0.02]))
-ROOT = 0.01 * np.array(
-    [
-        [3, 0, 0, 0, 0, 0],
-        [1, 2, 0, 0, 0, 0],
-        [1, 1, 2, 0, 0, 0],
-        [0, 1, 1, 2, 0, 0],
-        [0, 0, 1, 1, 2, 0],
-        [0, 0, 0, 1, 1, 2],
-    ]
-)
+ROOT = 0.01 * np.array([[3, 0], [1, 2], [1, 1], [0, 1], [0, -1], [-1, 2]])  # of the covariance of log k
 KNOWN = UncertainStiffness(KNOTS, MEAN, ROOT @ ROOT.T, gain_sd=0.3)
 BEAM = Beam(0.15, KNOWN.profile)
 PLACE_SD, DIRECTION_SD, AT = 2e-3, 0.02, 0.8
