@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.modulus import ModulusBand
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
@@ -97,7 +98,8 @@ def learn(
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
         remarks += modulus_remarks(beam, None if posterior is None else posterior.stiffness, seen)
-        compared = compare(beam, others, observing=observing, detect=detect, progress=watch)
+        known = None if posterior is None else posterior.stiffness
+        compared = compare(beam, others, stiffness=known, observing=observing, detect=detect, progress=watch)
         pairs, said = _not_learned_from(compared, seen)
         remarks += said
     films = (*seen, *(where for _, where in pairs))
@@ -232,11 +234,12 @@ def compare(
     beam: Beam,
     folders: Sequence[Path | str],
     *,
+    stiffness: UncertainStiffness | None = None,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
-    """The beam against each of the recordings (Tables IV to VI).
+    """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
 
     Raises:
         ObservationError: a recording of a beam of another length; and all that `learn` raises.
@@ -247,7 +250,7 @@ def compare(
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
-        pairs.append((validate(beam, seen), seen))
+        pairs.append((validate(beam, seen, stiffness=stiffness), seen))
     return pairs
 
 
