@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.modulus import ModulusBand
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
@@ -97,7 +98,8 @@ def learn(
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
         remarks += modulus_remarks(beam, None if posterior is None else posterior.stiffness, seen)
-        compared = compare(beam, others, observing=observing, detect=detect, progress=watch)
+        known = None if posterior is None else posterior.stiffness
+        compared = compare(beam, others, stiffness=known, observing=observing, detect=detect, progress=watch)
         pairs, said = _not_learned_from(compared, seen)
         remarks += said
     films = (*seen, *(where for _, where in pairs))
@@ -170,7 +172,7 @@ def _regression(
     except LearningError as error:
         if needed:
             raise
-        return None, (Remark("warning", f"the paper's regression found no beam: {error}"),)
+        return None, (_no_regression(error),)
     except np.linalg.LinAlgError as error:
         why = f"{seen.source.name}: the regression's equations cannot be solved ({error})"
         if not np.isfinite(seen.force_sd).all():
@@ -180,8 +182,12 @@ def _regression(
             )
         if needed:
             raise LearningError(why) from error
-        return None, (Remark("warning", f"the paper's regression found no beam: {why}"),)
+        return None, (_no_regression(why),)
     return learned, learned.remarks
+
+
+def _no_regression(why: object) -> Remark:
+    return Remark("warning", f"the paper's regression found no beam: {why}", about="no regression")
 
 
 def _fit(
@@ -224,11 +230,13 @@ def compare(
     folders: Sequence[Path | str],
     *,
     learned_from: Sequence[Observations] = (),
+    stiffness: UncertainStiffness | None = None,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
-    """The beam against each of the recordings (Tables IV to VI); a warning on those that it was `learned_from`.
+    """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
+    A warning stands on those that it was `learned_from`.
 
     Raises:
         ObservationError: a recording of a beam of another length; and all that `learn` raises.
@@ -239,7 +247,7 @@ def compare(
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
-        pairs.append((validate(beam, seen), seen))
+        pairs.append((validate(beam, seen, stiffness=stiffness), seen))
     return [(_warned(found, seen, learned_from), seen) for found, seen in pairs]
 
 
@@ -253,7 +261,7 @@ def _no_validation(name: str, what: str) -> Remark:
     text = (
         f"the beam was learned from {name}, so {what}: a fit always looks good on its own data. Film another push, and"
     )
-    return Remark("warning", f"{text} validate on that")
+    return Remark("warning", f"{text} validate on that", about="no validation")
 
 
 @one_blas_thread

@@ -192,9 +192,17 @@ def validate(
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     with clean_errors():
-        beam = read_trusted(model).beam
+        stored = read_trusted(model)
         known = observations_beside(model)
-        work = partial(compare, beam, recordings, learned_from=known, observing=_observing(threads, epsilon))
+        work = partial(
+            compare,
+            stored.beam,
+            recordings,
+            learned_from=known,
+            stiffness=stored.uncertain,
+            observing=_observing(threads, epsilon),
+        )
+        beam = stored.beam
         if output is None:
             with progress_of(quiet) as progress:
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)

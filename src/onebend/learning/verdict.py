@@ -64,7 +64,9 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     """Warnings and notes on the fit itself. Where it misses hopelessly, only that: no value that came out counts."""
     wrong = [
         Remark(
-            "warning", f"{_whose(posterior, one.name)}{one.words}: k(s) is NOT TO BE TRUSTED. {_first_check(posterior)}"
+            "warning",
+            f"{_whose(posterior, one.name)}{one.words}: k(s) is NOT TO BE TRUSTED. {_first_check(posterior)}",
+            about="miss",
         )
         for one in posterior.misses
     ]
@@ -84,17 +86,15 @@ def _tests(posterior: Posterior) -> tuple[Remark, ...]:
         "there is more in the recording than the fit allows for, and nothing that is known of explains it. Look at the "
         "residuals in the report, tag by tag"
     )
-    return (Remark("warning", text), *told)
+    return (Remark("warning", text, about="unexplained"), *told)
 
 
 def _search(posterior: Posterior) -> list[Remark]:
     if posterior.optimum.converged:
         return []
-    text = (
-        f"the fit did not converge ({posterior.optimum.stopped}): k(s) is NOT TO BE TRUSTED. Push further, or learn "
-        "from several pushes"
-    )
-    return [Remark("warning", text)]
+    text = f"the fit did not converge ({posterior.optimum.stopped}): k(s) is NOT TO BE TRUSTED"
+    text += ". Push further, or learn from several pushes"
+    return [Remark("warning", text, about="not converged")]
 
 
 def _first_check(posterior: Posterior) -> str:
@@ -115,7 +115,7 @@ def _clamp(posterior: Posterior) -> list[Remark]:
         f"the clamp's direction was left free to {np.rad2deg(sd):.2g} deg (sd; usual: {np.rad2deg(usual):.2g} deg). A "
         "turned clamp looks like a softer beam near it, so the band is wider there. Measure the clamp's direction"
     )
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="free clamp")]
 
 
 def _usual_clamp(one: Observations) -> float:

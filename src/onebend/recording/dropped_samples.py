@@ -32,8 +32,8 @@ def missing_remarks(time: Array, what: str) -> tuple[Remark, ...]:
     longest = float(np.diff(time).max())
     text = f"About {count} {what} are missing, {len(time)} are there; the longest gap is {longest:.3g} s."
     if count <= NOTICED * len(time):
-        return (Remark("note", text),)
-    return (Remark("warning", f"{text} Look at what drops them, and record again."),)
+        return (Remark("note", text, about="bad rows"),)
+    return (Remark("warning", f"{text} Look at what drops them, and record again.", about="bad rows"),)
 
 
 def false_zeros(force: Array) -> BoolArray:

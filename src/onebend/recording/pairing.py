@@ -71,7 +71,8 @@ def match_clocks(
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
             f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
-            "show it. Write start_s in recording.toml."
+            "show it. Write start_s in recording.toml.",
+            about="clock",
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
@@ -85,7 +86,8 @@ def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
         raise ObservationError(
             f"{rec.name}: the force log has a row every {spacing:.3g} s, fewer than {FEWEST_ROWS} during the film of "
             f"{film:.3g} s. Times must be in seconds: for milliseconds write "
-            'time_unit = "ms" in [force]. Or log more often.'
+            'time_unit = "ms" in [force]. Or log more often.',
+            about="unit",
         )
 
 
@@ -172,7 +174,9 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
         )
     good: BoolArray = np.asarray(has_force & has_marker)
     if not good.any():
-        raise ObservationError("No frame has both a marker and a force. Check the film, the log and start_s.")
+        raise ObservationError(
+            "No frame has both a marker and a force. Check the film, the log and start_s.", about="no overlap"
+        )
     return good, tuple(remarks)
 
 
@@ -194,8 +198,8 @@ def check_direction(
     if refuse and reading.impossible:
         if rec.video is not None:
             text += f" {_or_the_clocks(rec.video, markers)}"
-        raise ObservationError(f"{rec.name}: {text}")
-    return (Remark("warning", text, doubt=True),)
+        raise ObservationError(f"{rec.name}: {text}", about="axes")
+    return (Remark("warning", text, doubt=True, about="axes"),)
 
 
 def _or_the_clocks(video: VideoEntry, markers: Markers) -> str:

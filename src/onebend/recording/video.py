@@ -157,7 +157,7 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
         f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
         "Correct fps."
     )
-    return (Remark("warning", text),)
+    return (Remark("warning", text, about="frame rate"),)
 
 
 def read_times(path: Path) -> Array:

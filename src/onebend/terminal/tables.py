@@ -57,19 +57,19 @@ def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
-    """Tables IV to VI, one tag a row: RMS, and the force noise."""
-    table = Table(
-        title=f"{what}: RMS distance (force noise: from the log's noise alone)", title_justify="left", box=None
-    )
+    """Tables IV to VI, one tag a row: RMS, the force noise, and what is likely."""
+    meaning = "force noise: from the log's noise alone; likely: with the band of k(s) and the push's place"
+    table = Table(title=f"{what}: RMS distance ({meaning})", title_justify="left", box=None)
     table.add_column("recording", overflow="fold", ratio=1)
     table.add_column("frames", justify="right", no_wrap=True)
     table.add_column("tag", no_wrap=True)
-    for name in ("s", "RMS \\[mm]", "force noise \\[mm]"):
+    for name in ("s", "RMS \\[mm]", "force noise \\[mm]", "likely \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in comparisons:
-        for i, (s, rms, sensor) in enumerate(zip(one.marker_s, one.rms, one.sensor_rms, strict=True)):
+        for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
-            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(rms), f"[dim]{millimetres(sensor)}[/]")
+            beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
+            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
     return table
 
 

@@ -57,7 +57,7 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
             f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
             "stamps."
         )
-        remarks = (*remarks, Remark("warning", text))
+        remarks = (*remarks, Remark("warning", text, about="no stamps"))
     remarks = (*remarks, *frame_remarks(entry, field, named))
     return whole_log(f"{entry.file}, {topic.channel.topic}", read[order], remarks)
 
@@ -122,5 +122,5 @@ def frame_remarks(entry: ForceEntry, field: str, named: list[str]) -> tuple[Rema
             "These axes turn with the tool: the force is right only if the tool kept its direction. Log it in axes "
             "that stand still."
         )
-        remarks.append(Remark("warning", text))
+        remarks.append(Remark("warning", text, about="tool axes"))
     return tuple(remarks)

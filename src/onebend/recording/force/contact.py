@@ -57,7 +57,8 @@ def find_contact(
             "Record three still seconds before the push."
         )
         loaded = np.full(len(time), log is not None)
-        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (Remark("warning", text),))
+        remark = Remark("warning", text, about="no rest")
+        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (remark,))
     first = int(np.argmax(departed > threshold)) if np.any(departed > threshold) else len(time)
     returned = departed < max(threshold, settings.returned * float(departed.max()))
     returned[:first] = True
@@ -71,12 +72,8 @@ def find_contact(
             if np.any(~still & free):
                 remarks.append(Remark("note", f"The beam swings freely from {released:.2f} s of the film on."))
     if not free[: max(first, 1)].any():
-        remarks.append(
-            Remark(
-                "warning",
-                "The rest before contact is too short to use: the force has no zero. Record three still seconds.",
-            )
-        )
+        text = "The rest before contact is too short to use: the force has no zero. Record three still seconds."
+        remarks.append(Remark("warning", text, about="no rest"))
     spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
     rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)
     touched = np.flatnonzero(~free)

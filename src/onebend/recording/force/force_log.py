@@ -184,5 +184,5 @@ def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
     if not count:
         return ()
     if count <= MANY * rows:
-        return (Remark("note", f"{count} of {rows} {what}."),)
-    return (Remark("warning", f"{count} of {rows} {what}. Check the logger, and record again."),)
+        return (Remark("note", f"{count} of {rows} {what}.", about="bad rows"),)
+    return (Remark("warning", f"{count} of {rows} {what}. Check the logger, and record again.", about="bad rows"),)
