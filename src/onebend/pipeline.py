@@ -187,7 +187,8 @@ def _regression(
 
 
 def _no_regression(why: object) -> Remark:
-    return Remark("warning", f"the paper's regression found no beam: {why}", about="no regression")
+    text = f"the paper's regression found no beam: {why}. Take k(s) from the fit, which needs none"
+    return Remark("warning", text, about="no regression")
 
 
 def _fit(

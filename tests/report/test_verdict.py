@@ -96,7 +96,7 @@ def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
 
 def test_a_validation_is_held_against_the_band_and_the_place_of_the_push_too() -> None:
     as_known = verdict_of(validated(0.0020, 0.0005, 0.0018)).use
-    assert "noise alone explains 0.50, with the band of k(s) and the push's place 1.80: shapes are" in as_known
+    assert "force noise 0.50, with the band of k(s) and the push's place 1.80: shapes are" in as_known
     assert as_known.endswith("as well as its band says")
     off = verdict_of(validated(0.0040, 0.0005, 0.0018)).use
     assert "place 1.80" in off

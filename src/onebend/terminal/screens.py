@@ -36,7 +36,7 @@ from onebend.terminal.tables import (
 )
 
 _COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trusted": "red", "no band": "yellow"}
-_FEWEST_ROWS, _MOST_ROWS = 8, 16  # of the plot of k(s)
+_FEWEST_ROWS, _MOST_ROWS = 5, 16  # of the plot of k(s)
 
 
 def show_run(console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False) -> None:
@@ -80,7 +80,7 @@ def _stiffness(console: Console, run: Findings, *, log: bool) -> list[Renderable
     words = modulus_words(measured)
     below: list[RenderableType] = [_sentences(words)] if words else []
     if run.posterior is None:
-        return [stiffness_plot(run.beam, rows=_FEWEST_ROWS), *below]
+        return [stiffness_plot(run.beam, rows=rows), *below]
     uncertain = run.posterior.stiffness
     numbers = band_table(uncertain, columns=columns, modulus=modulus_rows(measured, band_places(columns)))
     return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
