@@ -36,7 +36,7 @@ from onebend.terminal.tables import (
 )
 
 _COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trusted": "red", "no band": "yellow"}
-_FEWEST_ROWS, _MOST_ROWS = 5, 16  # of the plot of k(s)
+_FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
 def show_run(console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False) -> None:
@@ -75,7 +75,7 @@ def verdict_rows(run: Findings) -> Table:
 def _stiffness(console: Console, run: Findings, *, log: bool) -> list[RenderableType]:
     """The plot as large as the screen lets it be, and the numbers below."""
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
-    rows = min(max(console.height - 17, _FEWEST_ROWS), _MOST_ROWS)
+    rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = measured_beam(run)
     words = modulus_words(measured)
     below: list[RenderableType] = [_sentences(words)] if words else []
