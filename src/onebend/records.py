@@ -200,6 +200,7 @@ class Stated:
     scale_sd: float = math.nan  # one sd of lengths in the picture
     gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %); 0 without a force
     thickness: float = math.nan  # m, of the section in the plane of bending, mean along the beam
+    depth: float = math.nan  # m, of the section across that plane
     tag_size: float = math.nan  # m, side of a tag's black square; NaN for markers that are no tags
     load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
 

@@ -35,6 +35,7 @@ def stated_in(recording: Recording) -> Stated:
         scale_sd=recording.scale_sd,
         gain_sd=0.0 if force is None else force.gain_sd,
         thickness=beam.width,
+        depth=beam.thickness,
         tag_size=tags.size,
         load_error_sd=math.nan if force is None else force.bias_sd,
     )
