@@ -156,3 +156,23 @@ def test_where_nothing_means_anything_no_value_is_shown() -> None:
     show_run(where, far, Path("out"))
     assert isinstance(where.file, io.StringIO)
     assert "EI / L" not in where.file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("thickness", "depth", "mass", "words"),
+    [
+        (0.02, 0.03, 0.08, ""),
+        (0.02, np.nan, 0.08, ""),
+        (0.0002, 0.0003, np.nan, "which no material has"),
+        (0.02, 0.03, 8.0, "would hang down out of the plane"),
+    ],
+)
+def test_a_section_that_cannot_be_tells_of_the_forces_unit(
+    thickness: float, depth: float, mass: float, words: str
+) -> None:
+    found = fitted()
+    first = found.recordings[0]
+    stated = replace(first.observations.stated, thickness=thickness, depth=depth, mass=mass)
+    whole = (replace(first, observations=replace(first.observations, stated=stated)), *found.recordings[1:])
+    said = fit_remarks(replace(found, problem=replace(found.problem, recordings=whole)))
+    assert [words in one.text for one in said if "in newtons" in one.text] == ([True] if words else [])

@@ -115,7 +115,9 @@ def _material(posterior: Posterior) -> list[Remark]:
     if any(np.any(film.observations.gravity) for film in posterior.recordings) or sag < _HANGING * one.length:
         return []
     text = f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight"
-    return [Remark("warning", f"{text} (by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. {unit}")]
+    return [
+        Remark("warning", f"{text} (by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. {unit}")
+    ]
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:

@@ -28,7 +28,6 @@ from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.implausible_axes import read_force, turn_beyond
 from onebend.recording.signals import at_times, bandwidth, step
 from onebend.recording.toml.entries import Recording
-from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 BENDS_BEYOND = 0.05  # of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push
@@ -93,8 +92,8 @@ def without_slow_sensor(
     if lag is None:
         return log, ()
     text = (
-        f"The force sensor is slow: its log follows the force with a time constant of about {lag.tau:.2g} s, which makes "
-        "every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the sensor's filter "
+        f"The force sensor is slow: its log follows the force with a time constant of about {lag.tau:.2g} s, which "
+        "makes every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the sensor's filter "
         "off, or push more slowly."
     )
     cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
@@ -227,8 +226,7 @@ def check_direction(
     else:
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
-        if rec.video is not None:
-            text += f" {_or_the_clocks(rec.video, markers)}"
+        text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
         raise ObservationError(f"{rec.name}: {text}")
     return (Remark("warning", text, doubt=True),)
 
@@ -243,18 +241,19 @@ def check_place(
     if beyond < max(BENDS_BEYOND * largest, LEAST_TURN):
         return ()
     text = (
-        f"The beam bends by {math.degrees(beyond):.2g} deg between tags beyond the push, where nothing acts on it. Check "
-        "at_s in [push] (a share of the length, 1 at the tip), and the tags' s."
+        f"The beam bends by {math.degrees(beyond):.2g} deg between tags beyond the push, where nothing acts on it. "
+        "Check at_s in [push] (a share of the length, 1 at the tip), and the tags' s."
     )
     return (Remark("warning", text, doubt=True),)
 
 
-def _or_the_clocks(video: VideoEntry, markers: Markers) -> str:
-    """Other mistakes that look like a force that contradicts the bending."""
+def _or_the_clocks(rec: Recording, markers: Markers) -> str:
+    """Other mistakes that look like a force that contradicts the bending: a sentence, or nothing."""
     seconds = float(markers.time[-1] - markers.time[0])
     rate = (len(markers.time) - 1) / seconds
-    film = f"Or the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"
-    if not math.isfinite(video.start):
-        return f"{film}."
-    start = "start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched"
-    return f"{film}, or {start}."
+    of_film = f"the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"
+    table = "video" if rec.video is not None else "markers"
+    of_start = f"start_s in [{table}] is farther off than start_uncertainty_s: without it the whole log is searched"
+    possible = [of_film] if rec.video is not None else []
+    possible += [of_start] if math.isfinite(rec.start[0]) else []
+    return f"Or {', or '.join(possible)}." if possible else ""

@@ -24,8 +24,8 @@ from onebend.records import Array, ClockOffset, ForceLog, Markers
 QUICK = (0.0, 0.1, 0.2)  # s: a sensor as quick as that hardly changes k(s)
 SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
 LONGEST = 0.25  # of the film: a longer lag leaves no push to see
-REACH, APART = 1.2, 0.05  # offsets compared: from this many lags before the one found to a bit after it; s between them
-MARGIN = 0.2  # s, after it
+REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
+APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
 CERTAIN = 15.0  # log evidence of a slow sensor over a quick one
 FEWEST = 10  # frames
 REFINED = 5  # lags between two of the grid
@@ -58,6 +58,9 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
     same = replace(track, after=0.0)  # the beam may rest after the film; the log of a slow sensor does not
     quick = max(_evidence(same, rows, offset, lag, prior) for lag in QUICK)
     slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
+    every_other = [_evidence(same, rows, offset, lag, prior) - quick for lag in slow[1::2]]
+    if not max(every_other, default=-np.inf) > 0.0:
+        return None
     gains = np.array([_evidence(same, rows, offset, lag, prior) for lag in slow]) - quick
     best = int(np.argmax(gains)) if len(gains) else 0
     if not np.isfinite(quick) or best + 1 >= len(slow) or not float(gains[best]) > CERTAIN:
@@ -95,5 +98,6 @@ def lagging(track: Track, tau: float) -> Track:
 
 def _evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior) -> float:
     """Log evidence of the log under a lag `tau` [s], at its likeliest offset; the offset found holds the delay too."""
-    offsets: Array = np.arange(offset - REACH * tau - MARGIN, offset + MARGIN + 0.5 * APART, APART)
+    apart = max(APART, OF_LAG * tau)
+    offsets: Array = np.arange(offset - REACH * tau - MARGIN, offset + MARGIN + 0.5 * apart, apart)
     return float(np.max(coarse_search(lagging(track, tau), rows, offsets, prior).log_posterior))
