@@ -93,8 +93,8 @@ def without_slow_sensor(
         return log, ()
     text = (
         f"The force sensor is slow: its log follows the force with a time constant of about {lag.tau:.2g} s, which "
-        "makes every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the sensor's filter "
-        "off, or push more slowly."
+        "makes every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the "
+        "sensor's filter off, or push more slowly."
     )
     cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
     return without_lag(log, lag.tau, cutoff), (Remark("warning", text),)

@@ -19,16 +19,16 @@ from onebend.recording.clock.moment_posterior import Prior
 from onebend.recording.clock.offset import ClockSettings, compared_rows, displacements, tracks
 from onebend.recording.clock.polynomial_features import Track
 from onebend.recording.signals import bandwidth, low_pass, outliers, step
-from onebend.records import Array, ClockOffset, ForceLog, Markers
+from onebend.records import ClockOffset, ForceLog, Markers
 
-QUICK = (0.0, 0.1, 0.2)  # s: a sensor as quick as that hardly changes k(s)
+QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
 SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
 LONGEST = 0.25  # of the film: a longer lag leaves no push to see
 REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
 APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
 CERTAIN = 15.0  # log evidence of a slow sensor over a quick one
-FEWEST = 10  # frames
-REFINED = 5  # lags between two of the grid
+FEWEST = 10  # frames, and rows of the log
+REFINED = 3  # lags between two of those above
 
 
 @dataclass(frozen=True)
@@ -55,21 +55,51 @@ def slow_sensor(
 
 def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> SensorLag | None:
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
-    same = replace(track, after=0.0)  # the beam may rest after the film; the log of a slow sensor does not
-    quick = max(_evidence(same, rows, offset, lag, prior) for lag in QUICK)
+    rested = resting(track)
     slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
-    every_other = [_evidence(same, rows, offset, lag, prior) - quick for lag in slow[1::2]]
-    if not max(every_other, default=-np.inf) > 0.0:
+    if not any(gain(rested, rows, offset, lag, prior) > 0.0 for lag in slow[1::2]):
         return None
-    gains = np.array([_evidence(same, rows, offset, lag, prior) for lag in slow]) - quick
-    best = int(np.argmax(gains)) if len(gains) else 0
-    if not np.isfinite(quick) or best + 1 >= len(slow) or not float(gains[best]) > CERTAIN:
+    gains = np.array([gain(rested, rows, offset, lag, prior) for lag in slow])
+    best = int(np.argmax(gains))
+    if best + 1 >= len(slow) or not float(gains[best]) > CERTAIN:
         return None  # at the end of the range it is something else
-    ends = (*QUICK[-1:], *slow)[best], slow[best + 1]
-    fine = np.geomspace(*ends, 2 * REFINED + 1)
-    gains = np.array([_evidence(same, rows, offset, lag, prior) for lag in fine]) - quick
+    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 2 * REFINED + 3)
+    gains = np.array([gain(rested, rows, offset, lag, prior, within=float(fine[-1])) for lag in fine])
     weight = np.exp(gains - np.max(gains))
     return SensorLag(tau=float(weight @ fine / np.sum(weight)), gain=float(np.max(gains)))
+
+
+def gain(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior, *, within: float = 0.0) -> float:
+    """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
+
+    The offset found holds the delay too. Evidences of different rows cannot be compared: the rows are those that every
+    offset covers, up to a lag of `within` [s] where that is longer. Minus infinity where they are too few.
+    """
+    apart, reach = max(APART, OF_LAG * tau), REACH * max(tau, within)
+    offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
+    covered = [np.isfinite(track.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]
+    known = np.all(covered, axis=0)
+    if known.sum() < FEWEST:
+        return -np.inf
+    same = replace(rows, time=rows.time[known], force=rows.force[known])
+    slow, *quick = (
+        float(np.max(coarse_search(lagging(track, lag), same, offsets, prior).log_posterior)) for lag in (tau, *QUICK)
+    )
+    return slow - max(quick) if np.isfinite(max(quick)) else -np.inf
+
+
+def resting(track: Track) -> Track:
+    """The features with those seconds written out for which the beam, at rest in its last frames, stays so."""
+    apart = step(track.time)
+    more = track.time[-1] + apart * np.arange(1, int(track.after / apart) + 1)
+    if not len(more):
+        return track
+    time, value = np.append(track.time, more), track.integral.derivative()(track.time)
+    value = np.concatenate([value, np.broadcast_to(value[-1], (len(more), *value.shape[1:]))])
+    covered = np.append(track.covered, np.ones(len(more), dtype=bool))
+    return replace(
+        track, integral=CubicSpline(time, value, axis=0).antiderivative(), covered=covered, time=time, after=0.0
+    )
 
 
 def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
@@ -94,10 +124,3 @@ def lagging(track: Track, tau: float) -> Track:
         steady = value[i] - tau * slope  # the filter's output on this line, had it always run so
         out[i + 1] = steady + apart * slope + np.exp(-apart / tau) * (out[i] - steady)
     return replace(track, integral=CubicSpline(time, out, axis=0).antiderivative())
-
-
-def _evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior) -> float:
-    """Log evidence of the log under a lag `tau` [s], at its likeliest offset; the offset found holds the delay too."""
-    apart = max(APART, OF_LAG * tau)
-    offsets: Array = np.arange(offset - REACH * tau - MARGIN, offset + MARGIN + 0.5 * apart, apart)
-    return float(np.max(coarse_search(lagging(track, tau), rows, offsets, prior).log_posterior))
