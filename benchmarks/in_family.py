@@ -19,7 +19,8 @@ from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import VirtualBench, virtual_recording
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.inference.hyperparameters import Evidence
 from onebend.learning.inference.linear_gaussian import data_information, rest_information, unweighted_rows
 from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
@@ -33,6 +34,10 @@ COLOURED, MEMORY, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest 
 CLOCK = 0.01  # s
 LEVEL, LEVEL_SD, SLOPE_SD = float(np.log(0.02)), 0.3, 0.5  # of log k
 THIRDS = 3
+# Those that need no camera's place. Of the mass in motion the basis is the tags' own accelerations, noise and all.
+ALLOWED: frozenset[AllowanceName] = EVERY_ALLOWANCE - {"inertia", "heights", "camera", "rolling shutter"}
+LARGEST_SIZE = 3.0  # drawn; their prior, a half-Cauchy, goes on for ever
+SETTLE = 3  # times that the course of the push is taken from where the tags then are
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,9 @@ class Drawn:
     own: Array  # (F, 2) N, the force less the logged one without its slow error
 
 
-def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
+def draw(
+    seed: int, *, functions: int = 16, fixed: bool = False, allowances: frozenset[AllowanceName] = frozenset()
+) -> Drawn:
     """One draw; with `fixed`, k(s) and the push are those of seed 0 and all else is drawn."""
     rng, own = np.random.default_rng([seed, 11]), np.random.default_rng([0 if fixed else seed, 12])
     spline = Spline(functions)
@@ -64,12 +71,14 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     template = replace(
         template, force_sd=np.full(2, COLOURED * peak), source=replace(template.source, clean_force=clean)
     )
-    problem = prepared(template, spline)
+    problem = prepared(template, spline, allowances)
     (data,), layout = problem.recordings, problem.layout
+    sizes = {one.name: draw_size(rng) for one in data.allowances if one.sized}
     x = np.zeros(layout.size)
     for block in layout.blocks:
         if block.start >= 0 and block.name not in ("stiffness", "force"):
-            x[block.where] = block.prior_sd * rng.standard_normal(len(block.prior_sd))
+            sd = block.prior_sd * sizes.get(block.name, 1.0)
+            x[block.where] = sd * rng.standard_normal(len(sd))
     x[: spline.count] = k
     root = data.error.root(1.0, 1.0, 1.0, 1.0)
     errors = root @ rng.standard_normal((len(root), 2))
@@ -80,17 +89,35 @@ def draw(seed: int, *, functions: int = 16, fixed: bool = False) -> Drawn:
     force = template.force.copy()
     force[data.frames] += data.error.weights @ errors
     template = replace(template, force=force, source=replace(template.source, clean_force=logged))
-    problem = prepared(template, spline)
+    problem = prepared(template, spline, allowances)
     (data,) = problem.recordings
+    for _ in range(SETTLE if allowances else 0):
+        template = with_poses(template, data, predict(data, layout, x, None).pose)
+        problem = prepared(template, spline, allowances)
+        (data,) = problem.recordings
     poses = noisy_poses(data, layout, x, rng)
     quick = WHITE * peak * rng.standard_normal((int(data.frames.sum()), 2))
     force[data.frames] += quick  # the log is off, not the force
     template = replace(template, force=force)
     beside = np.vstack([-quick, np.zeros((len(poses) - len(quick), 2))])
-    expected = replace(problem.expected, noise=(RecordingNoise(1.0, WHITE * peak),))
+    expected = replace(problem.expected, noise=(RecordingNoise(1.0, WHITE * peak),), sizes=sizes)
     observations = with_poses(template, data, poses)
-    problem = replace(prepared(observations, spline), expected=expected)
-    return Drawn(observations, stiffness, problem, x, beside)
+    problem = replace(prepared(observations, spline, allowances), expected=expected)
+    return Drawn(observations, with_patches(problem, x), problem, x, beside)
+
+
+def draw_size(rng: np.random.Generator) -> float:
+    """The size of an allowance from the prior that the fit has of it, but for its tail."""
+    while True:
+        size = abs(float(rng.standard_cauchy()))
+        if size < LARGEST_SIZE:
+            return size
+
+
+def with_patches(problem: FitProblem, x: Array) -> LogSpline:
+    """k(s) with what stiffens the beam under its tags."""
+    index, onto = log_k_map(problem)
+    return LogSpline(tuple(problem.layout.spline.finer.knots.tolist()), tuple((onto @ x[index]).tolist()))
 
 
 def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
@@ -104,10 +131,10 @@ def draw_parts(spline: Spline, rng: np.random.Generator) -> Array:
     return np.concatenate([line, tau * rng.standard_normal(spline.count - 2), local])
 
 
-def prepared(o: Observations, spline: Spline) -> FitProblem:
+def prepared(o: Observations, spline: Spline, allowances: frozenset[AllowanceName]) -> FitProblem:
     """As the fit prepares them: every loaded frame."""
-    data = fit_data(o, 0, o.loaded, spline)
-    layout = make_layout(spline, [o], [len(data.error.knots)], Priors())
+    data = fit_data(o, 0, o.loaded, spline, allowances)
+    layout = make_layout(spline, [o], [len(data.error.knots)], Priors(), [data.allowances])
     noise = (RecordingNoise(1.0, 1.0),)
     return FitProblem((data,), layout, LEVEL, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise))
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab.random_bench import BenchRanges, random_bench
-from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, EffectRanges, only
+from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, Chance, EffectRanges, only
 from onebend.lab.tag_errors import TagNoise
 from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
 from onebend.learning.posterior import Posterior, fit
@@ -30,10 +30,19 @@ from onebend.learning.stiffness_band import stiffness_of
 from onebend.records import GAIN_SD, Array
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)
-CELLS = ("all", *(f"only {name}" for name in IN_POSES), "none")
+CELLS = ("all", "small", *(f"only {name}" for name in IN_POSES), "none")
 SENSORS = ("wrist", "ideal")  # as large as a robot's own errors are, they hide the effects
 CAMERA = TagNoise(white_xy=1e-5, white_angle=4e-4, slow_xy=1e-5, slow_angle=4e-4, slow_time=0.2)
 LEVELS = (0.5, 0.8, 0.95)
+# As LABORATORY, and what goes beyond the sds of the fit's priors there is within them.
+SMALL = replace(
+    LABORATORY,
+    patches=Chance(0.5, 1.1, 1.8),
+    clamp=Chance(0.4, 0.05, 0.4),
+    tags=Chance(0.6, 1e-4, 5e-4),
+    gain=Chance(0.6, 0.0, 0.03),
+    posture=Chance(0.5, 0.002, 0.02),
+)
 PLACES = 60
 PLACEMENT_SD = 5e-4  # m, of tags by hand
 LOST = 0.7  # a run of which less is inside the 95 % band and that is trusted is counted
@@ -61,9 +70,10 @@ class Outcome:
 
 def ranges_of(cell: str) -> EffectRanges:
     """The effects of a cell; of those of the picture none."""
-    if cell == "all":
-        chance = {name: replace(getattr(LABORATORY, name), probability=0.0) for name in OF_THE_PICTURE}
-        return replace(LABORATORY, **chance)
+    if cell in ("all", "small"):
+        every = LABORATORY if cell == "all" else SMALL
+        chance = {name: replace(getattr(every, name), probability=0.0) for name in OF_THE_PICTURE}
+        return replace(every, **chance)
     return only(*(cell.split()[1:] if cell != "none" else ()))
 
 
@@ -167,7 +177,7 @@ def row(name: str, runs: Sequence[Outcome]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=40, help="with all effects")
+    parser.add_argument("--runs", type=int, default=40, help="with all effects, large and small")
     parser.add_argument("--each", type=int, default=8, help="with one effect at a time, and with none")
     parser.add_argument("--first", type=int, default=0, help="seed of the first run")
     parser.add_argument("--cells", nargs="*", metavar="CELL", help=f"parts of their names; of {', '.join(CELLS)}")
@@ -175,7 +185,7 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, help="file that the runs are added to; default: one a version of the code")
     asked = parser.parse_args()
     cells = [cell for cell in CELLS if not asked.cells or any(part in cell for part in asked.cells)]
-    count = {cell: asked.runs if cell == "all" else asked.each for cell in cells}
+    count = {cell: asked.runs if cell in ("all", "small") else asked.each for cell in cells}
     wanted = [(cell, asked.first + i) for cell in cells for i in range(count[cell])]
     done = study(wanted, asked.jobs, asked.kept or kept())
     print(

@@ -16,9 +16,12 @@ from onebend import __version__, cli
 from onebend.cli import learning as learning_commands
 from onebend.cli import recordings as recording_commands
 from onebend.errors import LearningError, ObservationError
+from onebend.files.kept import users_folder
 from onebend.recording.bags.topics import BagContents
+from onebend.recording.folder import folder_of, read_recording
 from onebend.report.figures.pictures import Pictures
 from onebend.results.model import load_model, save_model
+from onebend.results.recording_files import recording_files
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "train"
@@ -113,7 +116,7 @@ def test_learn_shows_all_of_it_when_asked(
 ) -> None:
     monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
     details = (
-        "chosen", "k(s) is not positive", "together", "the paper's k", "clamp angle", "sd before", "Hardly told apart",
+        "chosen", "k(s) is not positive", "together", "paper's k", "clamp angle", "sd before", "Hardly told apart",
         "1 % too stiff", "converged", "Allowed for",
     )  # fmt: skip
     shown = [run("learn", "REC", "-o", tmp_path / name, *option).stdout for name, option in (("a", ["-v"]), ("b", []))]
@@ -239,7 +242,9 @@ def test_what_was_found_before_the_end_is_kept_and_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
     def found_then(*_: Any, detect: Any, **__: Any) -> Any:
-        (detect.__self__.folder / "detections-1.npz").write_bytes(b"tags")
+        users, work = detect.__self__.folders
+        assert users == users_folder()
+        assert work.save("tags", b"tags")  # as where the user's cache cannot be written
         raise error
 
     monkeypatch.setattr(learning_commands, "learn_from", found_then)
@@ -309,6 +314,39 @@ def test_check_says_what_was_understood(tmp_path: Path) -> None:
     assert (again["recording"], again["picture"]) == ("linear_train", str(tmp_path / "check.png"))
     (tmp_path / "mine.png").write_bytes(b"a picture of my own")
     refused(run("check", EXAMPLE, "-o", tmp_path / "mine.png"), "exists already")
+
+
+def test_a_recording_may_be_named_by_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = EXAMPLE.parents[1] / "hung-weights"
+    by_folder = run("check", weights, "-o", tmp_path / "a.png", "--json")
+    by_file = run("check", weights / "recording.toml", "-o", tmp_path / "a.png", "--json")
+    assert by_file.exit_code == 0
+    assert by_file.stdout == by_folder.stdout
+    assert recording_files([EXAMPLE / "recording.toml"]) == recording_files([EXAMPLE])
+    assert folder_of("somewhere/push2/recording.toml") == Path("somewhere/push2")
+    monkeypatch.chdir(EXAMPLE)
+    assert read_recording("recording.toml").video == read_recording(".").video
+    refused(run("check", tmp_path / "nowhere" / "recording.toml"), "nowhere is not a folder")
+    refused(run("check", tmp_path / "recording.toml"), "holds no recording.toml")
+    refused(run("learn", EXAMPLE, EXAMPLE / "recording.toml", "-o", tmp_path / "out"), "is given twice")
+
+
+def test_the_cache_is_shown_and_cleared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "kept"
+    monkeypatch.setenv("ONEBEND_CACHE", str(folder))
+    assert f"Kept: the tags of 0 films, 0 MB, in {folder}" in run("cache").stdout
+    users = users_folder()
+    assert users is not None
+    for i in range(2):
+        users.save(f"tags-{i:040x}", bytes(999_968))
+    assert f"Kept: the tags of 2 films, 2 MB, in {folder}" in run("cache").stdout
+    told = json.loads(run("cache", "--json").stdout)
+    assert told == {"folder": str(folder), "entries": 2, "bytes": 2_000_000, "cleared": False}
+    assert f"Dropped: the tags of 2 films, 2 MB, in {folder}" in run("cache", "--clear").stdout
+    assert not folder.exists()
+    monkeypatch.setenv("ONEBEND_CACHE", "off")
+    assert "Nothing is kept: ONEBEND_CACHE turns it off" in run("cache").stdout
+    assert json.loads(run("cache", "--clear", "--json").stdout)["folder"] is None
 
 
 def test_show_draws_the_model(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -15,6 +16,7 @@ from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.toml.schema import keys_of
 from onebend.recording.toml.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
+from onebend.records import StatedSection
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from tests import made_up
@@ -42,7 +44,8 @@ def test_every_option_is_documented_and_no_other() -> None:
 def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     one, learned = made_up.comparison(), made_up.learned()
-    write_stiffness(tmp_path / "a.csv", made_up.BEAM, None)
+    bar = StatedSection("rectangle", np.array([0.0, 1.0]), np.full(2, 0.012), np.full(2, 0.03))
+    write_stiffness(tmp_path / "a.csv", made_up.BEAM, None, bar)
     write_nuisances(tmp_path / "e.csv", made_up.posterior().nuisances())
     write_selection(tmp_path / "b.csv", learned)
     write_markers(tmp_path / "c.csv", [one])

@@ -52,7 +52,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("observe",),
     ),
     "learning": (
-        ("outcome", "allowances"),
+        ("outcome", "allowances", "modulus"),
         ("model",),
         ("validation", "start", "inference", "swing", "learned_mass"),
         ("criticism", "paper", "attribution", "stiffness_band"),
@@ -77,7 +77,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "report": (
         ("findings", "kinds"),
         ("wording",),
-        ("overview", "confidence"),
+        ("overview", "confidence", "modulus"),
         ("figures", "verdict"),
         ("page",),
     ),

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.modulus import ModulusBand
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
@@ -16,6 +17,7 @@ from onebend.learning.design.proposals import Plan
 from onebend.learning.model.frames import with_seen_tags
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
+from onebend.learning.modulus import modulus_along, modulus_remarks, stated_section
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
@@ -29,7 +31,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording
-from onebend.records import Observations, Remark
+from onebend.records import Array, Observations, Remark
 from onebend.results.model import read_model
 
 SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
@@ -50,6 +52,12 @@ class Run:
     remarks: tuple[Remark, ...]  # on the learning itself
     stage_seconds: dict[str, float]
     video_seconds: float  # length of all videos together, to compare the stages with
+
+    def modulus(self, s: Array, level: float = 0.95) -> ModulusBand | None:
+        """Young's modulus E(s) [Pa] at places s (S,), with its band where k(s) has one; None where no recording states
+        the section (`width_m` with `thickness_m`, or `diameter_m`)."""
+        uncertain = None if self.posterior is None else self.posterior.stiffness
+        return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
 
 
 @one_blas_thread
@@ -90,6 +98,7 @@ def learn(
         remarks += said
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
+        remarks += modulus_remarks(beam, None if posterior is None else posterior.stiffness, seen)
         compared = compare(beam, others, observing=observing, detect=detect, progress=watch)
         pairs, said = _not_learned_from(compared, seen)
         remarks += said

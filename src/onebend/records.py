@@ -21,6 +21,7 @@ IntArray = NDArray[np.int64]
 Rest = Literal["straight", "unknown"]
 MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
 StiffnessAlong = Literal["unknown", "even"]
+SectionShapeName = Literal["rectangle", "circle"]
 
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
@@ -179,6 +180,18 @@ class MassLine:
 
 
 @dataclass(frozen=True)
+class StatedSection:
+    """The beam's cross-section as measured, solid and of one material. Between its places the sizes go smoothly; beyond
+    the first and the last of them nothing is known."""
+
+    shape: SectionShapeName
+    s: Array  # (P,) rising
+    thickness: Array  # (P,) m, in the plane of bending; of a circle its diameter
+    width: Array  # (P,) m, across that plane; of a circle its diameter
+    sd: float = math.nan  # m, one sd that all places of a size have in common; NaN: nobody says it
+
+
+@dataclass(frozen=True)
 class Stated:
     """What the experimenter states of the beam and the bench, and how exactly: the priors of what the fit may move.
 
@@ -200,9 +213,9 @@ class Stated:
     scale_sd: float = math.nan  # one sd of lengths in the picture
     gain_sd: float = 0.0  # of the force sensor's scale (0.02: 2 %); 0 without a force
     thickness: float = math.nan  # m, of the section in the plane of bending, mean along the beam
-    depth: float = math.nan  # m, of the section across that plane
     tag_size: float = math.nan  # m, side of a tag's black square; NaN for markers that are no tags
     load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
+    section: StatedSection | None = None  # None: not measured, or not whole
 
 
 @dataclass(frozen=True)

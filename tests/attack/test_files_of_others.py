@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import ResultsError
+from onebend.files.kept import KeptFolder
 from onebend.files.manifest import OWN_CHECKSUM, own_files, seal, sha256_of, with_checksum, write_summary
 from onebend.files.publish import abandon, prepare
 from onebend.files.single_file import write_file
 from onebend.files.workplace import FORMAT
-from onebend.records import Detections
-from onebend.results.detection_cache import DetectionCache
 from tests.attack.killing import KIND, run, state_of
+
+NAME = f"tags-{7:040x}"  # of an entry of the cache
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -145,12 +146,42 @@ def test_a_planted_workplace_leads_nowhere(tmp_path: Path, inside: str) -> None:
 def test_the_cache_writes_through_no_link(tmp_path: Path) -> None:
     precious = tmp_path / "precious.txt"
     precious.write_text("precious")
-    cache = DetectionCache(tmp_path / "work", "1")
-    cache.folder.mkdir()
-    for ending in ("npz", "tmp"):
-        (cache.folder / f"detections-key.{ending}").symlink_to(precious)
-    cache.save("key", Detections(np.zeros(1), np.array([1]), np.zeros((1, 1, 4, 2)), 640, 480, ()))
-    assert precious.read_text() == "precious"
+    precious.write_bytes(hashlib.sha256(b"kept").digest() + b"kept")
+    before = precious.read_bytes()
+    folder = KeptFolder(tmp_path / "work", most=100)
+    folder.path.mkdir()
+    link = folder.path / f"{NAME}.kept"
+    link.symlink_to(precious)
+    (folder.path / f".{NAME}.abc.kept").symlink_to(precious)
+    assert folder.load(NAME) is None
+    assert not folder.save(NAME, b"new")
+    folder.trim()
+    assert folder.entries() == []
+    assert folder.clear() == []
+    assert link.is_symlink()
+    assert precious.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [b"", b"short", bytes(32) + b"forged"])
+def test_what_others_put_into_the_cache_is_not_read(tmp_path: Path, content: bytes) -> None:
+    folder = KeptFolder(tmp_path / "work")
+    folder.path.mkdir()
+    (folder.path / f"{NAME}.kept").write_bytes(content)
+    assert folder.load(NAME) is None
+    assert folder.save(NAME, b"whole")
+    assert folder.load(NAME) == b"whole"
+
+
+def test_clearing_the_cache_leaves_what_is_not_of_the_cache(tmp_path: Path) -> None:
+    folder = KeptFolder(tmp_path / "work")
+    assert folder.save(NAME, b"whole")
+    theirs = [folder.path / name for name in ("notes.txt", "tags-short.kept", f"{NAME}.kept.bak")]
+    for path in theirs:
+        path.write_text("theirs")
+    (folder.path / f"{NAME[:-1]}0.kept").mkdir()
+    assert [entry.path.name for entry in folder.clear()] == [f"{NAME}.kept"]
+    assert all(path.read_text() == "theirs" for path in theirs)
+    assert folder.path.is_dir()
 
 
 def test_a_single_file_replaces_plain_files_only(tmp_path: Path) -> None:

@@ -144,6 +144,7 @@ FILE_CASES = [
     Case("markers = /etc/passwd", edit(TOML, '"markers.csv"', '"/etc/passwd"'), "lacks the column"),
     Case("a link to /etc/passwd", special("/etc/passwd"), "no column"),
     Case("mass_file = /etc/passwd", named("beam", "mass_file", "/etc/passwd"), "lacks the column"),
+    Case("section_file = /etc/passwd", named("beam", "section_file", "/etc/passwd"), "lacks the column"),
     Case("force = /proc/kmsg", edit(TOML, '"force.csv"', '"/proc/kmsg"'), "is empty"),
     Case("force = /proc/self/mem", edit(TOML, '"force.csv"', '"/proc/self/mem"'), "is empty"),
     Case("force = /dev/zero", edit(TOML, '"force.csv"', '"/dev/zero"'), "there is no file"),

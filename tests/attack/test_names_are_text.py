@@ -30,7 +30,8 @@ from onebend.report.figures.drawing import draw_all
 from onebend.report.figures.pictures import Pictures, draw
 from onebend.report.figures.style import png_of
 from onebend.report.overview import overview
-from onebend.results.model import origin_of, save_model
+from onebend.results.model import save_model
+from onebend.results.origin import origin_of
 from onebend.results.tables import write_csv
 from onebend.strict_json import to_json
 from onebend.terminal.bars import Bars, text_alone

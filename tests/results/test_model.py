@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -13,13 +13,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.modulus import modulus_band
 from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ResultsError
-from onebend.results.model import load_model, load_uncertain, origin_of, read_model, save_model
+from onebend.files.manifest import with_checksum
+from onebend.records import StatedSection
+from onebend.results.model import (
+    StoredModel,
+    load_model,
+    load_modulus,
+    load_uncertain,
+    model_text,
+    read_model,
+    save_model,
+)
+from onebend.results.origin import origin_of
 from tests import made_up
+from tests.made_up import same
 
 ORIGIN = origin_of(made_up.learned(), None, [made_up.learned().training])
+THICK = np.array([0.008, 0.012, 1 / 90])
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e6, max_value=1e6)
 POSITIVE = st.floats(min_value=1e-6, max_value=1e6)
 
@@ -75,6 +89,59 @@ def test_the_band_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     assert load_model(tmp_path) == fit.beam
 
 
+def stored_with(section: StatedSection | None, *, banded: bool = True) -> str:
+    fit = made_up.posterior()
+    uncertain = fit.stiffness if banded else None
+    return model_text(StoredModel(fit.beam, None, uncertain, section=section), written_by="a test")
+
+
+@pytest.mark.parametrize("sd", [1e-4, 0.0, float("nan")])
+@pytest.mark.parametrize("shape", ["rectangle", "circle"])
+def test_the_section_comes_back_and_with_it_the_modulus(
+    tmp_path: Path, shape: Literal["rectangle", "circle"], sd: float
+) -> None:
+    wide = THICK if shape == "circle" else 2.5 * THICK
+    section = StatedSection(shape, np.array([0.0, 0.5, 1.0]), THICK, wide, sd)
+    (tmp_path / "model.json").write_text(stored_with(section), encoding="utf-8")
+    stored = read_model(tmp_path).section
+    assert stored is not None
+    assert all(same(getattr(stored, field.name), getattr(section, field.name)) for field in fields(StatedSection))
+    s, fit = np.linspace(0.0, 1.0, 11), made_up.posterior()
+    found, expected = load_modulus(tmp_path, s, 0.8), modulus_band(fit.stiffness, fit.beam.length, section, s, 0.8)
+    assert found is not None
+    for name in ("modulus", "low", "high", "identified"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    (tmp_path / "model.json").write_text(stored_with(section, banded=False), encoding="utf-8")
+    bare = load_modulus(tmp_path, s)
+    assert bare is not None
+    np.testing.assert_allclose(bare.modulus, expected.modulus)
+    assert np.isnan(bare.low).all()
+    (tmp_path / "model.json").write_text(stored_with(None), encoding="utf-8")
+    assert load_modulus(tmp_path, s) is None
+
+
+SECTION: dict[str, Any] = {"shape": "circle", "s": [0, 1], "in_plane_m": [1, 1], "across_m": [1, 1], "sd_m": None}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"shape": "star"}, {"s": [0, 0.5, 1]}, {"s": [1, 0]}, {"s": [0]}, {"s": 0}, {"in_plane_m": [0, 1]},
+        {"in_plane_m": ["wide", 1]}, {"in_plane_m": [None, 1]}, {"across_m": None}, {"sd_m": -1}, {"sd_m": []},
+    ],
+)  # fmt: skip
+def test_a_section_that_is_none_is_named(tmp_path: Path, change: dict[str, Any]) -> None:
+    made = {"format": "onebend-model", "version": 5, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+    for section in (SECTION, SECTION | change):
+        content = with_checksum({**made, "section": section})
+        (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
+        if section is SECTION:
+            assert read_model(tmp_path).section is not None
+        else:
+            with pytest.raises(ResultsError, match="key 'section'"):
+                read_model(tmp_path)
+
+
 def test_what_speaks_against_a_band_comes_back_and_may_be_missing_in_old_files(tmp_path: Path) -> None:
     fit = made_up.posterior()
     doubted = replace(fit.stiffness, doubts=("the fit did not converge", "the force contradicts the bending"))
@@ -121,7 +188,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2, 3 and 4"),
+        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2, 3, 4 and 5"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),

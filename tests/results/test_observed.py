@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated
+from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated, StatedSection
 from onebend.results.observations_file import load_observations, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up
@@ -58,6 +58,7 @@ def full() -> Observations:
         thickness=0.025,
         tag_size=0.012,
         load_error_sd=0.6,
+        section=StatedSection("circle", np.array([0.1, 1.0]), np.full(2, 1 / 3), np.full(2, 1 / 3), 1e-4),
     )
     known = KnownLoads(
         rng.normal(size=(frames, 2, 2)), np.ones((frames, 2)), np.zeros((frames, 0)), np.ones((frames, 0))

@@ -5,20 +5,20 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from onebend.beam.profiles.modulus import modulus_band
 from onebend.files.manifest import seal, write_summary
-from onebend.records import Detections, Remark
-from onebend.results.detection_cache import DetectionCache, key_of
+from onebend.records import StatedSection
 from onebend.results.summary import summary_of, validation_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from onebend.strict_json import plain
 from tests import made_up
-from tests.made_up import same, with_source
+from tests.made_up import with_source
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -45,6 +45,43 @@ def test_stiffness_with_a_band_says_where_it_is_identified(tmp_path: Path) -> No
     for name, values in (("k_N_m", band.k), ("k_lo_N_m", band.low), ("k_hi_N_m", band.high)):
         np.testing.assert_allclose([float(row[name]) for row in table], values, rtol=1e-8)
     assert [row["identified"] for row in table] == ["yes" if known else "no" for known in band.identified]
+
+
+SECTION = StatedSection("rectangle", np.array([0.0, 0.9]), np.full(2, 0.012), np.full(2, 0.03), 1e-4)
+
+
+def test_the_modulus_stands_beside_k_where_the_section_is_known(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    s = np.linspace(0.0, 1.0, 201)
+    expected = modulus_band(fit.stiffness, made_up.LENGTH, SECTION, s)
+    write_stiffness(tmp_path / "k.csv", fit.beam, fit.stiffness, SECTION)
+    table = rows(tmp_path / "k.csv")
+    for name, values in (("E_Pa", expected.modulus), ("E_lo_Pa", expected.low), ("E_hi_Pa", expected.high)):
+        np.testing.assert_allclose([float(row[name]) for row in table], values, rtol=1e-8)
+    assert (table[-1]["E_Pa"], table[-1]["k_N_m"] != "nan") == ("nan", True)
+    write_stiffness(tmp_path / "k.csv", made_up.BEAM, None, SECTION)
+    assert {row["E_lo_Pa"] for row in rows(tmp_path / "k.csv")} == {"nan"}
+
+
+def test_the_summary_has_the_modulus_where_the_section_is_known() -> None:
+    made = made_up.findings(0)
+    known = replace(made, recordings=tuple(made_up.with_stated(one, section=SECTION) for one in made.recordings))
+    found = plain(summary_of(known, written_by="a test"))["stiffness"]
+    expected = modulus_band(made_up.posterior().stiffness, made_up.LENGTH, SECTION, np.linspace(0.0, 1.0, 11))
+    np.testing.assert_allclose(found["E_lo_Pa"][:-1], expected.low[:-1])
+    assert found["E_Pa"][-1] is None
+    assert found["section"] == {
+        "shape": "rectangle",
+        "s": [0.0, 0.9],
+        "in_plane_m": [0.012, 0.012],
+        "across_m": [0.03, 0.03],
+        "sd_m": 1e-4,
+    }
+    alone = plain(summary_of(replace(known, posterior=None, beam=made_up.BEAM), written_by="a test"))["stiffness"]
+    assert "E_Pa" in alone
+    assert "E_lo_Pa" not in alone
+    nothing = plain(summary_of(made, written_by="a test"))["stiffness"]
+    assert not {"E_Pa", "section"} & set(nothing)
 
 
 def test_a_fit_that_is_in_doubt_identifies_nothing_in_any_file(tmp_path: Path) -> None:
@@ -146,40 +183,3 @@ def test_summary_without_force_or_clock() -> None:
 def test_plain_leaves_no_array_and_no_infinity() -> None:
     value = plain({"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf"), "text", None, True)})
     assert value == {"a": [1.0, None], "b": [3, None, "text", None, True]}
-
-
-def detections() -> Detections:
-    corners = np.arange(2 * 2 * 4 * 2, dtype=float).reshape(2, 2, 4, 2) / 7
-    corners[1, 0] = np.nan
-    return Detections(
-        np.array([0.0, 1 / 30]), np.array([0, 4]), corners, 1280, 720, (Remark("note", "blurred – much"),)
-    )
-
-
-def test_cached_detections_are_found_again(tmp_path: Path) -> None:
-    cache = DetectionCache(tmp_path / "out.partial", "1")
-    assert cache.load("k") is None
-    cache.save("k", detections())
-    again = cache.load("k")
-    assert again is not None
-    assert all(same(getattr(again, field.name), getattr(detections(), field.name)) for field in fields(Detections))
-    assert cache.load("another") is None
-
-
-@pytest.mark.parametrize("size", [0, 10, 300])
-def test_kept_detections_that_were_cut_count_as_not_there(tmp_path: Path, size: int) -> None:
-    cache = DetectionCache(tmp_path, "1")
-    cache.save("k", detections())
-    file = tmp_path / "detections-k.npz"
-    file.write_bytes(file.read_bytes()[:size])
-    assert cache.load("k") is None
-
-
-def test_the_key_follows_the_file_and_the_settings(tmp_path: Path) -> None:
-    video = tmp_path / "video.mp4"
-    video.write_bytes(b"12345")
-    key = key_of((video,), "tag36h11", (0, 1))
-    assert key == key_of((video,), "tag36h11", (0, 1))
-    assert key != key_of((video,), "tag36h11", (0, 2))
-    video.write_bytes(b"123456")
-    assert key != key_of((video,), "tag36h11", (0, 1))

@@ -79,6 +79,11 @@ COMMANDS = {
         "check",
         "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
     ),
+    "cache": Place(
+        "recordings",
+        "show_cache",
+        "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
+    ),
     "calibrate": Place(
         "calibrating",
         "calibrate",

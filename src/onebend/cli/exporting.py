@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import onebend
 from onebend.cli.common import clean_errors, progress_of, say
 from onebend.cli.models import read_trusted
 from onebend.cli.options import Model, Overwrite, Quiet, Recording, Threads
@@ -14,9 +15,10 @@ from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
 from onebend.files.single_file import fresh_file, write_file
 from onebend.pipeline import compare
-from onebend.recording.folder import read_recording
+from onebend.recording.folder import folder_of, read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
+from onebend.results.detection_cache import detection_cache
 from onebend.results.model import StoredModel
 
 ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
@@ -93,10 +95,10 @@ def rerun_command(
     """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
     with clean_errors():
         stored = read_trusted(model)
-        path = output or Path(f"{recording.resolve().name}.rrd")
+        path = output or Path(f"{folder_of(recording).resolve().name}.rrd")
         with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
-            observing = ObserveSettings(threads=threads)
-            [(found, seen)] = compare(stored.beam, [recording], observing=observing, progress=progress)
+            observing, detect = ObserveSettings(threads=threads), detection_cache(onebend.__version__).detect
+            [(found, seen)] = compare(stored.beam, [recording], observing=observing, detect=detect, progress=progress)
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)

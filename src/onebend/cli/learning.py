@@ -31,11 +31,12 @@ from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.posterior import FitSettings
 from onebend.pipeline import compare, plan_next
 from onebend.pipeline import learn as learn_from
+from onebend.recording.folder import folder_of
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.drawing import draw_all, validation_figures
 from onebend.report.figures.pictures import Pictures, draw
-from onebend.results.detection_cache import DetectionCache
+from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
@@ -50,7 +51,9 @@ from onebend.results.summary import (
 from onebend.terminal.plans import show_plan
 from onebend.terminal.screens import show_run, show_times, show_validation
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml, of one beam.")]
+Recordings = Annotated[
+    list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml (or these files), of one beam.")
+]
 ValidateOn = Annotated[
     list[Path] | None,
     typer.Option("--validate", metavar="REC", help="A recording to check the learned beam on; may be repeated."),
@@ -131,8 +134,11 @@ def learn(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results)."""
-    out = output or Path(f"{recordings[0].resolve().name}-results")
+    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).
+
+    The tags of a film are looked for once and kept for the next run (`onebend cache`).
+    """
+    out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
@@ -145,7 +151,7 @@ def learn(
                 fitting=fitting,
                 observing=observing,
                 validate_on=validate_on or (),
-                detect=DetectionCache(place.work, onebend.__version__).detect,
+                detect=detection_cache(onebend.__version__, place.work).detect,
                 progress=progress,
             )
         began = time.perf_counter()
@@ -189,12 +195,12 @@ def validate(
         work = partial(compare, beam, recordings, observing=_observing(threads, epsilon))
         if output is None:
             with progress_of(quiet) as progress:
-                pairs = work(progress=progress)
+                pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
                 inputs = inputs_of([model_file(model), *recording_files(recordings)])
-                pairs = work(detect=DetectionCache(place.work, onebend.__version__).detect, progress=progress)
+                pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)
                 summary = validation_summary(str(model), pairs, written_by=BY)
                 pictures = draw(validation_figures(beam, pairs), progress)
                 put_in_place(place, validation_writer(pairs, pictures, summary), pictures, inputs=inputs)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
+import onebend
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, progress_of, screen
 from onebend.cli.models import read_trusted
@@ -19,6 +20,7 @@ from onebend.learning.swing.free_swing import FilmPart
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
+from onebend.results.detection_cache import detection_cache
 from onebend.results.model import model_text
 from onebend.results.summary import damp_summary
 from onebend.terminal.damping import show_damping
@@ -65,7 +67,8 @@ def damp(
         files = read_recording(recording)
         check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
-            seen = observe(files, settings=ObserveSettings(threads=threads), progress=progress)
+            detect, settings = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
+            seen = observe(files, settings=settings, detect=detect, progress=progress)
             fit = learn_damping(
                 stored.beam,
                 seen,

@@ -26,7 +26,9 @@ Gravity = Annotated[
         help="In the beam's frame; needs a model with a mass. Default: none in plane.",
     ),
 ]
-Recording = Annotated[Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log.")]
+Recording = Annotated[
+    Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log; or that file.")
+]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
 Threads = Annotated[

@@ -12,6 +12,7 @@ import typer
 from onebend.cli.common import clean_errors, print_json, say, screen
 from onebend.cli.options import Json, Overwrite, Recording
 from onebend.errors import ObservationError, RecordingError
+from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
@@ -36,6 +37,7 @@ Definitions = Annotated[
 PICTURE = "check.png"
 SOFTWARE = "onebend check"  # what stands in the picture, so that only such a one is replaced unasked
 
+Clear = Annotated[bool, typer.Option("--clear", help="Drop all that is kept.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
@@ -175,3 +177,21 @@ def lines_to_write(found: BagContents) -> str:
     if not tables:
         return "It holds no images, and no topic whose force is known: name the topic and its field in [force]."
     return "\n\n".join(["For recording.toml:", *("\n".join(table) for table in tables)])
+
+
+def show_cache(*, clear: Clear = False, as_json: Json = False) -> None:
+    """Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them."""
+    folder = users_folder()
+    with clean_errors():
+        kept = [] if folder is None else folder.clear() if clear else folder.entries()
+    size = sum(entry.size for entry in kept)
+    if as_json:
+        where = None if folder is None else str(folder.path)
+        print_json({"folder": where, "entries": len(kept), "bytes": size, "cleared": clear})
+    elif folder is None:
+        say(f"Nothing is kept: {VARIABLE} turns it off, or this system has no place for caches.")
+    else:
+        films = f"the tags of {len(kept)} {'film' if len(kept) == 1 else 'films'}, {size / 1e6:.3g} MB"
+        say(f"{'Dropped' if clear else 'Kept'}: {films}, in {folder.path}")
+        if not clear:
+            say(f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off).")

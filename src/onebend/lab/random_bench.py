@@ -77,6 +77,8 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
         mass_told=bool(rng.random() < 0.7),
         lost=float(rng.choice([0.0, 0.0, 0.01, 0.03])),
     )
+    bench = replace(bench, declared=replace(bench.declared, tag_size=filming.tag_size))
+    filming = replace(filming, bench=bench)
     if chance.effects is None:
         return filming
     return as_thick(replace(filming, bench=with_random_effects(bench, rng, chance.effects, tag_size=filming.tag_size)))

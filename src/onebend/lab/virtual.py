@@ -67,6 +67,7 @@ class DeclaredValues:
     axes_sd: float = DIRECTION_SD  # rad
     rest: Rest = "straight"
     gain_sd: float = nan
+    tag_size: float = 0.012  # m
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,7 @@ def declared_recording(bench: VirtualBench) -> Recording:
         name=bench.name,
         beam=BeamEntry(length=length * (1.0 + bench.effects.length_off), rest=declared.rest),
         tags=TagsEntry(
-            size=0.012,
+            size=declared.tag_size,
             placement_sd=declared.placement_sd,
             on_base=(TagEntry(id=0, s=0.0),),
             on_beam=tuple(TagEntry(id=tag.id, s=tag.s) for tag in bench.tags),

@@ -17,9 +17,8 @@ _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
 _OF_THE_PUSH = ("push place", "push beside", "place", "force direction", "direction", "axis scale")
 _G = 9.81  # m/s^2
-_SOFTEST, _STIFFEST = 1e3, 1.2e12  # Pa, of Young's modulus: a soft gel, and diamond
 _LIGHTEST = 500.0  # kg/m^3: foams apart, nothing that bends and springs back is lighter
-_HANGING = 0.5  # of the length
+_FAR_DOWN = 0.5  # of the length
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -73,7 +72,7 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
         return (*wrong, *_search(posterior))
     tests = _tests(posterior)
     odd = (*_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
-    return (*wrong, *_search(posterior), *tests, *_material(posterior), *odd)
+    return (*wrong, *_search(posterior), *tests, *_hanging(posterior), *odd)
 
 
 def _tests(posterior: Posterior) -> tuple[Remark, ...]:
@@ -96,28 +95,29 @@ def _search(posterior: Posterior) -> list[Remark]:
     return [Remark("warning", text)]
 
 
-def _material(posterior: Posterior) -> list[Remark]:
-    """What no beam of the stated section can be: of no known modulus, or so soft that it would hang out of the plane.
+def _hanging(posterior: Posterior) -> list[Remark]:
+    """A warning where a beam of this k(s), section and weight would hang far out of the plane, as none that is filmed.
 
     A cantilever of mass m hangs down by `m g L^2 int (1 - s)^3 / (2 k) ds`, k being that of the other direction: larger
-    by the square of the section's depth over its thickness.
+    by the square of the section's size across the plane over that in it.
     """
     one, s = posterior.recordings[0].observations, np.linspace(0.0, 1.0, 201)
-    thick, deep, k = one.stated.thickness, one.stated.depth, posterior.beam.stiffness(s)
-    if not np.isfinite(thick * deep):
+    section, upright = one.stated.section, any(np.any(r.observations.gravity) for r in posterior.recordings)
+    if section is None or section.shape != "rectangle" or one.static or upright:
         return []
-    unit = "Is the log in newtons (not kg or g)? Check width_m and thickness_m, too"
-    modulus = 12.0 * float(np.median(k)) * one.length / (deep * thick**3)
-    if not _SOFTEST < modulus < _STIFFEST:
-        return [Remark("warning", f"Young's modulus would be {modulus:.2g} Pa, which no material has. {unit}")]
-    mass = one.stated.mass if np.isfinite(one.stated.mass) else _LIGHTEST * thick * deep * one.length
-    sag = float(np.trapezoid((1.0 - s) ** 3 / (2.0 * k), s)) * mass * _G * one.length**2 * (thick / deep) ** 2
-    if any(np.any(film.observations.gravity) for film in posterior.recordings) or sag < _HANGING * one.length:
+    thick, deep = (np.interp(s, section.s, size) for size in (section.thickness, section.width))
+    light = _LIGHTEST * one.length * float(np.trapezoid(thick * deep, s))
+    mass = one.stated.mass if np.isfinite(one.stated.mass) else light
+    bends = (1.0 - s) ** 3 / (2.0 * posterior.beam.stiffness(s)) * (thick / deep) ** 2
+    sag = mass * _G * one.length**2 * float(np.trapezoid(bends, s))
+    if sag < _FAR_DOWN * one.length:
         return []
-    text = f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight"
-    return [
-        Remark("warning", f"{text} (by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. {unit}")
-    ]
+    text = (
+        f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight (by "
+        f"{1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? Check "
+        "width_m, thickness_m and mass_kg, too"
+    )
+    return [Remark("warning", text)]
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:

@@ -70,13 +70,19 @@ HOMES: dict[str, tuple[str, ...]] = {
 }
 
 
+def folder_of(path: Path | str) -> Path:
+    """The folder of a recording that is named by its `recording.toml` or by itself."""
+    path = Path(path)
+    return path.parent if path.name == FILE_NAME and not path.is_dir() else path
+
+
 def read_recording(folder: Path | str) -> Recording:
-    """Read and check `recording.toml` of `folder`, and that the files it names exist.
+    """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
     """
-    folder = Path(folder)
+    folder = folder_of(folder)
     content, data = load(folder)
     mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
     check_top(data, mistakes)
@@ -218,7 +224,16 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
     """`entry` with the files it names made whole paths; each must exist."""
     if entry is None:
         return None
-    for field_name in ("file", "frame_times", "base_angle_file", "mass_file", "loads", "folder", "definitions"):
+    for field_name in (
+        "file",
+        "frame_times",
+        "base_angle_file",
+        "mass_file",
+        "section_file",
+        "loads",
+        "folder",
+        "definitions",
+    ):
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue

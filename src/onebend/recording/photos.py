@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
@@ -19,6 +21,8 @@ from onebend.recording.tracks.pose_loads import PoseLoads, read_loads
 from onebend.recording.tracks.pose_tables import PosePoints, static
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import BoolArray, Detections, Markers, Observations, Remark, covariance_with_camera
+
+HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
 
 
 def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
@@ -96,7 +100,31 @@ def read_photo(rec: Recording, name: str) -> Picture:
         with Image.open(path) as image:
             return np.asarray(ImageOps.exif_transpose(image).convert("L"))
     except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as wrong:
+        if is_heic(path):
+            raise RecordingError(_heic_words(path)) from None
         raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
+
+
+def is_heic(path: Path) -> bool:
+    """Whether a file begins as an HEIC picture does (ISO 23008-12), whatever its name."""
+    with path.open("rb") as stream:
+        first = stream.read(64)
+    size = min(int.from_bytes(first[:4], "big"), len(first))
+    brands = {first[8:12], *(first[i : i + 4] for i in range(16, size - 3, 4))}
+    return first[4:8] == b"ftyp" and not brands.isdisjoint(HEIC_BRANDS)
+
+
+def _heic_words(path: Path) -> str:
+    """How to convert a picture. (The programs that read HEIC come with the systems; their licences, LGPL and GPL, are
+    not those of a library to ask for.)"""
+    other = path.with_name(f"{path.stem}-converted.jpg" if path.suffix == ".jpg" else f"{path.stem}.jpg")
+    old, new = shlex.quote(str(path)), shlex.quote(str(other))
+    return (
+        f"{path} is an HEIC picture, as telephones take them; JPEG and PNG are read. Convert it with "
+        f"`sips -s format jpeg {old} --out {new}` on a Mac or `heif-convert -q 100 {old} {new}` on Linux (from the "
+        "package libheif-examples), and write the new name in the column pose. An iPhone takes JPEG by itself with "
+        "Settings, Camera, Formats, Most Compatible."
+    )
 
 
 def measured(detections: Detections, rec: Recording) -> Markers:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from onebend.errors import ObservationError, OnebendError
+from onebend.learning.modulus import size_words
 from onebend.recording.bags.recorded_topics import bag_span
 from onebend.recording.beam_frame import rest_shape
 from onebend.recording.clock.offset import ClockSettings
@@ -75,14 +76,21 @@ def overview(folder: Path | str) -> Overview:
         ObservationError: marker tracks or poses that make no observations.
     """
     recording = read_recording(folder)
-    stated_in(recording)
+    section = stated_in(recording).section
     if recording.gravity is not None and recording.gravity.base_angle_file is not None:
         read_base_log(recording.gravity.base_angle_file)
     log = read_log(recording)
     preview = None if recording.video is None else look_at(recording)
     seen = observe(recording) if recording.markers is not None or recording.poses is not None else None
     film = None if preview is None or recording.video is None else film_info(recording.video, preview)
-    rows = [*_beam_rows(recording), *_film_rows(recording, film), *_tag_rows(preview), *_log_rows(recording, log)]
+    sizes = [] if section is None else [("section", ", ".join(size_words(section)))]
+    rows = [
+        *_beam_rows(recording),
+        *sizes,
+        *_film_rows(recording, film),
+        *_tag_rows(preview),
+        *_log_rows(recording, log),
+    ]
     remarks = [*recording.remarks, *(log.remarks if log else ())]
     if seen is not None:
         remarks = [*seen.source.remarks]

@@ -1,4 +1,9 @@
-"""A cache of tag detections on disk: an interrupted run does not search the same video again."""
+"""Detections on disk, by the content of the film: the same film is not searched for tags a second time.
+
+They are kept in the user's cache (`files.kept`); where that is turned off or cannot be written, in a folder of the
+run's own, so that an interrupted run goes on from there. The key is the SHA-256 of the film's content, of all that
+decides what is found in it, and of the code that finds it: another film, other ids or another onebend miss.
+"""
 
 from __future__ import annotations
 
@@ -6,79 +11,120 @@ import hashlib
 import io
 import json
 import zipfile
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from onebend.errors import ResultsError
-from onebend.files.single_file import write_file
+from onebend import recording
+from onebend.files.kept import KeptFolder, users_folder
 from onebend.progress import Progress, Silent
 from onebend.recording.bags.reader import files_of
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Detections, Remark
+from onebend.results.provenance import checksum_of, inputs_of
+
+FORMAT = 1  # of the entries
+LIBRARIES = ("av", "pyapriltags")  # that read the film and find the tags
 
 
 @dataclass(frozen=True)
 class DetectionCache:
-    """Detections in a folder, each under a key of the files and settings that it was made from."""
+    """Detections in the first of some folders that has them; new ones go to the first that takes them."""
 
-    folder: Path
+    folders: tuple[KeptFolder, ...]
     version: str  # of onebend: another version may find the tags better
 
     def detect(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
     ) -> Detections:
-        """As `detect_tags`, but detections of the same video are read from the folder where it has them."""
-        files = files_of(video.file) if video.topic else (video.file,)
-        files = files if video.frame_times == "container" else (*files, video.frame_times)
-        ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
-        key = key_of(files, self.version, tags.family, video.fps, ids, video.topic, video.damaged)
-        detections = self.load(key)
-        if detections is None:
-            detections = detect_tags(video, tags, threads=threads, progress=progress)
-            self.save(key, detections)
-        return detections
-
-    def load(self, key: str) -> Detections | None:
-        """The detections under `key`, or None; a file that cannot be read counts as missing."""
-        try:
-            with self._file(key).open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-                remarks = tuple(Remark(*pair) for pair in json.loads(str(data["remarks"])))
-                width, height = (int(n) for n in data["size"])
-                return Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks)
-        except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
-            return None
-
-    def save(self, key: str, detections: Detections) -> None:
-        """Write `detections` under `key`; the file appears only once it is complete.
-
-        A disk that is full costs the cache alone.
-        """
-        content = io.BytesIO()
-        np.savez_compressed(
-            content,
-            time=detections.time,
-            tag_id=detections.tag_id,
-            corners=detections.corners,
-            size=np.array([detections.width, detections.height]),
-            remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
-        )
-        with suppress(ResultsError):
-            write_file(self._file(key), content.getvalue(), overwrite=True)
-
-    def _file(self, key: str) -> Path:
-        return self.folder / f"detections-{key}.npz"
+        """As `detect_tags`, but detections of the same film are read from the folders where they have them."""
+        inputs = inputs_of(path for _, path in film_files(video))
+        name = f"tags-{key_of(video, tags, self.version)}"
+        wanted = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
+        found = next((d for folder in self.folders if (d := unpacked(folder.load(name), wanted)) is not None), None)
+        if found is not None:
+            return found
+        found = detect_tags(video, tags, threads=threads, progress=progress)
+        if all(one.is_still_there() for one in inputs):  # else the key is not that of what was read
+            content = packed(found)
+            any(folder.save(name, content) for folder in self.folders)
+        return found
 
 
-def key_of(files: tuple[Path, ...], *settings: Any) -> str:
-    """A name for "these files as they are now, with these settings" (by path, size and time of change).
+def detection_cache(version: str, workplace: Path | None = None) -> DetectionCache:
+    """The user's cache where there is one; `workplace`: where else detections may be kept."""
+    folders = (users_folder(), None if workplace is None else KeptFolder(workplace))
+    return DetectionCache(tuple(one for one in folders if one is not None), version)
 
-    `settings` go in by their `repr`, so they must be plain values or frozen records of such.
+
+def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:
+    """40 hexadecimal digits for "this film, searched for these tags by this version".
+
+    Names of folders and files do not count, nor does what is used only after the search: sizes and places of the tags,
+    clocks, the camera.
     """
-    stats = [(str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns) for file in files]
-    return hashlib.sha256(repr((stats, settings)).encode()).hexdigest()[:20]
+    contents = [(kind, checksum_of(one)) for kind, path in film_files(video) for one in inputs_of([path])]
+    ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
+    settings = (tags.family, ids, video.fps, video.topic, video.damaged)
+    return hashlib.sha256(repr((FORMAT, contents, settings, version, finder_version())).encode()).hexdigest()[:40]
+
+
+def film_files(video: VideoEntry) -> list[tuple[str, Path]]:
+    """Every file that a film is read from, with what it is: the part of its name that decides how it is read."""
+    files = files_of(video.file) if video.topic else (video.file,)
+    found = [(file.suffix.lower(), file) for file in files]
+    if video.topic and video.file.is_dir():
+        found += [(file.name, file) for file in sorted(video.file.glob("*.yaml"))]
+    if video.definitions is not None:
+        inside = sorted(video.definitions.rglob("*.msg"))
+        found += [(file.relative_to(video.definitions).as_posix(), file) for file in inside]
+    if video.frame_times != "container":
+        found.append(("frame times", Path(video.frame_times)))
+    return found
+
+
+@cache
+def finder_version() -> str:
+    """A checksum of the code that reads films and finds tags, and the versions of what it uses."""
+    assert recording.__file__ is not None
+    folder = Path(recording.__file__).parent
+    code = hashlib.sha256()
+    for file in sorted(folder.rglob("*.py")):
+        code.update(file.read_bytes())
+    return repr((code.hexdigest(), [version(name) for name in LIBRARIES]))
+
+
+def packed(detections: Detections) -> bytes:
+    """Detections as the bytes of a NumPy archive."""
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        time=detections.time,
+        tag_id=detections.tag_id,
+        corners=detections.corners,
+        size=np.array([detections.width, detections.height]),
+        remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
+    )
+    return content.getvalue()
+
+
+def unpacked(content: bytes | None, wanted: Sequence[int]) -> Detections | None:
+    """What `packed` packed; None where there is nothing, or it is not of the tags `wanted`. Nothing in it is run."""
+    if content is None:
+        return None
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as data:
+            remarks = tuple(Remark(*pair) for pair in json.loads(str(data["remarks"])))
+            width, height = (int(n) for n in data["size"])
+            found = Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks)
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+        return None
+    shape: tuple[Any, ...] = (len(found.time), len(wanted), 4, 2)
+    return found if found.tag_id.tolist() == list(wanted) and found.corners.shape == shape else None

@@ -8,14 +8,16 @@ from typing import Any
 
 from onebend.files.manifest import write_summary
 from onebend.learning.design.instruments import instruments_if_pushed
+from onebend.learning.modulus import stated_section
 from onebend.learning.outcome import Comparison
 from onebend.records import Observations
 from onebend.report.figures.pictures import Pictures
 from onebend.report.findings import Findings
 from onebend.report.page.made_from import shown_made_from
 from onebend.report.page.page import page
-from onebend.results.model import FILE_NAME, origin_of, save_model
+from onebend.results.model import FILE_NAME, StoredModel, model_text
 from onebend.results.observations_file import save_observations
+from onebend.results.origin import origin_of
 from onebend.results.tables import (
     write_markers,
     write_nuisances,
@@ -44,9 +46,10 @@ def learned_writer(
         uncertain = None if posterior is None else posterior.stiffness
         origin = origin_of(learned, posterior, findings.trainings)
         bench = None if posterior is None else instruments_if_pushed(posterior)
-        by = f"onebend {version}"
-        save_model(folder / FILE_NAME, findings.beam, written_by=by, origin=origin, uncertain=uncertain, bench=bench)
-        write_stiffness(folder / "stiffness.csv", findings.beam, uncertain)
+        beam, section = findings.beam, stated_section(findings.recordings)
+        stored = StoredModel(beam, origin, uncertain, bench, section=section)
+        (folder / FILE_NAME).write_text(model_text(stored, written_by=f"onebend {version}"), encoding="utf-8")
+        write_stiffness(folder / "stiffness.csv", beam, uncertain, section)
         if learned is not None:
             write_selection(folder / "selection.csv", learned)
         if posterior is not None:

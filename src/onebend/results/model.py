@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,37 +11,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.modulus import ModulusBand, modulus_band, section_as_dict, section_from_dict
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
 from onebend.files.manifest import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
-from onebend.learning.outcome import Comparison, Learned
+from onebend.records import Array, StatedSection
+from onebend.results.origin import Origin
 from onebend.text_files import quoted, read_json
 
 if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to load
     from onebend.learning.design.instruments import Instruments
-    from onebend.learning.posterior import Posterior
     from onebend.learning.swing.damping import Damping
 
 FORMAT = "onebend-model"
-VERSION = 4
-READABLE = (1, 2, 3, 4)  # 1 had no `uncertain`, 2 no `damping`, 3 no checksum
+VERSION = 5
+READABLE = (1, 2, 3, 4, 5)  # 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`
 FILE_NAME = "model.json"
-KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", OWN_CHECKSUM}
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Where a model comes from. For people: nothing is computed from it."""
-
-    recording: str  # several: with " + " between them
-    method: str
-    family: str
-    n: int | None  # curvature modes; None where none were used
-    m: int  # stiffness functions
-    marker_s: tuple[float, ...]  # places of the tags
-    push_s: float | None  # furthest place pushed; what lies beyond was not loaded
-    training_rms_m: tuple[float | None, ...]  # per tag
+KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", "section", OWN_CHECKSUM}
 
 
 @dataclass(frozen=True)
@@ -54,29 +40,9 @@ class StoredModel:
     uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
     bench: Instruments | None = None  # what the recordings were made with, where the band is known
     damping: Damping | None = None  # where a free swing was filmed
+    section: StatedSection | None = None  # where it was measured
     changed: str = ""  # in words, where the file is not as onebend wrote it; its k(s) is in doubt then
     swapped: str = ""  # in words, where it is not the one that the run of this folder wrote
-
-
-def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
-    """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
-    from onebend.learning.model.frames import marker_rms  # here, and below: who reads a model loads no fit
-
-    pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in trainings])
-    rms = marker_rms(np.concatenate([comparison.measured - comparison.predicted for comparison in trainings]))
-    if posterior is not None:
-        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.layout.spline.count)
-    else:
-        assert learned is not None
-        trial = learned.trials[learned.chosen]
-        made = (learned.method, learned.family, trial.n, trial.m)
-    return Origin(
-        " + ".join(comparison.name for comparison in trainings),
-        *made,
-        marker_s=tuple(float(s) for s in trainings[0].marker_s),
-        push_s=float(pushed.max()) if pushed.size else None,
-        training_rms_m=tuple(float(r) if np.isfinite(r) else None for r in rms),
-    )
 
 
 def save_model(
@@ -92,10 +58,9 @@ def save_model(
 
     `uncertain`: its k(s) with the band; `bench`: what the recordings were made with.
     """
+    stored = StoredModel(beam, origin, uncertain, bench)
     try:
-        path.write_text(
-            model_text(StoredModel(beam, origin, uncertain, bench), written_by=written_by), encoding="utf-8"
-        )
+        path.write_text(model_text(stored, written_by=written_by), encoding="utf-8")
     except ResultsError as error:
         raise ResultsError(f"{path}: {error}") from error
 
@@ -114,6 +79,8 @@ def model_text(stored: StoredModel, *, written_by: str) -> str:
         part = getattr(stored, name)
         if part is not None:
             data[name] = part.as_dict()
+    if stored.section is not None:
+        data["section"] = section_as_dict(stored.section)
     try:
         return json.dumps(with_checksum(data), indent=2, allow_nan=False) + "\n"
     except ValueError as error:
@@ -144,6 +111,18 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
             "Learn it again with `onebend learn`"
         )
     return stored.uncertain
+
+
+def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand | None:
+    """Young's modulus E(s) [Pa] at places s (S,) from `path`, as `load_uncertain`; with its band where k(s) has one.
+
+    None where the recordings did not state the beam's section.
+    """
+    stored = _read_and_warn(path)
+    section = stored.section
+    if section is None:
+        return None
+    return modulus_band(stored.uncertain or stored.beam.stiffness, stored.beam.length, section, s, level)
 
 
 def model_file(path: Path | str) -> Path:
@@ -177,6 +156,7 @@ def read_model(path: Path | str) -> StoredModel:
         uncertain=uncertain,
         bench=_bench(file, data.get("bench")),
         damping=_damping(file, data.get("damping")),
+        section=_section(file, data.get("section")),
         changed=changed,
         swapped=_swapped(file),
     )
@@ -233,7 +213,7 @@ def _origin(file: Path, data: Any) -> Origin | None:
 def _bench(file: Path, data: Any) -> Instruments | None:
     if data is None:
         return None
-    from onebend.learning.design.instruments import Instruments
+    from onebend.learning.design.instruments import Instruments  # here, and below: who reads a model loads no fit
 
     try:
         return Instruments.from_dict(data)
@@ -250,6 +230,13 @@ def _damping(file: Path, data: Any) -> Damping | None:
         return Damping.from_dict(data)
     except LearningError as error:
         raise ResultsError(f"{file}: key 'damping' {error}. {_ADVICE}") from error
+
+
+def _section(file: Path, data: Any) -> StatedSection | None:
+    try:
+        return None if data is None else section_from_dict(data)
+    except (MechanicsError, KeyError, TypeError, ValueError) as error:
+        raise ResultsError(f"{file}: key 'section' is no section ({error}). {_ADVICE}") from error
 
 
 def _beam(file: Path, data: Any) -> Beam:

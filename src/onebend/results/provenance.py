@@ -61,7 +61,7 @@ def provenance(
             "versions": {**{name: _version(name) for name in LIBRARIES}, "python": platform.python_version()},
             "system": platform.platform(),
             "written": datetime.now(UTC).isoformat(timespec="seconds"),
-            "inputs": [{"file": str(one.path), "sha256": _checksum(one), "bytes": one.size} for one in inputs],
+            "inputs": [{"file": str(one.path), "sha256": checksum_of(one), "bytes": one.size} for one in inputs],
             "changed_meanwhile": [str(one.path) for one in inputs if not one.is_still_there()],
         }
     }
@@ -83,8 +83,8 @@ def as_data(value: Any) -> Any:
 
 
 @cache
-def _checksum(one: InputFile) -> str | None:
-    """Computed when there are results, and once: a film is long."""
+def checksum_of(one: InputFile) -> str | None:
+    """SHA-256, computed when it is wanted, and once: a film is long. None where the file cannot be read."""
     try:
         return sha256_of(one.path)
     except OSError:

@@ -20,7 +20,7 @@ def recording_files(folders: Iterable[Path]) -> list[Path]:
             recording = read_recording(folder)
         except (OnebendError, OSError):
             continue
-        found += [Path(folder) / FILE_NAME, *_named(recording)]
+        found += [recording.folder / FILE_NAME, *_named(recording)]
     return found
 
 

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.modulus import section_as_dict
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.modulus import modulus_along, stated_section
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.swing.damping import SwingFit
 from onebend.learning.tradeoffs import tradeoffs, with_level
 from onebend.learning.verdict import fitted_rms
-from onebend.records import Observations
+from onebend.records import Observations, StatedSection
 from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.verdict import verdict_of
@@ -30,6 +32,7 @@ DAMP_FORMAT = "onebend-damp-1"
 def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
     """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
     learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
+    uncertain = None if posterior is None else posterior.stiffness
     return {
         "format": LEARN_FORMAT,
         "written_by": written_by,
@@ -37,7 +40,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
         "verdict": verdict_of(findings).as_dict(),
-        "stiffness": _stiffness(findings.beam, None if posterior is None else posterior.stiffness),
+        "stiffness": _stiffness(findings.beam, uncertain, stated_section(findings.recordings)),
         "fit": None if posterior is None else _fit(posterior),
         "regression": None if learned is None else _regression(learned),
         "training": [comparison_summary(comparison) for comparison in findings.trainings],
@@ -64,7 +67,7 @@ def model_summary(stored: StoredModel) -> dict[str, Any]:
     """What `onebend show --json` prints."""
     origin = None if stored.origin is None else asdict(stored.origin)
     damping = None if stored.damping is None else stored.damping.as_dict()
-    stiffness = _stiffness(stored.beam, stored.uncertain)
+    stiffness = _stiffness(stored.beam, stored.uncertain, stored.section)
     return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": stiffness, "damping": damping}
 
 
@@ -163,14 +166,20 @@ def _trial(learned: Learned, index: int) -> dict[str, Any]:
     }
 
 
-def _stiffness(beam: Beam, uncertain: UncertainStiffness | None) -> dict[str, Any]:
-    """k at eleven places; with its 95 % band where one was learned."""
+def _stiffness(
+    beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
+) -> dict[str, Any]:
+    """k at eleven places; with its 95 % band where one was learned, and Young's modulus where the section is known."""
     s = np.linspace(0.0, 1.0, 11)
     found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
     if uncertain is not None:
         band = uncertain.band(s)
         found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
         found |= {"doubts": uncertain.doubts}
+    modulus = modulus_along(beam, uncertain, section, s)
+    if modulus is not None and section is not None:
+        edges = {} if uncertain is None else {"E_lo_Pa": modulus.low, "E_hi_Pa": modulus.high}
+        found |= {"E_Pa": modulus.modulus, **edges, "section": section_as_dict(section)}
     return found
 
 

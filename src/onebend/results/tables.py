@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.modulus import modulus_band
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.escaping import csv_cell
 from onebend.learning.outcome import Comparison, Learned
+from onebend.records import StatedSection
 
 if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to load
     from onebend.learning.posterior import Nuisance
@@ -23,8 +25,12 @@ if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to 
 PLACES = 201  # rows of stiffness.csv: s = 0, 0.005, ..., 1
 
 
-def write_stiffness(path: Path, beam: Beam, uncertain: UncertainStiffness | None) -> None:
+def write_stiffness(
+    path: Path, beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
+) -> None:
     """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`: k(s), its 95 % band, and `yes` or `no`.
+
+    Where the section was measured also `E_Pa,E_lo_Pa,E_hi_Pa`: Young's modulus and its band.
 
     A regression (`uncertain` None) gives neither a band nor a word on where the data are blind: `k_lo_N_m` and
     `k_hi_N_m` are `nan` and `identified` is `unknown` in every row. (Not "no": that would be a finding.) Where the fit
@@ -36,9 +42,16 @@ def write_stiffness(path: Path, beam: Beam, uncertain: UncertainStiffness | None
     if uncertain is not None:
         band = uncertain.band(s)
         low, high, said = band.low, band.high, ["yes" if known else "no" for known in band.identified]
-    columns = zip(s, beam.stiffness(s), low, high, said, strict=True)
-    rows = ([f"{place:.3f}", *map(_number, values), word] for place, *values, word in columns)
-    write_csv(path, ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], rows)
+    header, more = ["s", "k_N_m", "k_lo_N_m", "k_hi_N_m", "identified"], np.zeros((PLACES, 0))
+    if section is not None:
+        modulus = modulus_band(uncertain or beam.stiffness, beam.length, section, s)
+        header += ["E_Pa", "E_lo_Pa", "E_hi_Pa"]
+        more = np.stack([modulus.modulus, modulus.low, modulus.high], axis=1)
+    columns = zip(s, beam.stiffness(s), low, high, said, more, strict=True)
+    rows = (
+        [f"{place:.3f}", *map(_number, values), word, *map(_number, others)] for place, *values, word, others in columns
+    )
+    write_csv(path, header, rows)
 
 
 def write_nuisances(path: Path, nuisances: Sequence[Nuisance]) -> None:

@@ -24,8 +24,9 @@ from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.progress import Silent
 from onebend.records import Array, Observations
-from onebend.results.model import origin_of, read_model, save_model
+from onebend.results.model import read_model, save_model
 from onebend.results.observations_file import load_observations
+from onebend.results.origin import origin_of
 from onebend.studies.printed import MOST_MODES
 
 PAPER = RegressionSettings(method="paper", bic="paper", most_n=MOST_MODES)

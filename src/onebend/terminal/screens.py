@@ -17,6 +17,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
 from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
+from onebend.report.modulus import MeasuredBeam, measured_beam, modulus_rows, modulus_words
 from onebend.report.verdict import hopeless, verdict_of
 from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
@@ -25,6 +26,7 @@ from onebend.terminal.parts import remarks_list, warnings_list
 from onebend.terminal.plots import band_plot, stiffness_plot
 from onebend.terminal.tables import (
     allowance_table,
+    band_places,
     band_table,
     comparison_table,
     estimate_table,
@@ -74,10 +76,14 @@ def _stiffness(console: Console, run: Findings, *, log: bool) -> list[Renderable
     """The plot as large as the screen lets it be, and the numbers below."""
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 17, _FEWEST_ROWS), _MOST_ROWS)
+    measured = measured_beam(run)
+    words = modulus_words(measured)
+    below: list[RenderableType] = [_sentences(words)] if words else []
     if run.posterior is None:
-        return [stiffness_plot(run.beam, rows=_FEWEST_ROWS)]
+        return [stiffness_plot(run.beam, rows=_FEWEST_ROWS), *below]
     uncertain = run.posterior.stiffness
-    return [band_plot(uncertain, columns=columns, rows=rows, log=log), band_table(uncertain, columns=columns)]
+    numbers = band_table(uncertain, columns=columns, modulus=modulus_rows(measured, band_places(columns)))
+    return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
 
 
 def _everything(run: Findings) -> list[RenderableType]:
@@ -112,7 +118,9 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     uncertain = posterior.stiffness
     forced = any(recording.source.clean_force is not None for recording in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
-    found: list[RenderableType] = [estimate_table(uncertain, run.learned)]
+    found: list[RenderableType] = [
+        estimate_table(uncertain, run.learned, modulus_rows(measured_beam(run), np.linspace(0.0, 1.0, 11)))
+    ]
     force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
     found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
     if posterior.attributions:
@@ -161,13 +169,16 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
 def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
     """What `onebend show` draws."""
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
+    measured = MeasuredBeam(beam, uncertain, stored.section)
     if uncertain is None:
         console.print(stiffness_plot(beam))
     else:
         console.print(band_plot(uncertain, log=log))
-        console.print(band_table(uncertain, columns=61))
+        console.print(band_table(uncertain, columns=61, modulus=modulus_rows(measured, band_places(61))))
         for text in unidentified_words(uncertain):
             console.print(text, markup=False, highlight=False)
+    for text in modulus_words(measured):
+        console.print(text, markup=False, highlight=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
     if lowest <= 0.0:
         console.print(f"[yellow]k(s) falls to {significant(lowest)} N m: this is no beam and cannot be simulated.[/]")

@@ -12,7 +12,9 @@ from rich.text import Text
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
+from onebend.records import Array
 from onebend.report.confidence import allowance_rows, nuisance_rows
+from onebend.report.modulus import ModulusRows
 from onebend.report.wording import (
     UNKNOWN,
     bic_words,
@@ -70,39 +72,57 @@ def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
     return table
 
 
-def band_table(uncertain: UncertainStiffness, *, columns: int) -> Table:
-    """k and its band at six or eleven places, as many as fit below a plot of so many columns, and as it lies there."""
-    count = 11 if columns >= WIDE else 6
-    s = np.linspace(0.0, 1.0, count)
-    band = uncertain.band(s)
+def band_places(columns: int) -> Array:
+    """Six or eleven places, as many as fit below a plot of so many columns."""
+    return np.linspace(0.0, 1.0, 11 if columns >= WIDE else 6)
+
+
+def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: ModulusRows | None = None) -> Table:
+    """k and its band at `band_places`, as they lie below a plot of so many columns; Young's modulus there below it."""
+    s = band_places(columns)
+    count, band = len(s), uncertain.band(s)
     table = Table(box=None, show_header=False, pad_edge=False, padding=0)
     table.add_column(width=9)
     for i in range(count):
         table.add_column(width=(columns - 1) // (count - 1) if i < count - 1 else None, no_wrap=True)
     styles = ["" if known else "bright_black" for known in band.identified]
-    for name, values in (("s", s), ("k [N m]", band.k), ("from", band.low), ("to", band.high)):
-        cells = [significant(float(value)) for value in values]
-        cells = [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)]
-        if name == "s":
-            cells = ["0 clamp", *(f"{value:.1f}" for value in values[1:-1]), "1 tip"]
+
+    def add(name: str, cells: Sequence[str]) -> None:
         table.add_row(Text(f"{name:>8}", "dim"), *(Text(*pair) for pair in zip(cells, styles, strict=True)))
+
+    add("s", ["0 clamp", *(f"{value:.1f}" for value in s[1:-1]), "1 tip"])
+    rows: list[tuple[str, Sequence[str]]] = [
+        (name, [significant(float(value)) for value in values])
+        for name, values in (("k [N m]", band.k), ("from", band.low), ("to", band.high))
+    ]
+    if modulus is not None:
+        rows += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
+    for name, cells in rows:
+        add(name, [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)])
     return table
 
 
-def estimate_table(uncertain: UncertainStiffness, regression: Learned | None) -> Table:
-    """k at eleven places with its band, the paper's beside it."""
+def estimate_table(
+    uncertain: UncertainStiffness, regression: Learned | None, modulus: ModulusRows | None = None
+) -> Table:
+    """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name in ("s", "k [N m]", "95 % from", "to", "identified"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     if regression is not None:
-        table.add_column("the paper's k", justify="right", no_wrap=True)
+        table.add_column("paper's k", justify="right", no_wrap=True)
+    if modulus is not None:
+        for name in (f"E [{modulus.unit}]", "from", "to"):
+            table.add_column(escape(name), justify="right", no_wrap=True)
     columns = zip(s, band.k, band.low, band.high, band.identified, strict=True)
     for i, (place, k, low, high, known) in enumerate(columns):
         cells = [f"{place:.1f}", significant(k), significant(low), significant(high), "yes" if known else "no"]
         if regression is not None:
             cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
+        if modulus is not None:
+            cells += [modulus.values[i], modulus.low[i], modulus.high[i]]
         table.add_row(*cells, style="" if known else "bright_black")
     return table
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.grid import make_grid
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName, allowances_of
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding
@@ -113,9 +114,9 @@ def test_allowances_of_one_kind_add_up() -> None:
 
 def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **changed: object) -> set[str]:
     o = replace(MADE, **changed)  # type: ignore[arg-type]
-    one, nodes = np.ones(20, dtype=bool), np.linspace(0.1, 0.9, 5)
+    one, grid = np.ones(20, dtype=bool), make_grid(order=5)
     measured = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
-    return {a.name for a in allowances_of(o, one, measured, np.full(20, PUSH_S), made, nodes, wanted)}
+    return {a.name for a in allowances_of(o, one, measured, np.full(20, PUSH_S), made, grid, wanted)}
 
 
 def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.allowances.patches import RIM, USUAL_SIZE, patch_function
+from onebend.beam.grid import Grid, make_grid
+from onebend.learning.allowances.patches import PATCH_SD, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.parameters import Priors, make_layout
@@ -16,16 +17,39 @@ from tests.learning.allowances.allowed_bench import TAGS, filmed
 from tests.made_up import with_stated
 
 S = np.linspace(0.0, 1.0, 2001)
+LAYERS = np.array([0.1, 0.5, 0.1])
 
 
 @pytest.mark.parametrize("size", [np.nan, 0.006, 0.02])
-def test_it_is_one_under_the_tags_and_nothing_between(size: float) -> None:
+def test_they_are_one_under_the_tags_and_nothing_between(size: float) -> None:
     made = with_stated(filmed(), tag_size=size)
-    half = 0.5 * RIM * (size / made.length if np.isfinite(size) else USUAL_SIZE)
-    away, found = np.min(np.abs(S[:, None] - TAGS), axis=1), patch_function(TAGS, made.length, made.stated.tag_size, S)
-    assert np.all(found[away < 0.6 * half] > 0.99)
-    assert np.all(found[away > 1.4 * half] < 0.01)
-    assert 0.5 * np.sum(found) * (S[1] - S[0]) == pytest.approx(3 * half, rel=0.05)
+    found = patch_functions(TAGS, made.length, made.stated.tag_size, S)
+    square = size / made.length if np.isfinite(size) else USUAL_SIZE
+    away = np.min(np.abs(S[:, None] - TAGS), axis=1)
+    assert np.all(found[away < 0.25 * square] > 0.98)
+    assert np.all(found[away > 1.3 * square] < 0.01)
+    assert np.all(np.diff(found, axis=1) >= 0.0)
+    if np.isfinite(size):
+        widths = np.sum(found, axis=0) * (S[1] - S[0]) / (3.0 * square)
+        np.testing.assert_allclose(widths, WIDTHS, rtol=0.02)
+
+
+def test_a_patch_reaches_as_far_as_its_widths_are_likely() -> None:
+    size, length = 0.01, 0.15
+    basis = patch_functions(np.array([0.5]), length, size, 0.5 + 0.5 * size / length * np.array([0.5, 1.15, 1.43, 2.2]))
+    sd = patches(np.array([0.5]), length, size, None).prior_sd
+    found = np.sum((basis * sd) ** 2, axis=1) / PATCH_SD**2
+    np.testing.assert_allclose(found, [1.0, 0.75, 0.25, 0.0], atol=0.12)
+
+
+@pytest.mark.parametrize("middle", np.linspace(0.2, 0.8, 7))
+def test_nodes_see_a_patch_as_wide_as_it_is_wherever_they_lie(middle: float) -> None:
+    grid, tag, length, size = make_grid((1.0,), order=6, widest=0.125), np.array([middle]), 0.15, 0.012
+    exact = patch_functions(tag, length, size, S).mean(axis=0)
+    found = grid.weights @ patch_means(tag, length, size, grid)
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
+    both = Grid(np.stack([grid.edges, grid.edges**2]), grid.order)
+    np.testing.assert_allclose(patch_means(tag, length, size, both)[0], patch_means(tag, length, size, grid))
 
 
 def test_the_reported_stiffness_has_the_patches_in_it() -> None:
@@ -36,10 +60,10 @@ def test_the_reported_stiffness_has_the_patches_in_it() -> None:
     index, onto = log_k_map(FitProblem((one,), layout, 0.0, expected))
     x = np.zeros(layout.size)
     x[layout.index["stiffness", -1].where] = 0.2 * np.cos(np.arange(45) / 5.0)
-    x[layout.index["patches", -1].start] = 0.7
+    x[layout.index["patches", -1].where] = LAYERS
     reported = spline.finer.basis(S) @ onto @ x[index]
-    true = spline.basis(S) @ x[layout.index["stiffness", -1].where] + 0.7 * patch_function(
-        TAGS, made.length, made.stated.tag_size, S
+    true = spline.basis(S) @ x[layout.index["stiffness", -1].where] + (
+        patch_functions(TAGS, made.length, made.stated.tag_size, S) @ LAYERS
     )
     assert np.sqrt(np.mean((reported - true) ** 2)) < 0.05 * 0.7
     assert np.max(np.abs(np.interp(TAGS, S, reported - true))) < 0.05 * 0.7

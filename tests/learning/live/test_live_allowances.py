@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.grid import make_grid
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import LearningError
@@ -77,7 +78,8 @@ def test_priors_are_those_of_the_fit_and_follow_the_largest_force_and_displaceme
     force, frames = made.force, np.ones(20, dtype=bool)
     measured = np.concatenate([made.xy, made.angle[..., None]], axis=-1)
     fits = {
-        a.name: a for a in allowances_of(made, frames, measured, made.push_s, force, np.zeros(1), CAUSAL_ALLOWANCES)
+        a.name: a
+        for a in allowances_of(made, frames, measured, made.push_s, force, make_grid(order=2), CAUSAL_ALLOWANCES)
     }
     largest, bend = float(np.max(np.linalg.norm(force, axis=1))), 0.3
     for one in causal_allowances(TAGS, made.length, 0.01, thick=False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 
 import matplotlib
@@ -14,10 +15,11 @@ from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.explained import explained
 from onebend.learning.model.allowed import allowed
+from onebend.learning.outcome import Comparison
 from onebend.learning.validation import validate
-from onebend.report.figures import curves, recordings
+from onebend.report.figures import curves, recordings, style
 from onebend.report.figures.simulated import centreline, largest_push, spread_of_pushes
-from onebend.report.figures.style import BLUE, png_of
+from onebend.report.figures.style import BLUE, colour, named, png_of
 from tests import made_up
 from tests.made_up import with_source
 
@@ -203,3 +205,49 @@ def test_all_trials_out_of_the_running_can_be_drawn() -> None:
     learned = made_up.learned(ONE)
     out = tuple(replace(trial, bic=float("inf"), why_out="k(s) is not positive") for trial in learned.trials)
     png_of(recordings.selection(replace(learned, trials=out)))
+
+
+def with_markers(count: int) -> Comparison:
+    """`ONE` as so many markers would show it."""
+    s = np.linspace(1.0 / count, 1.0, count)
+    predicted = made_up.BEAM.equilibrium(ONE.force, ONE.push_s).xy(s)
+    measured = predicted + 1e-4 * np.random.default_rng(1).standard_normal(predicted.shape)
+    rms = np.sqrt(np.mean(np.sum((measured - predicted) ** 2, axis=-1), axis=0))
+    tags = np.arange(1, count + 1)
+    return replace(
+        ONE, tag_id=tags, marker_s=s, measured=measured, predicted=predicted, rms=rms, sensor_rms=np.full(count, np.nan)
+    )
+
+
+@pytest.mark.parametrize("count", [1, 5, 6, 7, 8, 28])
+def test_however_many_markers_all_is_inside_the_picture(count: int) -> None:
+    """Matplotlib warns where a legend leaves no room for the axes, and warnings are errors here."""
+    one = with_markers(count)
+    for figure in (recordings.shapes(made_up.BEAM, one, SEEN), recordings.markers(one), recordings.residuals(one)):
+        png_of(figure)
+        legends = [legend for axes in figure.axes if (legend := axes.get_legend()) is not None]
+        names = [text.get_text() for legend in legends for text in legend.get_texts() if text.get_text()[0] == "M"]
+        assert len(names) == min(count, 7)
+        assert names[-1].split(",")[0].split(":")[0].split()[0] == f"M{count}"
+        for legend in legends:
+            box, page = legend.get_window_extent(), figure.bbox.padded(5.0)  # px: a legend has a margin of its own
+            assert page.x0 <= box.x0 < box.x1 <= page.x1
+            assert page.y0 <= box.y0 < box.y1 <= page.y1
+    figure = curves.stiffness(made_up.BEAM, marker_s=one.marker_s)
+    assert len([text for text in figure.axes[0].texts if text.get_text().startswith("M")]) == min(count, 7)
+
+
+def test_colours_of_many_markers_go_by_their_order() -> None:
+    assert [colour(i, 7) for i in range(7)] == [colour(i) for i in range(7)]
+    assert len({colour(i, 28) for i in range(28)}) == 28
+    assert sorted(named(28))[::6] == [0, 27]
+    assert named(3) == {0, 1, 2}
+
+
+def test_a_picture_is_the_one_that_matplotlib_lays_out_by_itself() -> None:
+    figures, others = every_figure(), every_figure()
+    for name in ("band", "markers", "residuals"):
+        figure, again, stream = figures[name], others[name], io.BytesIO()
+        with matplotlib.rc_context(style._LOOK):
+            again.savefig(stream, format="png", dpi=style.DPI, metadata={"Software": None})
+        assert png_of(figure) == stream.getvalue(), name

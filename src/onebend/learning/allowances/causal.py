@@ -48,7 +48,7 @@ def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, t
         sliding(marker_s, none, np.zeros(0)),
         giving(none, 0),
         posture_bias(none, np.array([[1.0, 0.0]])),  # per N of the largest force
-        patches(marker_s, beam_length, tag_size, np.zeros(0)),
+        patches(marker_s, beam_length, tag_size, None),
         length(),
         *(replace(one, prior_sd=_WORTH * one.prior_sd) for one in discrepancy_of(no_functions, tags, beam_length)),
     )

@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from onebend.beam.grid import Grid
 from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding
@@ -43,13 +44,13 @@ def allowances_of(
     measured: Array,
     push_s: Array,
     force: Array,
-    nodes: Array,
+    grid: Grid,
     wanted: frozenset[AllowanceName],
 ) -> tuple[Allowance, ...]:
     """Those of a film's chosen `frames` (T,); none of static poses, whose loads hang on marks, in no order.
 
     `measured` (F, m, 3) poses of the tags, `push_s` (F,) and `force` (F, 2) N of these frames and of the beam at rest
-    behind them; `nodes` (Q,) or (F, Q).
+    behind them; `grid` the beam is solved on.
     """
     if observations.static or not np.any(frames):
         return ()
@@ -57,7 +58,7 @@ def allowances_of(
     every = [
         section(known=bool(np.isfinite(observations.stated.thickness))),
         relaxation(run),
-        patches(observations.marker_s, observations.length, observations.stated.tag_size, nodes),
+        patches(observations.marker_s, observations.length, observations.stated.tag_size, grid),
         length(),
         giving(run, len(force)),
         *discrepancy(run, tags, observations.length, len(force)),

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from onebend.learning.allowances.allowance import Sizes
-from onebend.learning.allowances.patches import patch_function
+from onebend.learning.allowances.patches import patch_functions
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, IntArray
@@ -112,7 +112,7 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
     under_tags, o = layout.index.get(("patches", -1)), problem.recordings[0].observations
     if under_tags is not None and under_tags.start >= 0:
         s = np.linspace(0.0, 1.0, 8 * fine.count)
-        values = patch_function(o.marker_s, o.length, o.stated.tag_size, s)
-        index.append(np.array([under_tags.start]))
-        onto.append(np.asarray(np.linalg.lstsq(fine.basis(s), values[:, None], rcond=None)[0]))
+        values = patch_functions(o.marker_s, o.length, o.stated.tag_size, s)
+        index.append(np.arange(under_tags.where.start, under_tags.where.stop))
+        onto.append(np.asarray(np.linalg.lstsq(fine.basis(s), values, rcond=None)[0]))
     return np.concatenate(index), np.concatenate(onto, axis=1)

@@ -256,7 +256,8 @@ def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
     )
     changes = material_changes(bent)
     columns = response_columns(changes).slices
-    columns |= {"stiffness": slice(0, p - 1), "patches": slice(p - 1, p)}
+    last = session.layout.spline.count
+    columns |= {"stiffness": slice(0, last), "patches": slice(last, p)}
     elastic, compliant = joined_functions(changes, size)
     beam = PointBeam(x, problem, push_grid.weights * problem.k, _axes(layout, x), columns, elastic, compliant)
     push_grid.kept[:] = [beam]

@@ -189,7 +189,8 @@ class OnlineLearner:
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         index = np.arange(p)
         if self._session.carries("patches"):  # k(s) has them in it
-            index = np.append(index, self._session.layout.index["patches", -1].start)
+            under_tags = self._session.layout.index["patches", -1].where
+            index = np.append(index, np.arange(under_tags.start, under_tags.stop))
             onto = np.column_stack([onto, self._session.patches_on_finer])
         spread = onto @ covariance[np.ix_(index, index)] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
         coefficients, spread = onto @ mean[index], 0.5 * (spread + spread.T)

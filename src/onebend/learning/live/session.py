@@ -14,7 +14,7 @@ from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.causal import OF_COURSE, causal_allowances, course_scale
 from onebend.learning.allowances.chosen import AllowanceName
-from onebend.learning.allowances.patches import patch_function
+from onebend.learning.allowances.patches import patch_functions, patch_means
 from onebend.learning.allowances.section import section_at
 from onebend.learning.model.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.model.parameters import Block, Layout, Priors
@@ -77,12 +77,12 @@ class LiveSession:
 
     @cached_property
     def patches_on_finer(self) -> Array:
-        """(f,) coefficients, of the finer spline, of the function of log k under the tags; zero without it."""
+        """(f, n) coefficients, of the finer spline, of the functions of log k under the tags; n = 0 without them."""
         fine = self.layout.spline.finer
         if not self.carries("patches"):
-            return np.zeros(fine.count)
+            return np.zeros((fine.count, 0))
         s = np.linspace(0.0, 1.0, 8 * fine.count)
-        values = patch_function(self.marker_s, self.length, self.tag_size, s)
+        values = patch_functions(self.marker_s, self.length, self.tag_size, s)
         return np.asarray(np.linalg.lstsq(fine.basis(s), values, rcond=None)[0])
 
 
@@ -251,7 +251,7 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     parts = MASS_MODES.curvature(nodes)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    under_tags = patch_function(session.marker_s, session.length, session.tag_size, nodes)
+    under_tags = patch_means(session.marker_s, session.length, session.tag_size, grid)
     return PushGrid(
         push_s=push_s,
         grid=grid,

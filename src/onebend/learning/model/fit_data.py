@@ -88,7 +88,7 @@ def fit_data(
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    allowed = allowances_of(o, frames, measured, push_s, force, nodes, allowances)
+    allowed = allowances_of(o, frames, measured, push_s, force, problem.grid, allowances)
     known_mass = bool(allowances) and np.isfinite(o.stated.mass) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force)) if known_mass else np.zeros(1)
     mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None

@@ -60,6 +60,27 @@ class BeamEntry:
         example="0.03",
         default=math.nan,
     )
+    diameter: float = key(
+        "diameter_m",
+        number(above=0, most=LONGEST),
+        "the diameter of a round beam, in place of the two, m",
+        example="0.012",
+        default=math.nan,
+    )
+    section_file: Path | None = key(
+        "section_file",
+        text,
+        "a table with columns s and width_m, thickness_m or diameter_m: the sizes that vary along the beam",
+        example='"section.csv"',
+        default=None,
+    )
+    section_sd: float = key(
+        "section_sd_m",
+        number(least=0, most=LONGEST),
+        "how far off these sizes may be (one standard deviation), m; 0: exact",
+        example="0.0001",
+        default=math.nan,
+    )
     rest: Rest = key(
         "rest",
         one_of("straight", "unknown"),

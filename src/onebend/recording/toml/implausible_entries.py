@@ -25,11 +25,17 @@ SOURCES = ("video", "markers", "poses", "photos")
 
 
 def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, ...]:
-    """A warning for each number that is probably wrong."""
+    """A warning for each number that is probably wrong, a note on two that are easily swapped."""
     warnings = [] if camera is None else camera_doubts(camera)
+    notes = []
+    if beam.width > beam.thickness:
+        notes.append(
+            f"width_m = {beam.width:g} is larger than thickness_m = {beam.thickness:g}, so the beam bends over its "
+            "thicker side: width_m lies in the plane of bending. Are the two swapped?"
+        )
     if beam.mass / beam.length > HEAVIEST:
         warnings.append(f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?")
-    return tuple(Remark("warning", text) for text in warnings)
+    return (*(Remark("warning", text) for text in warnings), *(Remark("note", text) for text in notes))
 
 
 def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
@@ -59,6 +65,12 @@ def unit_remarks(beam: BeamEntry, tags: TagsEntry, entries: dict[str, Any]) -> t
         warnings.append(f"length_m = {length:g} is a beam longer than {LONG:g} m: is it in metres?")
     if tags.size > length:
         warnings.append(f"size_m = {tags.size:g} is a tag wider than the beam is long: are both in metres?")
+    sizes = (("width_m", beam.width), ("thickness_m", beam.thickness), ("diameter_m", beam.diameter))
+    warnings += [
+        f"{name} = {size:g} is a section larger than the beam is long: are both in metres?"
+        for name, size in sizes
+        if size > length
+    ]
     push, force = entries["push"], entries["force"]
     sds = [("placement_sd_m", tags.placement_sd), ("at_sd_m", math.nan if push is None else push.at_sd)]
     for name, sd in sds:

@@ -15,7 +15,7 @@ from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.escaping import figure_text
 from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
-from onebend.report.figures.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, shape, styled
+from onebend.report.figures.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, named, shape, styled
 
 MM = 1000.0
 GREY = "#98a2b3"
@@ -116,11 +116,14 @@ def _reach(where: BoolArray) -> BoolArray:
 
 def _places(axes: Axes, marker_s: Array | Sequence[float], push_s: float | None) -> None:
     """The tags on the axis, and what no push reached."""
+    count = len(marker_s)
     for i, place in enumerate(marker_s):
-        axes.plot(place, 0.0, marker=shape(i), color=colour(i), markersize=7, clip_on=False, zorder=5)
-        axes.annotate(
-            f"M{i + 1}", (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=colour(i), fontsize=8.5
-        )
+        tint = colour(i, count)
+        axes.plot(place, 0.0, marker=shape(i), color=tint, markersize=7, clip_on=False, zorder=5)
+        if i in named(count):
+            axes.annotate(
+                f"M{i + 1}", (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=tint, fontsize=8.5
+            )
     if push_s is not None and push_s < 0.999:
         axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
         axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
@@ -130,10 +133,11 @@ def _places(axes: Axes, marker_s: Array | Sequence[float], push_s: float | None)
 def nuisances(rows: Sequence[Nuisance]) -> Figure:
     """Every nuisance in units of its prior's sd: grey what was allowed (one sd), blue what the data made of it."""
     figure, (axes,) = blank(0.9 + 0.24 * len(rows))
-    for y, n in enumerate(rows):
-        axes.barh(y, 2.0, left=-1.0, height=0.72, color=FAINT, alpha=0.7)
-        axes.errorbar(n.value / n.prior_sd, y, xerr=n.sd / n.prior_sd, fmt="o", color=BLUE, markersize=4.5,
-                      elinewidth=1.6, capsize=2.5)  # fmt: skip
+    value, sd = (
+        np.array(column) for column in zip(*((n.value / n.prior_sd, n.sd / n.prior_sd) for n in rows), strict=True)
+    )
+    axes.barh(range(len(rows)), 2.0, left=-1.0, height=0.72, color=FAINT, alpha=0.7)
+    axes.errorbar(value, range(len(rows)), xerr=sd, fmt="o", color=BLUE, markersize=4.5, elinewidth=1.6, capsize=2.5)
     axes.axvline(0.0, color=MUTED, linewidth=0.8)
     axes.set_yticks(range(len(rows)), [figure_text(n.name) for n in rows], color=INK)
     axes.invert_yaxis()

@@ -21,10 +21,11 @@ from onebend.recording.camera.lens import project
 from onebend.recording.signals import runs
 from onebend.records import Array, Observations, View
 from onebend.report.figures.simulated import centreline, largest_push, same_frame, spread_of_pushes
-from onebend.report.figures.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, shape, styled
+from onebend.report.figures.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, named, shape, styled
 from onebend.report.wording import millimetres, significant
 
 MM = 1000.0
+_A_ROW = 5  # markers whose names fit side by side
 _DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
 # What is drawn over a photo keeps a white edge, to be seen on any background.
 _EDGED: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
@@ -101,7 +102,7 @@ def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
 def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None) -> Figure:
     """The beam and the measured markers at rest and at pushes of growing size (Fig. 7 of the paper)."""
     figure, (axes,) = blank(3.6)
-    shown = comparison if fitted is None else fitted.comparison
+    shown, count = comparison if fitted is None else fitted.comparison, len(comparison.tag_id)
     chosen = spread_of_pushes(shown, 6)
     for order, t in enumerate(chosen):
         strength = 0.25 + 0.75 * (order + 1) / len(chosen)
@@ -114,10 +115,10 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
         line = logged if fitted is None else fitted.line[t]
         if line is not None:
             axes.plot(*(MM * line.T), color=BLUE, alpha=strength, linewidth=1.6)
-        for i in range(len(comparison.tag_id)):
+        for i in range(count):
             axes.plot(
-                *(MM * shown.measured[t, i]), shape(i), color=colour(i), alpha=strength, markersize=6, zorder=4,
-                label=f"M{i + 1} measured" if order == len(chosen) - 1 else None,
+                *(MM * shown.measured[t, i]), shape(i), color=colour(i, count), alpha=strength, markersize=6, zorder=4,
+                label=f"M{i + 1} measured" if order == len(chosen) - 1 and i in named(count) else None,
             )  # fmt: skip
     axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
     if fitted is not None and not comparison.static:
@@ -133,25 +134,27 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
     """Every marker over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
     figure, (above, below) = blank(4.6, 2, 1, sharex=True)
     time, shown = comparison.time - comparison.time[0], comparison if fitted is None else fitted.comparison
-    step = max(1, len(time) // 150)  # dots that would only cover each other are left out
+    step, count = max(1, len(time) // 150), len(comparison.tag_id)  # dots that would cover each other are left out
     for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
-        for i in range(len(comparison.tag_id)):
-            axes.plot(time[::step], MM * comparison.measured[::step, i, axis], shape(i), color=colour(i), alpha=0.45,
+        for i in range(count):
+            tint = colour(i, count)
+            axes.plot(time[::step], MM * comparison.measured[::step, i, axis], shape(i), color=tint, alpha=0.45,
                       markersize=3.2, markeredgewidth=0)  # fmt: skip
             if fitted is not None and not comparison.static:
-                axes.plot(
-                    *_unbroken(time, MM * comparison.predicted[:, i, axis]), color=colour(i), linewidth=0.9, **_DASHED
-                )
+                axes.plot(*_unbroken(time, MM * comparison.predicted[:, i, axis]), color=tint, linewidth=0.9, **_DASHED)
             curve = _unbroken(shown.time - comparison.time[0], MM * shown.predicted[:, i, axis])
-            label = f"M{i + 1}, s = {comparison.marker_s[i]:.3g}"
-            axes.plot(*curve, color=colour(i), linewidth=1.4, label=label, **_marked(i, time))
+            label = f"M{i + 1}, s = {comparison.marker_s[i]:.3g}" if i in named(count) else None
+            axes.plot(*curve, color=tint, linewidth=1.4, label=label, **_marked(i, time))
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel(_time_label(comparison))
     lines = "lines simulated" if fitted is None else "lines fitted"
     if fitted is not None and not comparison.static:
         lines += ", dashed under the force as logged"
     above.set_title(f"{figure_text(comparison.name)}: dots measured, {lines}")
-    above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, len(comparison.tag_id)))
+    if count <= _A_ROW:
+        above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, count))
+    else:
+        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=_A_ROW - 1)
     return figure
 
 
@@ -176,17 +179,15 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
     """How far the simulated markers are from the measured ones: over time, and in the plane."""
     figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
     residual = MM * (comparison.measured - comparison.predicted)
-    time = comparison.time - comparison.time[0]
+    time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
     for i, rms in enumerate(comparison.rms):
-        distance = distances(residual[:, i])
-        label = f"M{i + 1}: {millimetres(rms)} mm RMS"
-        left.plot(*_unbroken(time, distance), color=colour(i), linewidth=1.1, label=label, **_marked(i, time))
-        right.plot(*residual[:, i].T, shape(i), color=colour(i), markersize=2.6, alpha=0.5, markeredgewidth=0)
+        distance, tint = distances(residual[:, i]), colour(i, count)
+        label = f"M{i + 1}: {millimetres(rms)} mm RMS" if i in named(count) else None
+        left.plot(*_unbroken(time, distance), color=tint, linewidth=1.1, label=label, **_marked(i, time))
+        right.plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
     left.set_title(f"{figure_text(comparison.name)}: {title}")
-    left.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, len(comparison.tag_id))), fontsize=8
-    )
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, count)), fontsize=8)
     right.axhline(0, color=MUTED, linewidth=0.8)
     right.axvline(0, color=MUTED, linewidth=0.8)
     right.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
@@ -268,7 +269,7 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
     y, ticks = 0.0, []
     for comparison in comparisons:
         for i, rms in enumerate(MM * comparison.rms):
-            axes.barh(y, rms, height=0.8, color=colour(i), alpha=0.85)
+            axes.barh(y, rms, height=0.8, color=colour(i, len(comparison.rms)), alpha=0.85)
             axes.plot(MM * comparison.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
             end = np.nanmax([rms, MM * comparison.sensor_rms[i], 0.0])
             text = f"{millimetres(comparison.rms[i])} ({millimetres(comparison.sensor_rms[i])})"

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from typing import Any, Literal, ParamSpec
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 DPI = 150
@@ -21,6 +22,7 @@ FAINT = "#d5dae1"
 BLUE, ORANGE, GREEN, PINK = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
 # Okabe and Ito's colours, the dark ones first; markers differ in shape as well, for print in grey.
 MARKER_COLOURS = (BLUE, ORANGE, GREEN, PINK, "#56b4e9", "#e69f00", "#000000")
+_LIGHTEST = 0.9  # of the colour map: what is lighter is lost on white
 MARKER_SHAPES = ("o", "s", "^", "D", "v", "P", "X")
 
 _LOOK: dict[Any, Any] = {
@@ -76,6 +78,9 @@ def png_of(figure: Figure, *, software: str | None = None) -> bytes:
     """The figure as a PNG, without a date: the same findings give the same bytes."""
     with rc_context(_LOOK):
         stream = io.BytesIO()
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+            figure.set_layout_engine("none")  # `savefig` would draw everything once more to lay it out
         figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": software})
     return stream.getvalue()
 
@@ -88,9 +93,17 @@ def plane(axes: Axes, title: str, *, adjustable: Literal["box", "datalim"] = "bo
     axes.set_aspect("equal", adjustable=adjustable)
 
 
-def colour(i: int) -> str:
-    """Colour of the i-th marker."""
-    return MARKER_COLOURS[i % len(MARKER_COLOURS)]
+def colour(i: int, count: int = 0) -> str:
+    """Colour of the i-th of so many markers; where they are more than there are colours, by its place in the order."""
+    if count <= len(MARKER_COLOURS):
+        return MARKER_COLOURS[i % len(MARKER_COLOURS)]
+    return to_hex(colormaps["viridis"](_LIGHTEST * i / (count - 1)))
+
+
+def named(count: int) -> frozenset[int]:
+    """Which of so many markers a legend names: all, or as many as there are colours, from the first to the last."""
+    most = len(MARKER_COLOURS)
+    return frozenset(range(count) if count <= most else np.rint(np.linspace(0, count - 1, most)).astype(int).tolist())
 
 
 def shape(i: int) -> str:

@@ -9,6 +9,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
 from onebend.report.kinds import only_static, words_of
+from onebend.report.modulus import measured_beam, modulus_range
 from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant, worst_marker
 
@@ -16,7 +17,7 @@ from onebend.report.wording import millimetres, significant, worst_marker
 def cards(findings: Findings) -> list[dict[str, str]]:
     """What it is, its value, and a note, one a card."""
     recording = findings.recordings[0]
-    rows = [_stiffness_card(findings)]
+    rows = [_stiffness_card(findings), *_modulus_card(findings)]
     if findings.posterior is not None:
         rows += [band_card(findings.posterior.stiffness), verdict_card(verdict_of(findings))]
     rows.append(_training_card(findings))
@@ -63,6 +64,13 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
         "value": f"{significant(low)} … {significant(high)}\u00a0N\u00a0m",
         "note": f"EI {significant(area * low)} … {significant(area * high)} N mm²",
     }
+
+
+def _modulus_card(findings: Findings) -> list[dict[str, str]]:
+    """Young's modulus, where the section was measured."""
+    found = modulus_range(measured_beam(findings))
+    note = "E(s) = k L / I, where k is identified, by the section that recording.toml states"
+    return [{"what": "Young's modulus E(s)", "value": found, "note": note}] if found else []
 
 
 def band_card(uncertain: UncertainStiffness) -> dict[str, str]:

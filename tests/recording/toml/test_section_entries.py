@@ -1,0 +1,105 @@
+"""What recording.toml says of the cross-section: read, joined with its table, refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend.errors import RecordingError
+from onebend.recording.folder import read_recording
+from onebend.recording.stated import stated_in
+from onebend.records import Stated
+from tests.recording.toml.test_folder_entries import FULL, folder_with
+
+
+def stated(folder: Path, entries: str, table: str = "") -> Stated:
+    """What a recording with these lines in [beam] and this section.csv states."""
+    made = folder_with(folder, FULL.replace("mass_kg = 0.08\n", f"mass_kg = 0.08\n{entries}\n"))
+    (made / "section.csv").write_text(table, encoding="utf-8")
+    return stated_in(read_recording(made))
+
+
+def test_a_constant_rectangle(tmp_path: Path) -> None:
+    found = stated(tmp_path, "width_m = 0.012\nthickness_m = 0.03\nsection_sd_m = 0.0001")
+    section = found.section
+    assert section is not None
+    assert (section.shape, section.sd, found.thickness) == ("rectangle", 0.0001, 0.012)
+    assert section.s.tolist() == [0.0, 1.0]
+    assert section.thickness.tolist() == [0.012, 0.012]  # in the plane of bending: the width of recording.toml
+    assert section.width.tolist() == [0.03, 0.03]
+
+
+def test_half_of_a_section_is_none(tmp_path: Path) -> None:
+    width, thickness = stated(tmp_path / "a", "width_m = 0.012"), stated(tmp_path / "b", "thickness_m = 0.03")
+    assert width.section is None
+    assert width.thickness == 0.012
+    assert thickness.section is None
+    assert math.isnan(thickness.thickness)
+    assert math.isnan(stated(tmp_path / "c", "").thickness)
+
+
+def test_a_round_beam_stretches_as_a_rectangle_of_its_area_and_second_moment(tmp_path: Path) -> None:
+    found = stated(tmp_path, "diameter_m = 0.01")
+    assert found.section is not None
+    assert found.section.shape == "circle"
+    assert math.isnan(found.section.sd)
+    area, second = math.pi * 0.01**2 / 4, math.pi * 0.01**4 / 64
+    assert 12.0 / found.thickness**2 == pytest.approx(area / second)
+
+
+def test_a_table_and_a_constant_make_one_section(tmp_path: Path) -> None:
+    rows = "s,width_m\n0,0.008\n0.5,0.012\n1,0.010\n"
+    found = stated(tmp_path, 'section_file = "section.csv"\nthickness_m = 0.03', rows)
+    assert found.section is not None
+    np.testing.assert_array_equal(found.section.s, [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(found.section.thickness, [0.008, 0.012, 0.010])
+    np.testing.assert_array_equal(found.section.width, [0.03, 0.03, 0.03])
+    assert found.thickness == pytest.approx(0.0105)  # mean along the beam
+
+
+def test_a_table_may_hold_all(tmp_path: Path) -> None:
+    found = stated(tmp_path, 'section_file = "section.csv"', "s,diameter_m\n0.1,0.008\n0.9,0.004\n")
+    assert found.section is not None
+    np.testing.assert_array_equal(found.section.s, [0.1, 0.9])
+    np.testing.assert_array_equal(found.section.thickness, [0.008, 0.004])
+
+
+FILE = 'section_file = "section.csv"'
+REFUSED = {
+    "both shapes": ("diameter_m = 0.01\nwidth_m = 0.01", "", "Give either, not both"),
+    "twice": (f"{FILE}\nwidth_m = 0.01", "s,width_m,thickness_m\n0,1,1\n1,1,1\n", "width_m stands in [beam] and in"),
+    "not whole": (FILE, "s,width_m\n0,0.01\n1,0.01\n", "thickness_m is missing"),
+    "no size": (f"{FILE}\nwidth_m = 0.01\nthickness_m = 0.01", "s,note\n0,a\n1,b\n", "there is no column width_m"),
+    "another unit": (FILE, "s,width_mm,thickness_m\n0,9,0.01\n1,9,0.01\n", "did you mean width_m?"),
+    "one place": (FILE, "s,diameter_m\n0.5,0.01\n", "one place is no profile. Give the sizes in [beam]"),
+    "falls": (FILE, "s,diameter_m\n0.5,0.01\n0.2,0.01\n", "row 3: s must rise"),
+    "outside": (FILE, "s,diameter_m\n0.5,0.01\n1.2,0.01\n", "row 3: s must be between 0"),
+    "zero": (FILE, "s,diameter_m\n0.5,0.01\n0.7,0\n", "row 3: diameter_m must be above zero"),
+    "empty": (FILE, "s,diameter_m\n0.5,\n0.7,0.1\n", "row 2: diameter_m must be above zero"),
+    "no number": (FILE, "s,diameter_m\n0.5,wide\n0.7,0.1\n", "row 2: diameter_m is 'wide'"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_makes_no_section_is_refused(tmp_path: Path, case: str) -> None:
+    entries, table, words = REFUSED[case]
+    with pytest.raises(RecordingError) as told:
+        stated(tmp_path, entries, table)
+    assert words in str(told.value)
+
+
+def test_a_section_larger_than_the_beam_is_warned_of(tmp_path: Path) -> None:
+    content = FULL.replace("mass_kg = 0.08\n", "mass_kg = 0.08\nwidth_m = 12\nthickness_m = 0.03\n")
+    warnings = [r.text for r in read_recording(folder_with(tmp_path, content)).remarks if r.level == "warning"]
+    assert [text for text in warnings if "width_m = 12 is a section larger than the beam is long" in text]
+    assert not [text for text in warnings if "thickness_m" in text]
+
+
+@pytest.mark.parametrize(("width", "thickness", "asked"), [(0.03, 0.012, 1), (0.012, 0.03, 0), (0.01, 0.01, 0)])
+def test_sizes_that_look_swapped_are_asked_after(tmp_path: Path, width: float, thickness: float, asked: int) -> None:
+    content = FULL.replace("mass_kg = 0.08\n", f"mass_kg = 0.08\nwidth_m = {width}\nthickness_m = {thickness}\n")
+    notes = [r for r in read_recording(folder_with(tmp_path, content)).remarks if "swapped" in r.text]
+    assert [note.level for note in notes] == asked * ["note"]
