@@ -113,8 +113,8 @@ def _hanging(posterior: Posterior) -> list[Remark]:
     if sag < _FAR_DOWN * one.length:
         return []
     text = (
-        f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight (by "
-        f"{1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? Check "
+        f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight "
+        f"(by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? Check "
         "width_m, thickness_m and mass_kg, too"
     )
     return [Remark("warning", text)]
