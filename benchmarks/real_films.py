@@ -6,20 +6,36 @@ gain is taken as 2 % uncertain where nothing better is stated.
 
 from __future__ import annotations
 
+import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.truth import recordings_asked
+from onebend.learning.attribution import FORCE_SCALE
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.observe import observe
 from onebend.records import GAIN_SD, Array
 
 PLACES = 60
 LEVELS = (0.5, 0.95)
+# What stands for the one effect of a recording that has no other, by its name in the truth or in the folder's name.
+SINGLES = {
+    "soft": ("stretch and shear",),
+    "relax": ("relaxation",),
+    "slide": ("sliding contact",),
+    "push": ("place of the push",),
+    "patch": ("stiff tags",),
+    "force": (FORCE_SCALE, "posture-dependent bias"),
+    "length": ("length",),
+    "droop": ("camera",),  # the heights of the tags
+    "phone": ("camera",),
+    "shake": ("camera",),
+}
 
 
 @dataclass(frozen=True)
@@ -27,7 +43,8 @@ class Found:
     """One fit against its truth; shares of PLACES."""
 
     name: str
-    effect: str
+    named: tuple[str, ...]  # what matters, as the verdict has it
+    true_place: int  # among those, of a recording's only effect; 0: not named, -1: it has none or several
     error: float  # RMS of k / truth - 1
     inside: tuple[float, ...]  # of the bands of LEVELS
     identified: float
@@ -52,10 +69,11 @@ def learned(folder: Path) -> Found:
 def _compared(folder: Path, posterior: Posterior, s: Array, k: Array, seconds: float) -> Found:
     bands = [posterior.band(s, level) for level in LEVELS]
     wide = bands[-1]
-    effect = ", ".join(a.name for a in posterior.attributions if a.matters) or "none"
+    named = tuple(a.name for a in posterior.attributions if a.matters)
     return Found(
         name=folder.name,
-        effect=effect,
+        named=named,
+        true_place=true_place(folder, named),
         error=float(np.sqrt(np.mean((wide.k / k - 1.0) ** 2))),
         inside=tuple(float(np.mean((b.low <= k) & (k <= b.high))) for b in bands),
         identified=float(np.mean(wide.identified)),
@@ -67,13 +85,24 @@ def _compared(folder: Path, posterior: Posterior, s: Array, k: Array, seconds: f
     )
 
 
+def true_place(folder: Path, named: Sequence[str]) -> int:
+    """Where among the `named`, from 1 on, the only effect of a recording stands; see `Found`."""
+    truth = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
+    names = SINGLES.get(truth.get("effect", folder.name.split("_")[-1]))
+    if names is None:
+        return -1
+    return next((i for i, name in enumerate(named, start=1) if name in names), 0)
+
+
 def row(one: Found) -> str:
     """Of the table."""
     inside = " / ".join(f"{100.0 * share:.0f}" for share in one.inside)
     ended = str(one.steps) if one.converged else f"{one.steps}, not converged"
+    place = {-1: "-", 0: "no"}.get(one.true_place, str(one.true_place))
+    verdict = f"{one.grade}: {', '.join(one.named) or 'none'}"
     return (
         f"| {one.name} | {100.0 * one.error:.1f} | {inside} | {100.0 * one.identified:.0f} "
-        f"| {100.0 * one.half_width:.0f} | {one.grade}: {one.effect} | {ended} | {one.seconds:.1f} |"
+        f"| {100.0 * one.half_width:.0f} | {verdict} | {place} | {ended} | {one.seconds:.1f} |"
     )
 
 
@@ -85,14 +114,20 @@ def summary(name: str, every: list[Found]) -> str:
     error = 100.0 * float(np.median([one.error for one in every]))
     shares = " / ".join(f"{share:.0f}" for share in inside)
     ended = sum(one.converged for one in every)
-    return f"| **{name}, {len(every)}** | {error:.1f} | {shares} | {known:.0f} | {width:.0f} | | {ended} converged | |"
+    places = [one.true_place for one in every if one.true_place >= 0]
+    first = f"{sum(0 < place <= 2 for place in places)} of {len(places)} among the first two" if places else ""
+    return (
+        f"| **{name}, {len(every)}** | {error:.1f} | {shares} | {known:.0f} | {width:.0f} | | {first} "
+        f"| {ended} converged | |"
+    )
 
 
 def main() -> None:
     recordings = recordings_asked(__doc__)
     head = "| recording | k off, RMS [%] | truth inside 50 / 95 % band [%] | identified [%] "
-    print(head + "| half-width of the 95 % band [%] | grade: what matters | steps | fit, processor time [s] |")
-    print("| --- |" + " --- |" * 7)
+    print(head + "| half-width of the 95 % band [%] | grade: what matters | place of the one true effect ", end="")
+    print("| steps | fit, processor time [s] |")
+    print("| --- |" + " --- |" * 8)
     groups: dict[str, list[Found]] = {}
     for folder in [*sorted((recordings / "wild").iterdir()), *sorted((recordings / "tracks").iterdir())]:
         if not (folder / "truth" / "truth.npz").is_file():

@@ -69,6 +69,7 @@ def comparison(
         stable=np.ones(frames, dtype=bool),
         rms=np.sqrt(np.nanmean(distance**2, axis=0)),
         sensor_rms=np.array([0.0001, 0.0004, np.nan]),
+        likely_rms=np.array([0.0002, 0.0008, np.nan]),
     )
 
 

@@ -77,7 +77,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "report": (
         ("findings", "kinds"),
         ("wording",),
-        ("overview", "confidence", "modulus"),
+        ("overview", "confidence", "modulus", "allowance_words"),
         ("figures", "verdict"),
         ("page",),
     ),

@@ -143,7 +143,7 @@ def test_the_known_part_sets_the_axis(log: bool) -> None:
     assert all(row[70] not in "━░" for row in lines[1:9])  # what is not known looks otherwise, without colour too
 
 
-@pytest.mark.parametrize(("width", "height", "most"), [(80, 24, 31), (120, 50, 50)])
+@pytest.mark.parametrize(("width", "height", "most"), [(80, 24, 33), (120, 50, 50)])
 def test_the_answer_fits_the_screen(width: int, height: int, most: int) -> None:
     where = Console(file=io.StringIO(), width=width, height=height, color_system=None)
     screens.show_run(where, made_up.findings(1), Path("out"))
@@ -162,7 +162,7 @@ def test_tables_fit_80_columns(markers: int) -> None:
     ids = 100 + np.arange(markers)
     many = replace(
         found.validations[0], name="a recording's name", tag_id=ids, marker_s=np.linspace(0.1, 1.0, markers),
-        rms=np.full(markers, 0.0123), sensor_rms=np.full(markers, 0.0012),
+        rms=np.full(markers, 0.0123), sensor_rms=np.full(markers, 0.0012), likely_rms=np.full(markers, 0.0123),
     )  # fmt: skip
     chosen = [replace(trial, rms=np.full(markers, 0.0123)) for trial in made_up.learned().trials]
     learned = replace(made_up.learned(), training=many, trials=tuple(chosen))
@@ -193,7 +193,7 @@ def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
     where = console()
     where.print(tables.comparison_table(made_up.findings(2).validations, "Validation"))
     rows = [line.split() for line in shown(where).splitlines() if "M1, tag 1" in line or "M3, tag 3" in line]
-    assert [row[-2:] for row in rows][:2] == [["1.67", "0.10"], ["1.69", "–"]]
+    assert [row[-3:] for row in rows][:2] == [["1.67", "0.10", "0.20"], ["1.69", "–", "–"]]
 
 
 def test_nothing_odd_is_said_too() -> None:

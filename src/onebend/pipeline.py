@@ -10,6 +10,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.modulus import ModulusBand
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
@@ -99,7 +100,8 @@ def learn(
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
         remarks += modulus_remarks(beam, None if posterior is None else posterior.stiffness, seen)
-        compared = compare(beam, others, observing=observing, detect=detect, progress=watch)
+        known = None if posterior is None else posterior.stiffness
+        compared = compare(beam, others, stiffness=known, observing=observing, detect=detect, progress=watch)
         pairs, said = _not_learned_from(compared, seen)
         remarks += said
     films = (*seen, *(where for _, where in pairs))
@@ -127,6 +129,7 @@ def _not_learned_from(
             "warning",
             f"the beam was learned from {comparison.name}, so this recording is no validation and was left out: a fit "
             "always looks good on its own data. Film another push, and validate on that",
+            about="no validation",
         )
         for (comparison, _), learned in zip(pairs, known, strict=True)
         if learned
@@ -177,7 +180,7 @@ def _regression(
     except LearningError as error:
         if needed:
             raise
-        return None, (Remark("warning", f"the paper's regression found no beam: {error}"),)
+        return None, (_no_regression(error),)
     except np.linalg.LinAlgError as error:
         why = f"{seen.source.name}: the regression's equations cannot be solved ({error})"
         if not np.isfinite(seen.force_sd).all():
@@ -187,8 +190,12 @@ def _regression(
             )
         if needed:
             raise LearningError(why) from error
-        return None, (Remark("warning", f"the paper's regression found no beam: {why}"),)
+        return None, (_no_regression(why),)
     return learned, learned.remarks
+
+
+def _no_regression(why: object) -> Remark:
+    return Remark("warning", f"the paper's regression found no beam: {why}", about="no regression")
 
 
 def _fit(
@@ -230,11 +237,12 @@ def compare(
     beam: Beam,
     folders: Sequence[Path | str],
     *,
+    stiffness: UncertainStiffness | None = None,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
-    """The beam against each of the recordings (Tables IV to VI).
+    """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
 
     Raises:
         ObservationError: a recording of a beam of another length; and all that `learn` raises.
@@ -245,7 +253,7 @@ def compare(
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
-        pairs.append((validate(beam, seen), seen))
+        pairs.append((validate(beam, seen, stiffness=stiffness), seen))
     return pairs
 
 

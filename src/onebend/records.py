@@ -14,6 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from onebend.errors import section
+
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -40,10 +42,16 @@ class Remark:
     level: Literal["note", "warning"]
     text: str
     doubt: bool = False  # what is learned from the recording is then not to be relied on
+    about: str = ""  # of a warning: a key of `errors.SECTIONS`
+
+    @property
+    def docs(self) -> str:
+        """Of a warning, where to read of it, as `troubleshooting.md#the-film-hung`; else ""."""
+        return section(self.about) if self.level == "warning" else ""
 
     def as_dict(self) -> dict[str, str]:
-        """For JSON: level and text."""
-        return {"level": self.level, "text": self.text}
+        """For JSON: level and text, and of a warning where to read of it."""
+        return {"level": self.level, "text": self.text} | ({"docs": self.docs} if self.docs else {})
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from onebend.learning.criticism.criticism import Finding
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fit_remarks, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
+from onebend.report.findings import another_beam
 from onebend.report.page.cards import cards
 from onebend.report.page.page import page
 from onebend.report.verdict import hopeless, verdict_of
@@ -50,9 +51,14 @@ def as_poses(found: Posterior) -> Posterior:
     return replace(found, problem=replace(found.problem, recordings=whole))
 
 
-def validated(rms: float, sensor: float, **changes: Any) -> made_up.MadeUp:
+def validated(rms: float, sensor: float, likely: float = np.nan, **changes: Any) -> made_up.MadeUp:
     found = made_up.findings(1)
-    one = replace(found.validations[0], rms=np.array([0.0001, 0.0002, rms]), sensor_rms=np.array([1e-4, 2e-4, sensor]))
+    one = replace(
+        found.validations[0],
+        rms=np.array([0.0001, 0.0002, rms]),
+        sensor_rms=np.array([1e-4, 2e-4, sensor]),
+        likely_rms=np.array([1e-4, 2e-4, likely]),
+    )
     return replace(found, validations=(one,), **changes)
 
 
@@ -86,6 +92,22 @@ def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
     unknown = verdict_of(validated(0.0020, np.nan))
     assert "noise" not in unknown.use
     assert "nan" not in unknown.use.lower()
+
+
+def test_a_validation_is_held_against_the_band_and_the_place_of_the_push_too() -> None:
+    as_known = verdict_of(validated(0.0020, 0.0005, 0.0018)).use
+    assert "noise alone explains 0.50, with the band of k(s) and the push's place 1.80: shapes are" in as_known
+    assert as_known.endswith("as well as its band says")
+    off = verdict_of(validated(0.0040, 0.0005, 0.0018)).use
+    assert "place 1.80" in off
+    assert "as well as" not in off
+    assert "place" not in verdict_of(validated(0.0006, 0.0005, 0.0018)).use  # the sensor's noise is enough
+
+
+def test_no_other_beam_is_suspected_where_the_band_explains_the_error() -> None:
+    for likely, suspected in ((0.001, True), (0.005, False), (np.nan, True)):
+        found = validated(0.008, 0.0005, likely).validations[0]
+        assert bool(another_beam(found)) is suspected
 
 
 def test_what_was_not_validated_is_said_to_be_so_and_a_push_asked_for() -> None:

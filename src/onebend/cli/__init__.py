@@ -7,12 +7,13 @@ The list of commands stands here as text, so that `--version` and `--help` load 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import wraps
 from importlib import import_module
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -21,16 +22,20 @@ import onebend
 from onebend.blas import one_blas_thread
 from onebend.crash import guarded
 
-BY = f"onebend {onebend.__version__}"
+NAME = "onebend"
+BY = f"{NAME} {onebend.__version__}"
+COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a command stands, and the first line of its help."""
+    """Where a command stands, the first line of its help, and the example at its end."""
 
     module: str  # in this folder
     function: str
     help: str
+    example: str  # the words after `onebend NAME`; it works on what `make demo` made, and on what `first` makes
+    first: str = ""  # the command that makes what the example needs beside that
 
 
 COMMANDS = {
@@ -38,93 +43,135 @@ COMMANDS = {
         "learning",
         "learn",
         "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
+        "examples/linear-beam/train -o out/linear-beam --force",
     ),
     "validate": Place(
         "learning",
         "validate",
         "Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI).",
+        "out/linear-beam examples/linear-beam/fast",
     ),
-    "plan": Place("learning", "plan", "Say which push to make next: what each would leave of the band on k(s)."),
+    "plan": Place(
+        "learning",
+        "plan",
+        "Say which push to make next: what each would leave of the band on k(s).",
+        "out/linear-beam --count 3",
+    ),
     "damp": Place(
         "motion",
         "damp",
         "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
+        "out/linear-beam out/released",
+        "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "reach": Place(
-        "control", "reach", "Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."
+        "control",
+        "reach",
+        "Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8).",
+        "out/linear-beam --goal 0.1338 0.0638",
     ),
     "shape": Place(
         "shaping",
         "shape",
         "Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape.",
+        "out/linear-beam --targets examples/bend/targets.csv --grip",
     ),
     "path": Place(
         "shaping",
         "path",
         "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
+        "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "loop": Place(
         "looping",
         "loop",
         "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
+        "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
     ),
-    "new": Place("recordings", "new", "Write a recording.toml to fill in."),
+    "new": Place(
+        "recordings",
+        "new",
+        "Write a recording.toml to fill in.",
+        "my-beam",
+    ),
     "topics": Place(
         "recordings",
         "topics",
         "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
+        "out/path/bag",
+        "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "check": Place(
         "recordings",
         "check",
         "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
+        "examples/linear-beam/train",
     ),
     "cache": Place(
         "recordings",
         "show_cache",
         "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
+        "",
     ),
     "calibrate": Place(
         "calibrating",
         "calibrate",
         "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
+        "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
-    "show": Place("models", "show", "Draw the learned k(s) in the terminal."),
+    "show": Place(
+        "models",
+        "show",
+        "Draw the learned k(s) in the terminal.",
+        "out/linear-beam",
+    ),
     "export": Place(
         "exporting",
         "export_command",
         "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
+        "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
         "exporting",
         "rerun_command",
         "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
+        "out/linear-beam examples/linear-beam/fast",
     ),
     "design": Place(
         "making",
         "design",
         "Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration.",
+        "linear",
     ),
     "mould": Place(
         "making",
         "mould",
         "Make the mould of a design, the clamp and the carriers of its tags, as files to print.",
+        "linear -o out/mould",
     ),
-    "tags": Place("making", "tags", "Draw a sheet of tags at exact size, with rulers to check the printer by."),
+    "tags": Place(
+        "making",
+        "tags",
+        "Draw a sheet of tags at exact size, with rulers to check the printer by.",
+        "examples/linear-beam/train -o out/tags.pdf",
+    ),
     "film": Place(
         "filming",
         "film",
         "Film a known beam that is pushed: a recording folder to learn from, with the truth beside it.",
+        "linear --push free --sensor wrist -o out/released",
     ),
     "reproduce": Place(
         "reproducing",
         "reproduce",
         "Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report.",
+        "-o out/paper --quick --without-video",
     ),
     "rehearse": Place(
         "rehearsing",
         "rehearse",
         "Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change.",
+        "linear --runs 0",
     ),
 }
 
@@ -154,7 +201,10 @@ class Command(TyperCommand):
         """The command itself. It works with one BLAS thread."""
         module = import_module(f"onebend.cli.{self.place.module}")
         single = typer.Typer(add_completion=False)
-        single.command(self.name)(one_blas_thread(remembered(getattr(module, self.place.function))))
+        lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
+        single.command(self.name, epilog="\n\n".join(lines))(
+            one_blas_thread(remembered(getattr(module, self.place.function)))
+        )
         return typer.main.get_command(single)
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
@@ -185,13 +235,37 @@ def _say_version(asked: bool) -> None:
         raise typer.Exit
 
 
+def _print_completion(shell: str | None) -> None:
+    if shell is not None:
+        # here, as below: Typer promises nothing of these names, and every other command does without
+        from typer.completion import get_completion_script  # type: ignore[attr-defined]
+
+        typer.echo(get_completion_script(prog_name=NAME, complete_var=COMPLETE, shell=shell))
+        raise typer.Exit
+
+
+Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")]
+Completion = Annotated[
+    Literal["bash", "zsh", "fish"] | None,
+    typer.Option(
+        "--print-completion",
+        callback=_print_completion,
+        is_eager=True,
+        metavar="SHELL",
+        help="Print the script that completes commands and options in bash, zsh or fish.",
+    ),
+]
+
+
 @app.callback()
-def _all_commands(
-    *, version: Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")] = False
-) -> None:
+def _all_commands(*, version: Version = False, completion: Completion = None) -> None:
     pass
 
 
 def main() -> NoReturn:
-    """The entry point of `onebend`."""
+    """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
+    if COMPLETE in os.environ:
+        from typer.completion import completion_init  # type: ignore[attr-defined]
+
+        completion_init()
     guarded(app, onebend.__version__)

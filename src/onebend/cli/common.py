@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 
 from onebend.cli import GIVEN
-from onebend.errors import OnebendError
+from onebend.errors import OnebendError, reference
 from onebend.escaping import printable
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
@@ -30,24 +30,29 @@ def clean_errors() -> Iterator[None]:
     try:
         yield
     except OnebendError as error:
-        _fail(str(error), error, 2)
+        _fail(str(error), error, 2, docs=reference(error.about))
     except KeyboardInterrupt as error:
         _fail("Interrupted.", error, 130)
     except OSError as error:
         _fail(f"{error.filename or 'a file'}: {error.strerror or error}", error, 2)
 
 
-def _fail(message: str, error: BaseException, code: int) -> NoReturn:
-    """Say what is wrong, and what was added to the error on its way here."""
+def _fail(message: str, error: BaseException, code: int, *, docs: str = "") -> NoReturn:
+    """Say what is wrong, what was added to the error on its way here, and where to read of it."""
     sentences = [message, *getattr(error, "__notes__", ())]
     text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
-    say(f"onebend: {text}", err=True)
+    say("\n".join(filter(None, (f"onebend: {text}", docs))), err=True)
     raise typer.Exit(code) from None
 
 
 def say(text: str, *, err: bool = False) -> None:
     """A line for people; what somebody named in it is text, and not for the terminal to act on."""
     typer.echo(printable(text), err=err)
+
+
+def say_warning(text: str, *, about: str) -> None:
+    """A warning on standard error, and where docs/troubleshooting.md says more of it."""
+    say(f"onebend: warning: {text}\n{reference(about)}", err=True)
 
 
 def screen() -> Console:
@@ -102,9 +107,10 @@ def put_in_place(
     left = publish(place, write, {**made_from, "pictures_failed": pictures.failed})
     say_failed(pictures)
     if left is not None:
-        say(f"onebend: warning: files that appeared in {place.out} during the run are in {left}.", err=True)
+        say_warning(f"files that appeared in {place.out} during the run are in {left}.", about="changed file")
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
-        say(f"onebend: warning: {path} was changed while it was read. Run again to learn from it as it is.", err=True)
+        text = f"{path} was changed while it was read. Run again to learn from it as it is."
+        say_warning(text, about="changed file")
 
 
 def open_in_browser(page: Path) -> None:
@@ -114,13 +120,14 @@ def open_in_browser(page: Path) -> None:
     except webbrowser.Error:
         opened = False
     if not opened:
-        say(f"onebend: warning: no browser was found. Open {page} in one.", err=True)
+        say_warning(f"no browser was found. Open {page} in one.", about="no browser")
 
 
 def say_failed(pictures: Pictures) -> None:
     """A warning on standard error for each picture that could not be drawn."""
     for name, why in pictures.failed.items():
-        say(f"onebend: warning: the picture {name!r} could not be drawn ({why}). All else is there.", err=True)
+        text = f"the picture {name!r} could not be drawn ({why}). All else is there."
+        say_warning(text, about="picture failed")
 
 
 @contextmanager

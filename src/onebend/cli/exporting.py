@@ -98,7 +98,14 @@ def rerun_command(
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")
         with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
             observing, detect = ObserveSettings(threads=threads), detection_cache(onebend.__version__).detect
-            [(found, seen)] = compare(stored.beam, [recording], observing=observing, detect=detect, progress=progress)
+            [(found, seen)] = compare(
+                stored.beam,
+                [recording],
+                stiffness=stored.uncertain,
+                observing=observing,
+                detect=detect,
+                progress=progress,
+            )
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)

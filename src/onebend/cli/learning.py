@@ -191,8 +191,9 @@ def validate(
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     with clean_errors():
-        beam = read_trusted(model).beam
-        work = partial(compare, beam, recordings, observing=_observing(threads, epsilon))
+        stored = read_trusted(model)
+        beam, known = stored.beam, stored.uncertain
+        work = partial(compare, beam, recordings, stiffness=known, observing=_observing(threads, epsilon))
         if output is None:
             with progress_of(quiet) as progress:
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)

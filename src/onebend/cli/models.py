@@ -7,7 +7,7 @@ from pathlib import Path
 
 from onebend.beam.model import Beam
 from onebend.beam.statics.problem import has_mass
-from onebend.cli.common import clean_errors, print_json, say, screen
+from onebend.cli.common import clean_errors, print_json, say_warning, screen
 from onebend.cli.options import Json, LogAxis, Model
 from onebend.errors import ControlError
 from onebend.results.model import StoredModel, model_file, read_model
@@ -36,14 +36,14 @@ def read_trusted(model: Path) -> StoredModel:
     say_changed(model, stored)
     doubts = () if stored.uncertain is None else stored.uncertain.doubts
     if doubts:
-        say(f"onebend: warning: k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", err=True)
+        say_warning(f"k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", about="not trusted")
     return stored
 
 
 def say_changed(model: Path, stored: StoredModel) -> None:
     """A warning on standard error where the file is not as it was written, or another than its folder's."""
     for words in filter(None, (stored.changed, stored.swapped)):
-        say(f"onebend: warning: {model_file(model)} {words}.", err=True)
+        say_warning(f"{model_file(model)} {words}.", about="changed file")
 
 
 def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:

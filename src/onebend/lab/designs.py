@@ -81,6 +81,7 @@ class Design:
                     "warning",
                     f"the beam is only {self.length / widest:.1f} widths long: it shears as well as bends, and is "
                     "softer than said here.",
+                    about="shear",
                 ),
             )
         return ()

@@ -1,8 +1,13 @@
-"""What each allowance costs: how much it widens the band of k(s), and how far off k(s) would be without it.
+"""What each allowance does to k(s): by how much it widens the band, and how far off k(s) would be without it.
 
 With C the posterior covariance, b an allowance's parameters and c the coefficients of log k: had b been known, the
 variance of c would be `C_cc - C_cb C_bb^-1 C_bc`; had b been kept at its value for the ideal bench, b_0, log k would
-have come out `C_cb C_bb^-1 (b_0 - b)` away.
+have come out `C_cb C_bb^-1 (b_0 - b)` away. Given the data, the expected square of that way is its square at the most
+probable b and what b adds to the variance of log k. Its root says how much an allowance matters, whether the data show
+its effect or leave it open, and it is what allowances are put in order by.
+
+Squares are averaged over places, weighted by the precision of log k: where k(s) is hardly known, as close to the push,
+nearly nothing of an effect moves it far.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.parameters import Block
 from onebend.records import Array
 
+FORCE_SCALE, LEFT = "force's scale", "remaining discrepancy"
 # Blocks of the layout that say one thing about the bench, by the name under which a person knows it.
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -39,7 +45,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "camera": ("scale", "heights", "camera", "rolling shutter"),
         "inertia": ("inertia",),
         "error of the force log": ("force",),
-        "remaining discrepancy": ("discrepancy", "angle discrepancy"),
+        LEFT: ("discrepancy", "angle discrepancy"),
     }
 )
 _NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
@@ -51,8 +57,12 @@ _OF_EVERY_BENCH = (
     "clamp and origin",
     "direction of the force",
 )
-_WIDENS = 1.1  # the band, at least
-_SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
+WIDENS = 1.1  # the band, at least
+_MUCH = float(
+    np.sqrt(1.0 - 1.0 / WIDENS**2)
+)  # of the sd of log k: the change to be expected of what widens it by so much
+SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
+_LEAST_LEFT = 1e-4  # of the variance: what is left at least
 _MOST_TOLD = 1e-9  # of the largest eigenvalue of the correlations in C_bb: directions below are fixed
 
 
@@ -61,53 +71,60 @@ class Attribution:
     """What one thing about the bench does to k(s), over the places looked at."""
 
     name: str
-    widening: float  # median of the sd of log k over what it would be, were this known exactly
+    widening: float  # the sd of log k over what it would be, were this known exactly
     shift: float  # RMS of the change of log k, were this as on the ideal bench
     sds: float  # how far its parameters are from the ideal bench's, in sd, less what several reach by chance
+    size: float  # RMS of the same change, as the data leave it open
+    sd: float  # of log k
 
     @property
     def matters(self) -> bool:
         """Whether k(s) or its band would be visibly otherwise without it."""
-        return self.name not in _OF_EVERY_BENCH and (self.widening > _WIDENS or self.worth > _SHIFTS)
+        much = self.size > _MUCH * self.sd or (self.sure and self.shift > SHIFTS)
+        return self.name not in _OF_EVERY_BENCH and much
 
     @property
     def sure(self) -> bool:
         """Whether the data show it clearly."""
         return self.sds > _SURE
 
-    @property
-    def worth(self) -> float:
-        """What it changes of log k, or of its band, as far as the data are sure of it."""
-        return max(self.shift if self.sure else 0.0, 0.1 * (self.widening - 1.0))
 
+def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array) -> tuple[Attribution, ...]:
+    """Everything that the fit allows for, by its size at places `s` (S,), the largest first.
 
-def attributions(problem: FitProblem, optimum: Optimum, s: Array) -> tuple[Attribution, ...]:
-    """Everything that the fit allows for, by what it is worth at places `s` (S,); the largest first."""
+    What is left when every cause is taken off comes behind the causes, and last what is unknown on every bench.
+    `gain_sd` is of the force's common scale, 0 where it is exact.
+    """
     layout, covariance = problem.layout, optimum.covariance
     log_k, onto = log_k_map(problem)
     basis = layout.spline.finer.basis(s) @ onto
     of_k = basis @ covariance[log_k]  # (S, P)
-    variance = np.einsum("sp,sp->s", of_k[:, log_k], basis)
-    out: list[Attribution] = []
+    variance = np.einsum("sp,sp->s", of_k[:, log_k], basis) + gain_sd**2
+    weights = 1.0 / variance / np.sum(1.0 / variance)
+    out = [_attribution(FORCE_SCALE, weights, variance, np.full(len(s), gain_sd**2))] if gain_sd > 0.0 else []
     for name, blocks in GROUPS.items():
         free = [b for b in layout.blocks if b.name in blocks and b.start >= 0]
         if not free:
             continue
         index = np.concatenate([np.arange(b.where.start, b.where.stop) for b in free])
-        before = np.concatenate([_ideal(problem, b) for b in free])
-        values = optimum.x[index] - before
+        away = optimum.x[index] - np.concatenate([_ideal(problem, b) for b in free])
         inverse = _inverse(covariance[np.ix_(index, index)])
         regression = of_k[:, index] @ inverse
-        known = np.maximum(variance - np.einsum("si,si->s", regression, of_k[:, index]), 1e-4 * variance)
-        out.append(
-            Attribution(
-                name=name,
-                widening=float(np.median(np.sqrt(variance / known))),
-                shift=float(np.hypot(np.sqrt(np.mean((regression @ values) ** 2)), _to_instantaneous(name, optimum))),
-                sds=float(np.sqrt(max(float(values @ inverse @ values) - (len(values) - 1), 0.0))),
-            )
-        )
-    return tuple(sorted(out, key=_by_worth))
+        explained = np.einsum("si,si->s", regression, of_k[:, index])
+        change = np.hypot(regression @ away, _to_instantaneous(name, optimum))
+        sds = float(np.sqrt(max(float(away @ inverse @ away) - (len(away) - 1), 0.0)))
+        out.append(_attribution(name, weights, variance, explained, change, sds))
+    return tuple(sorted(out, key=_place))
+
+
+def _attribution(
+    name: str, weights: Array, variance: Array, explained: Array, change: Array | float = 0.0, sds: float = 0.0
+) -> Attribution:
+    """From log k's `variance` (S,), the part of it that is `explained` (S,), and the `change` (S,) of log k."""
+    whole, part, square = float(weights @ variance), float(weights @ explained), float(np.sum(weights * change**2))
+    widening = float(np.sqrt(whole / max(whole - part, _LEAST_LEFT * whole)))
+    size = float(np.sqrt(square + max(part, 0.0)))
+    return Attribution(name, widening, float(np.sqrt(square)), sds, size, float(np.sqrt(whole)))
 
 
 def _inverse(covariance: Array) -> Array:
@@ -118,8 +135,8 @@ def _inverse(covariance: Array) -> Array:
     )
 
 
-def _by_worth(attribution: Attribution) -> float:
-    return -attribution.worth
+def _place(one: Attribution) -> tuple[bool, bool, float]:
+    return one.name in _OF_EVERY_BENCH, one.name == LEFT, -one.size
 
 
 def _to_instantaneous(name: str, optimum: Optimum) -> float:

@@ -47,7 +47,13 @@ def _verdict(posterior: Posterior) -> Remark:
         parts.append(_effect(critic))
     else:
         parts.append("No single cause that is known of explains it. Look at the residuals, and at the film")
-    return Remark("warning", ". ".join(parts))
+    return Remark("warning", ". ".join(parts), about=about_causes(critic))
+
+
+def about_causes(critic: Criticism) -> str:
+    """What the warning is about, for docs/troubleshooting.md: the likeliest cause that is known of."""
+    known = [one.score.suspect for one in critic.causes[:1] if one.score.suspect.kind != "trend"]
+    return known[0].name if known else "unexplained"
 
 
 def _effect(critic: Criticism) -> str:

@@ -39,6 +39,7 @@ def _one(posterior: Posterior, recording: FitData, prediction: Prediction, rms: 
         stable=prediction.solved.stable[used],
         rms=rms,
         sensor_rms=np.full(len(observations.tag_id), np.nan),
+        likely_rms=np.full(len(observations.tag_id), np.nan),
         static=observations.static,
     )
     return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, recording.force[used])

@@ -70,7 +70,11 @@ def modulus_remarks(
         return ()
     others = [one.stated.section for one in recordings]
     said = tuple(
-        Remark("warning", f"the recordings state different sections of one beam: E is by that of {whose}. Correct them")
+        Remark(
+            "warning",
+            f"the recordings state different sections of one beam: E is by that of {whose}. Correct them",
+            about="two sections",
+        )
         for whose in [next(one.source.name for one in recordings if one.stated.section is not None)]
         if not all(other is None or _same(section, other) for other in others)
     )
@@ -95,7 +99,7 @@ def _no_such_material(section: StatedSection, band: ModulusBand) -> tuple[Remark
         f"with the section that recording.toml states, Young's modulus is {_span_words(found / factor, unit)}. No "
         f"material is that {way}. Check {said} ({power}), and that the forces are in N"
     )
-    return (Remark("warning", text),)
+    return (Remark("warning", text, about="no material"),)
 
 
 def _length_words(size: Array) -> str:

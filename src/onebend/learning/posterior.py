@@ -136,7 +136,7 @@ class Posterior:
         """What everything that the fit allows for does to k(s), where that is known; the largest effect first."""
         s = np.linspace(0.0, 1.0, 101)
         known = stiffness_of(self.problem, self.optimum, self.gain_sd).band(s).identified
-        return attributions(self.problem, self.optimum, s[known] if np.any(known) else s)
+        return attributions(self.problem, self.optimum, self.gain_sd, s[known] if np.any(known) else s)
 
     @property
     def grade(self) -> Grade:

@@ -6,6 +6,7 @@ import numpy as np
 
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import has_mass, make_problem
@@ -15,6 +16,7 @@ from onebend.errors import LearningError
 from onebend.learning.model.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
 from onebend.learning.model.held_ends import RESOLUTION, is_held, resolution_of, shapes_of
 from onebend.learning.model.mass import NEEDS_MASS, weighs
+from onebend.learning.model.prediction_error import few_frames, variances
 from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison
 from onebend.records import Array, BoolArray, Observations, Remark
@@ -29,11 +31,18 @@ def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
 
 
 @one_blas_thread
-def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = None) -> Comparison:
+def validate(
+    beam: Beam,
+    observations: Observations,
+    *,
+    rest: AtRest | None = None,
+    stiffness: UncertainStiffness | None = None,
+) -> Comparison:
     """Measured markers against the beam's own under the measured forces, in every usable frame.
 
     The tags' mounting errors, as seen at rest, ride on the simulated beam too: what is compared is the bending. They
-    are taken from `rest`, or else against the beam's own shape at rest.
+    are taken from `rest`, or else against the beam's own shape at rest. `stiffness` is the beam's k(s) with its
+    band, where it has one and was learned from other recordings; then it is said how far off the tags are likely to be.
 
     Raises:
         LearningError: no usable frame, or weight acts and the beam has no mass.
@@ -50,6 +59,7 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
     predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
     stable = np.concatenate([one.stable for one in solved])
     measured = observations.xy[frames]
+    sensor_rms = _sensor_rms(solved, observations, frames)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -62,7 +72,8 @@ def validate(beam: Beam, observations: Observations, *, rest: AtRest | None = No
         push_s=push_places(observations)[frames],
         stable=stable,
         rms=marker_rms(measured - predicted),
-        sensor_rms=_sensor_rms(solved, observations, frames),
+        sensor_rms=sensor_rms,
+        likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
         remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
         static=observations.static,
     )
@@ -107,6 +118,19 @@ def _sensor_rms(solved: list[Equilibrium], observations: Observations, frames: B
     return np.asarray(np.sqrt(np.mean(squared, axis=0)))
 
 
+def _likely_rms(
+    beam: Beam, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness | None, sensor_rms: Array
+) -> Array:
+    """(m,) RMS that the band of k(s) and the tolerances of this push give with the force's noise; NaN where no band is
+    known, or where unknown wrenches hold the end."""
+    if stiffness is None or is_held(observations):
+        return np.full(len(observations.marker_s), np.nan)
+    few = few_frames(frames)
+    [solved] = solved_frames(beam, observations, few)
+    parts = variances(solved, observations, few, stiffness)
+    return np.asarray(np.sqrt(np.nan_to_num(sensor_rms) ** 2 + sum(parts.values())))
+
+
 def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
     out = []
     if not np.all(converged):
@@ -115,8 +139,10 @@ def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
                 "warning",
                 f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
                 "branch that grows from rest (it would snap through); these frames are left out of the comparison",
+                about="no equilibrium",
             )
         )
     if not np.all(stable | ~converged):
-        out.append(Remark("warning", f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"))
+        text = f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"
+        out.append(Remark("warning", text, about="no equilibrium"))
     return tuple(out)

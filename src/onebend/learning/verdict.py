@@ -65,7 +65,11 @@ def _heaviest(one: Observations) -> float:
 def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     """Warnings and notes on the fit itself. Where it misses hopelessly, only that: no value that came out counts."""
     wrong = [
-        Remark("warning", f"{_whose(posterior, one.name)}{one.words}: k(s) and its band are not to be relied on")
+        Remark(
+            "warning",
+            f"{_whose(posterior, one.name)}{one.words}: k(s) and its band are not to be relied on",
+            about="miss",
+        )
         for one in posterior.misses
     ]
     if any(one.hopeless for one in posterior.misses):
@@ -85,14 +89,14 @@ def _tests(posterior: Posterior) -> tuple[Remark, ...]:
         "there is more in the recording than the fit allows for, and nothing that is known of explains it. Look at the "
         "residuals in the report"
     )
-    return (Remark("warning", text), *told)
+    return (Remark("warning", text, about="unexplained"), *told)
 
 
 def _search(posterior: Posterior) -> list[Remark]:
     if posterior.optimum.converged:
         return []
     text = f"the fit did not converge ({posterior.optimum.stopped}): k(s) and its band are not to be relied on"
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="not converged")]
 
 
 def _hanging(posterior: Posterior) -> list[Remark]:
@@ -114,8 +118,8 @@ def _hanging(posterior: Posterior) -> list[Remark]:
         return []
     text = (
         f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight "
-        f"(by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? Check "
-        "width_m, thickness_m and mass_kg, too"
+        f"(by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? "
+        "Check width_m, thickness_m and mass_kg, too"
     )
     return [Remark("warning", text)]
 
@@ -129,7 +133,7 @@ def _clamp(posterior: Posterior) -> list[Remark]:
         f"the clamp's direction was left free to {np.rad2deg(sd):.2g} deg (sd; usual: {np.rad2deg(usual):.2g} deg). A "
         "turned clamp looks like a softer beam near it, so this can cost what the data say of k there; see the band"
     )
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="free clamp")]
 
 
 def _usual_clamp(one: Observations) -> float:

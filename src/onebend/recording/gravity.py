@@ -120,5 +120,6 @@ def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -
         raise ObservationError(
             f"The film ({film[0]:.1f} to {film[1]:.1f} s on the log's clock) and the {what} ({log_time[0]:.1f} to "
             f"{log_time[-1]:.1f} s) do not overlap. Check start_s in recording.toml, and that the log "
-            f"belongs to this film.{hint}"
+            f"belongs to this film.{hint}",
+            about="no overlap",
         )

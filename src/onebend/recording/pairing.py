@@ -74,7 +74,8 @@ def match_clocks(
     if not math.isfinite(fit.clock.offset):
         raise ObservationError(
             f"{rec.name}: nothing says when the film (or the tracks) starts on the log's clock, and the data do not "
-            "show it. Write start_s in recording.toml."
+            "show it. Write start_s in recording.toml.",
+            about="clock",
         )
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
@@ -107,7 +108,8 @@ def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
         raise ObservationError(
             f"{rec.name}: the force log has a row every {spacing:.3g} s, fewer than {FEWEST_ROWS} during the film of "
             f"{film:.3g} s. Times must be in seconds: for milliseconds write "
-            'time_unit = "ms" in [force]. Or log more often.'
+            'time_unit = "ms" in [force]. Or log more often.',
+            about="unit",
         )
 
 
@@ -194,7 +196,9 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
         )
     good: BoolArray = np.asarray(has_force & has_marker)
     if not good.any():
-        raise ObservationError("No frame has both a marker and a force. Check the film, the log and start_s.")
+        raise ObservationError(
+            "No frame has both a marker and a force. Check the film, the log and start_s.", about="no overlap"
+        )
     return good, tuple(remarks)
 
 
@@ -227,8 +231,8 @@ def check_direction(
         text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
     if refuse and reading.impossible:
         text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
-        raise ObservationError(f"{rec.name}: {text}")
-    return (Remark("warning", text, doubt=True),)
+        raise ObservationError(f"{rec.name}: {text}", about="axes")
+    return (Remark("warning", text, doubt=True, about="axes"),)
 
 
 def check_place(

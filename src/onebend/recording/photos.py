@@ -67,7 +67,8 @@ def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress 
         if not is_found[:base].any():
             raise ObservationError(
                 f"{name}: no base tag (id {', '.join(map(str, ids[:base]))}) is found in it. Check [tags] in "
-                "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide."
+                "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide.",
+                about="unseen tag",
             )
         hidden = [str(tag) for tag, shown in zip(ids[base:], is_found[base:].tolist(), strict=True) if not shown]
         remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from onebend.errors import OnebendError
+from onebend.errors import OnebendError, told
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import refuse_doubles, refuse_unseen, unseen_remarks
@@ -87,7 +87,7 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
         markers = measure_markers(Detections(time, np.array(ids), corners, width, height, ()), rec)
         check_turns(markers, rec)
     except OnebendError as wrong:
-        fault = str(wrong)
+        fault = told(wrong)
     return Preview(frames, whole, tuple(looked), sightings, markers, tuple(remarks), fault)
 
 
@@ -132,4 +132,4 @@ def size_remarks(corners: Array, ids: Sequence[int]) -> list[Remark]:
     if not small:
         return []
     text = f"These tags are less than {SMALLEST:.0f} pixels wide in the picture: {', '.join(small)}. Film from nearer."
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="small tags")]

@@ -38,7 +38,8 @@ def check_turns(markers: Markers, recording: Recording) -> None:
         wrong_tags.append(f"tag {ids[i]} (turn_deg = {np.rad2deg(written[ids[i]]):.4g}; {fits} would fit)")
     raise ObservationError(
         f"{recording.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
-        f"{', '.join(wrong_tags)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction."
+        f"{', '.join(wrong_tags)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction.",
+        about="tag places",
     )
 
 

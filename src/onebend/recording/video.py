@@ -154,7 +154,7 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     if abs(measured / video.fps - 1) <= RATE_TOLERANCE:
         return ()
     text = f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used."
-    return (Remark("warning", text),)
+    return (Remark("warning", text, about="frame rate"),)
 
 
 def read_times(path: Path) -> Array:

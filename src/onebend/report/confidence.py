@@ -17,12 +17,11 @@ from onebend.recording.signals import runs
 from onebend.records import Observations
 from onebend.report.findings import Findings
 from onebend.report.kinds import is_forced, only_static
-from onebend.report.wording import millimetres, significant
+from onebend.report.wording import change_words, millimetres, significant
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
 _PLACES = 401
-_LINEAR = 1.0  # change of log k: what is known of it is to first order, and nothing beyond
 _SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
@@ -177,7 +176,7 @@ def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
         AllowanceRow(
             name=share.name,
             widening=f"{share.widening:.2f}",
-            change=f"{100.0 * np.expm1(share.shift):.2g} %" if share.shift < _LINEAR else "another",
+            change=change_words(share.shift),
             sds=f"{share.sds:.1f}",
             matters=share.matters,
         )

@@ -55,6 +55,7 @@ def name_of(findings: Findings) -> str:
 
 
 POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
+LIKELY = 3.0  # times what the band of k(s) and the tolerances of the push let expect: an error up to that is no news
 MANY, SLIGHT = 5.0, 0.03  # times what the force's noise explains, of a marker's own motion: a validation has failed
 
 
@@ -76,7 +77,7 @@ def poor_fit(comparison: Comparison, *, other: bool = False) -> list[Remark]:
         f"the simulated beam misses M{worst + 1} by {1000 * comparison.rms[worst]:.3g} mm RMS where it moves by "
         f"{1000 * motion[worst]:.3g} mm: this is no good fit. Check {check}"
     )
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="tag missed")]
 
 
 def another_beam(comparison: Comparison) -> list[Remark]:
@@ -84,7 +85,8 @@ def another_beam(comparison: Comparison) -> list[Remark]:
     ratio = np.divide(
         comparison.rms, comparison.sensor_rms, out=np.zeros_like(comparison.rms), where=comparison.sensor_rms > 0.0
     )
-    ratio = np.where(comparison.rms > SLIGHT * _motion(comparison), ratio, 0.0)
+    odd = (comparison.rms > SLIGHT * _motion(comparison)) & ~(comparison.rms <= LIKELY * comparison.likely_rms)
+    ratio = np.where(odd, ratio, 0.0)
     worst = int(np.argmax(ratio))
     if not ratio[worst] > MANY:
         return []
@@ -92,7 +94,7 @@ def another_beam(comparison: Comparison) -> list[Remark]:
         f"M{worst + 1} is missed by {ratio[worst]:.2g} times what the force's noise explains: is this another beam "
         "than the learned one, or are the clock, the force or the place of the push wrong in one of the two recordings?"
     )
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="another beam")]
 
 
 def _motion(comparison: Comparison) -> Array:

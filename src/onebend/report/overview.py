@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from onebend.errors import ObservationError, OnebendError
+from onebend.errors import ObservationError, OnebendError, told
 from onebend.learning.modulus import size_words
 from onebend.recording.bags.recorded_topics import bag_span
 from onebend.recording.beam_frame import rest_shape
@@ -141,7 +141,7 @@ def _words(check: Callable[[], None]) -> str:
     try:
         check()
     except OnebendError as wrong:
-        return str(wrong)
+        return told(wrong)
     return ""
 
 
@@ -179,7 +179,8 @@ def _refuse_apart(recording: Recording, seconds: float, log: ForceLog) -> None:
         raise ObservationError(
             f"The film ({start:.1f} to {start + seconds:.1f} s on the log's clock, give or take {doubt:.2g} s) and the "
             f"force log ({log.time[0]:.1f} to {log.time[-1]:.1f} s) do not overlap. Check start_s in recording.toml, "
-            "and that the log belongs to this film."
+            "and that the log belongs to this film.",
+            about="no overlap",
         )
 
 

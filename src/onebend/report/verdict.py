@@ -12,12 +12,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from onebend.errors import section
 from onebend.learning.criticism.alternatives import Suspect
 from onebend.learning.criticism_messages import cause_words
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Array, Observations
+from onebend.report.allowance_words import narrower_words, share_words
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
 from onebend.report.wording import marker_words, millimetres, significant
@@ -38,19 +40,24 @@ class Verdict:
     known: str  # k(s), and how well it is known
     rests_on: str
     use: str  # how far off its predictions are, and what that means
+    narrower: str  # what to state for a narrower band; empty where nothing would help much
     next: str  # the one thing to do
     error: float  # m RMS of the worst marker; NaN: not known
     error_of: ErrorOf
+    about: str = ""  # what is wrong with k(s), a key of `errors.SECTIONS`; "": nothing is
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         fields = asdict(self)
-        return {name: value for name, value in fields.items() if name != "error"} | {"error_m": self.error}
+        kept = {name: value for name, value in fields.items() if name not in ("error", "about")}
+        return kept | {"error_m": self.error, "docs": section(self.about)}
 
     @property
     def rows(self) -> tuple[tuple[str, str], ...]:
         """Label and words of all below the headline."""
-        return (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("next", self.next))
+        docs = (("docs", section(self.about)),) if self.about else ()
+        rows = (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("narrower", self.narrower))
+        return (*(row for row in rows if row[1]), ("next", self.next), *docs)
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,7 @@ class _Error:
     rms: float  # m
     marker: str
     sensor: float  # m, what the force's noise alone explains of it
+    likely: float  # m, what that, the band of k(s) and the push's tolerances let expect
     motion: float  # m, how far the marker moves
     name: str
     failed: bool  # a warning says so
@@ -76,10 +84,21 @@ def verdict_of(findings: Findings) -> Verdict:
         known=_known(findings),
         rests_on=_rests_on(posterior),
         use=_use(findings, error),
+        narrower="" if posterior is None or posterior.doubts else narrower_words(posterior),
         next=_next(findings, error),
         error=error.rms,
         error_of=error.of,
+        about=_about(findings.posterior),
     )
+
+
+def _about(posterior: Posterior | None) -> str:
+    """What the verdict itself finds wrong; warnings have sections of their own."""
+    if posterior is None:
+        return ""
+    if posterior.doubts:
+        return "not trusted"
+    return "" if identified_ranges(posterior.stiffness) else "not identified"
 
 
 def hopeless(findings: Findings) -> bool:
@@ -92,7 +111,7 @@ def _headline(posterior: Posterior | None) -> str:
         return "k(s) by the paper's regression: it has no band, and nothing tests it"
     if posterior.doubts:
         return f"k(s) is NOT TO BE TRUSTED: {'; '.join(posterior.doubts)}"
-    matter = [share.name for share in posterior.attributions if share.matters]
+    matter = [share_words(share) for share in posterior.attributions if share.matters]
     if not matter:
         return "k(s) holds: the beam and the bench are as the model has them"
     return f"k(s) holds with allowances: {', '.join(matter[:_MOST_NAMED])}"
@@ -158,7 +177,9 @@ def _worst(of: ErrorOf, comparisons: Sequence[Comparison], rms: Sequence[Array])
     motion = float(np.linalg.norm(np.fmax.reduce(seen) - np.fmin.reduce(seen))) if known else math.nan
     failed = of == "validation" and any(poor_fit(two, other=True) or another_beam(two) for two in comparisons)
     value = float(values[m]) if known else math.nan
-    return _Error(of, value, marker_words(one, m), float(one.sensor_rms[m]), motion, one.name, failed)
+    return _Error(
+        of, value, marker_words(one, m), float(one.sensor_rms[m]), float(one.likely_rms[m]), motion, one.name, failed
+    )
 
 
 def _use(findings: Findings, error: _Error) -> str:
@@ -176,9 +197,14 @@ def _use(findings: Findings, error: _Error) -> str:
     means = f"no good prediction, {part}" if error.failed else f"shapes are predicted to {part}"
     if not (math.isfinite(error.sensor) and error.sensor > 0.0):
         return f"{where}: {means}"
+    explained = f"the force's noise alone explains {millimetres(error.sensor)}"
     if error.rms <= AS_GOOD * error.sensor and not error.failed:
-        means = "as good as the sensor allows"
-    return f"{where}; the force's noise alone explains {millimetres(error.sensor)}: {means}"
+        return f"{where}; {explained}: as good as the sensor allows"
+    if math.isfinite(error.likely):
+        explained += f", with the band of k(s) and the push's place {millimetres(error.likely)}"
+        if error.rms <= AS_GOOD * error.likely and not error.failed:
+            means += ", as well as its band says"
+    return f"{where}; {explained}: {means}"
 
 
 def _poor(trainings: Sequence[Comparison]) -> str:

@@ -29,6 +29,8 @@ FILES = {
     "report.html": "this page",
     "figures/": "every figure as a PNG",
 }
+_LINEAR = 1.0  # change of log k: what is known of it is to first order, and nothing beyond
+ANOTHER = "another"
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -193,3 +195,8 @@ def files_described(findings: Findings) -> list[tuple[str, str]]:
         "selection.csv": findings.learned is None,
     }
     return [(name, what) for name, what in FILES.items() if not absent.get(name, False)]
+
+
+def change_words(shift: float) -> str:
+    """Of k(s), where log k changes by `shift`: in percent, or another k(s) where first order tells no more."""
+    return f"{100.0 * np.expm1(shift):.2g} %" if shift < _LINEAR else ANOTHER

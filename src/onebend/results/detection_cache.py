@@ -12,7 +12,7 @@ import io
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -110,7 +110,7 @@ def packed(detections: Detections) -> bytes:
         tag_id=detections.tag_id,
         corners=detections.corners,
         size=np.array([detections.width, detections.height]),
-        remarks=np.array(json.dumps([[remark.level, remark.text] for remark in detections.remarks])),
+        remarks=np.array(json.dumps([asdict(remark) for remark in detections.remarks])),
     )
     return content.getvalue()
 
@@ -121,7 +121,7 @@ def unpacked(content: bytes | None, wanted: Sequence[int]) -> Detections | None:
         return None
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as data:
-            remarks = tuple(Remark(*pair) for pair in json.loads(str(data["remarks"])))
+            remarks = tuple(Remark(**said) for said in json.loads(str(data["remarks"])))
             width, height = (int(n) for n in data["size"])
             found = Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks)
     except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):

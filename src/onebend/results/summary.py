@@ -101,6 +101,7 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
         "s": comparison.marker_s,
         "rms_m": comparison.rms,
         "sensor_rms_m": comparison.sensor_rms,
+        "likely_rms_m": comparison.likely_rms,
         "all_stable": bool(np.all(comparison.stable)),
         "remarks": [remark.as_dict() for remark in comparison.remarks],
     }

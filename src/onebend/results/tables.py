@@ -112,8 +112,8 @@ def _marker_rows(comparison: Comparison) -> Iterable[list[Any]]:
 
 
 def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
-    """Tables IV to VI: one row a recording and tag, with the part that the force's noise alone explains."""
-    header = ["recording", "frames", "tag", "s", "rms_m", "sensor_rms_m"]
+    """Tables IV to VI: one row a recording and tag, with what the force's noise explains, and what is likely."""
+    header = ["recording", "frames", "tag", "s", "rms_m", "sensor_rms_m", "likely_rms_m"]
     rows = (
         [
             comparison.name,
@@ -122,6 +122,7 @@ def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
             _number(comparison.marker_s[i]),
             _number(comparison.rms[i]),
             _number(comparison.sensor_rms[i]),
+            _number(comparison.likely_rms[i]),
         ]
         for comparison in comparisons
         for i, tag in enumerate(comparison.tag_id)

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.profiles.uncertain import half_width
+from onebend.errors import reference
 from onebend.lab.expected import DENSE, Expected
 from onebend.lab.fabrication.mould import Mould, PrintedPart
 from onebend.report.wording import significant
@@ -31,7 +32,7 @@ def show_design(console: Console, expected: Expected) -> None:
             highlight=False,
         )
     for remark in design.remarks:
-        console.print(f"[yellow]![/] {escape(remark.text)}", highlight=False)
+        console.print(f"[yellow]![/] {escape(remark.text)}\n[dim]{reference(remark.about)}[/]", highlight=False)
 
 
 def design_table(expected: Expected) -> Table:

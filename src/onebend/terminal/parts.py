@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from onebend.errors import reference
 from onebend.records import Array, Remark
 from onebend.report.wording import significant
 
@@ -43,6 +44,7 @@ def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:
     table.add_column(overflow="fold")
     for whose, remark in remarks:
         table.add_row("[yellow]![/]", Text(f"{whose}: {remark.text}"))
+        _add_docs(table, remark)
     return table
 
 
@@ -57,4 +59,11 @@ def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
         warning = remark.level == "warning"
         table.add_row("[yellow]![/]" if warning else "[dim]·[/]", escape(f"{whose}: {remark.text}"),
                       style="" if warning else "dim")  # fmt: skip
+        _add_docs(table, remark)
     return table
+
+
+def _add_docs(table: Table, remark: Remark) -> None:
+    """Below a warning, where to read of it."""
+    if remark.docs:
+        table.add_row("", Text(reference(remark.about), "dim"))

@@ -56,19 +56,19 @@ def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
-    """Tables IV to VI, one marker a row: RMS, and what the force's noise alone explains of it."""
-    table = Table(
-        title=f"{what}: RMS distance (noise: what the force's alone explains)", title_justify="left", box=None
-    )
+    """Tables IV to VI, one marker a row: RMS, what the force's noise alone explains of it, and what is likely."""
+    meaning = "noise: what the force's alone explains; likely: with the band of k(s) and the push's place"
+    table = Table(title=f"{what}: RMS distance ({meaning})", title_justify="left", box=None)
     table.add_column("recording", overflow="fold", ratio=1)
     table.add_column("frames", justify="right", no_wrap=True)
     table.add_column("marker", no_wrap=True)
-    for name in ("s", "RMS \\[mm]", "noise \\[mm]"):
+    for name in ("s", "RMS \\[mm]", "noise \\[mm]", "likely \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in comparisons:
-        for i, (s, rms, sensor) in enumerate(zip(one.marker_s, one.rms, one.sensor_rms, strict=True)):
+        for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
-            table.add_row(*whose, marker_words(one, i), f"{s:.3g}", millimetres(rms), f"[dim]{millimetres(sensor)}[/]")
+            beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
+            table.add_row(*whose, marker_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
     return table
 
 

@@ -164,7 +164,9 @@ def test_a_poor_fit_is_a_warning() -> None:
 
 
 def test_a_validation_far_beyond_the_noise_is_a_warning() -> None:
-    noisy = replace(made_up.comparison(error_m=0.0006), sensor_rms=np.array([0.0003, 0.004, np.nan]))
+    unknown = np.full(3, np.nan)
+    noisy = made_up.comparison(error_m=0.0006)
+    noisy = replace(noisy, sensor_rms=np.array([0.0003, 0.004, np.nan]), likely_rms=unknown)
     assert another_beam(noisy) == []
     quiet = replace(noisy, sensor_rms=np.array([0.00005, 0.004, np.nan]))
     (said,) = another_beam(quiet)

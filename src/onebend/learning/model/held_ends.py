@@ -188,7 +188,7 @@ def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
         f"unknown ones. Only ratios are known; k over k(0.5), with its 95 % band: {said}. Weigh the beam and let its "
         "weight act, or hang on or measure one force"
     )
-    return (Remark("warning", text),)
+    return (Remark("warning", text, about="no scale"),)
 
 
 def _curvature(o: Observations, row: int, nodes: Array) -> Array:

@@ -52,7 +52,7 @@ def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
         if mass.identified:
             return (Remark("note", f"the mass was not written down; learned with k(s): {size}; {even}"),)
         text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
-        return (Remark("warning", text),)
+        return (Remark("warning", text, about="mass unknown"),)
     if mass.identified:
         return (Remark("note", f"mass {1000 * mass.written:.4g} g as written; the data make it {size}; {even}"),)
     text = f"mass {1000 * mass.written:.4g} g as written; the data say no more of it: beside it, only k/mu"
@@ -68,7 +68,7 @@ def _stated(mass: LearnedMass, size: str) -> Remark:
     if mass.identified:
         return Remark("note", f"{spread}; not written down, and learned with k(s): {size}")
     text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
-    return Remark("warning", f"{text}. {spread.capitalize()}")
+    return Remark("warning", f"{text}. {spread.capitalize()}", about="mass unknown")
 
 
 def weighs(observations: Observations) -> bool:

@@ -41,12 +41,12 @@ def regress(
 def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
     """What was assumed about the beam at rest."""
     if not rest.seen:
-        return (
-            Remark("warning", "no frame shows the beam at rest: it is taken as straight, its tags as perfectly placed"),
-        )
+        text = "no frame shows the beam at rest: it is taken as straight, its tags as perfectly placed"
+        return (Remark("warning", text, about="no rest"),)
     shift = float(np.max(np.linalg.norm(rest.offset, axis=1)))
     turn = float(np.rad2deg(np.max(np.abs(rest.turn))))
     text = f"at rest the tags sit up to {1e3 * shift:.2f} mm and {turn:.2f} deg off their places; taken off every frame"
     if shift > 4.0 * observations.stated.placement_sd:
-        return (Remark("warning", text + ". That is more than the placement tolerance allows: check the tags' s"),)
+        text += ". That is more than the placement tolerance allows: check the tags' s"
+        return (Remark("warning", text, about="tag places"),)
     return (Remark("note", text),)

@@ -229,7 +229,8 @@ def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) 
 def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
     out: list[Remark] = []
     if fitted.moved:
-        out.append(Remark("warning", "The fit still moved when its rounds were used up: its numbers are provisional."))
+        text = "The fit still moved when its rounds were used up: its numbers are provisional."
+        out.append(Remark("warning", text, about="swing"))
     travel = np.sqrt(np.nanmean(np.sum((fit.swing.seen - fit.swing.rest)[..., :2] ** 2, axis=-1), axis=0))
     worst = int(np.nanargmax(fit.rms / travel))
     if fit.rms[worst] > _FAR_OFF * travel[worst]:
@@ -238,9 +239,10 @@ def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
             f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) or "
             "mass along it), or is touched while it swings."
         )
-        out.append(Remark("warning", text))
+        out.append(Remark("warning", text, about="swing"))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:
-        out.append(Remark("warning", "The damping is hardly seen: film the swing for longer, or from further out."))
+        text = "The damping is hardly seen: film the swing for longer, or from further out."
+        out.append(Remark("warning", text, about="swing"))
     if fit.mass_known:
         out.append(_check_of_stiffness(fit))
     if not fit.mass_known and not np.isfinite(fit.mass_sd):
@@ -257,7 +259,6 @@ def _check_of_stiffness(fit: SwingFit) -> Remark:
     said += f" (sd {sd:.2g}: {fit.factor_sd:.2g} from the swing, {fit.model_sd:.2g} from k(s) and how the mass lies)"
     away = abs(np.log(fit.factor)) / sd
     if away > _CONTRADICTS:
-        return Remark(
-            "warning", f"The swing contradicts the model: {said}. Weigh the beam, and check the force's gain."
-        )
+        text = f"The swing contradicts the model: {said}. Weigh the beam, and check the force's gain."
+        return Remark("warning", text, about="swing")
     return Remark("note", f"The swing agrees with the model to {away:.1f} sd: {said}.")

@@ -54,7 +54,7 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
     remarks = (*remark(early, len(read), "messages of the force log lie out of order and are sorted"),)
     if clock.by == "receipt":
         text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used."
-        remarks = (*remarks, Remark("warning", text))
+        remarks = (*remarks, Remark("warning", text, about="no stamps"))
     remarks = (*remarks, *frame_remarks(entry, field, named))
     return whole_log(f"{entry.file}, {topic.channel.topic}", read[order], remarks)
 
@@ -116,5 +116,5 @@ def frame_remarks(entry: ForceEntry, field: str, named: list[str]) -> tuple[Rema
     ]
     if field.split(".")[0].lower().startswith("k_f_ext") or (named and named[0].endswith(("_K", "_EE", "_hand"))):
         text = "These axes turn with the tool: the force is right only if the tool kept its direction."
-        remarks.append(Remark("warning", text))
+        remarks.append(Remark("warning", text, about="tool axes"))
     return tuple(remarks)

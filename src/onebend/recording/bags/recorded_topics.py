@@ -69,7 +69,8 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
         silent = [key for key in ("rotation_deg", "acts_on", "axes") if key not in written["force"]]
         if silent:
             text = f"recording.toml does not say {', '.join(silent)} of [force]: their defaults are assumed."
-            remarks.append(Remark("warning", f"{text} A bag does not know how the robot stands to the beam."))
+            text += " A bag does not know how the robot stands to the beam."
+            remarks.append(Remark("warning", text, about="bag's axes"))
     if video is None or force is None or not same(video, force) or "start_s" in written["video"]:
         return replace(rec, remarks=tuple(remarks))
     film_clock, force_clock = clock(video), clock(force)
@@ -108,13 +109,13 @@ def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
     remarks = []
     if bag.fault:
         text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
-        remarks.append(Remark("warning", f"{text} are used, those before that."))
+        remarks.append(Remark("warning", f"{text} are used, those before that.", about="damaged bag"))
     elif bag.scanned and entry.damaged == "refuse":
         text = f"[{name}] {entry.file.name} has no index (its recorder was not closed): read from front to back."
         remarks.append(Remark("note", text))
     if isinstance(entry, VideoEntry) and clock(entry).by == "receipt":
         text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used."
-        remarks.append(Remark("warning", text))
+        remarks.append(Remark("warning", text, about="no stamps"))
     return remarks
 
 

@@ -239,7 +239,7 @@ def _remarks(fitted: Calibration) -> tuple[Remark, ...]:
             f"The corners are {fitted.error:.2g} px from the model: is the board flat and stiff, the focus fixed, and "
             "--board right?"
         )
-    remarks = [Remark("warning", text) for text in warnings]
+    remarks = [Remark("warning", text, about="calibration") for text in warnings]
     if fitted.left_out:
         remarks.append(Remark("note", f"{fitted.left_out} views fitted far worse than the others and were left out."))
     return tuple(remarks)

@@ -89,7 +89,8 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
         raise ObservationError(
             "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
-            "recording.toml, and that all tags lie flat in one plane."
+            "recording.toml, and that all tags lie flat in one plane.",
+            about="no plane",
         )
     return fit
 

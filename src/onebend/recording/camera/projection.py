@@ -45,7 +45,8 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
     if not np.isfinite(poses.angle[:, :base]).any():
         raise ObservationError(
             f"{recording.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
-            "Check that all tags have the same size and lie flat in one plane."
+            "Check that all tags have the same size and lie flat in one plane.",
+            about="no plane",
         )
     origin, moving = base_pose(part(poses, slice(base)), tags.on_base, recording.beam.length)
     relative = relative_to(origin, part(poses, slice(base, None)))
@@ -155,7 +156,8 @@ def check_lengths(xy: Array, recording: Recording) -> None:
         fitting = 1000 * tags.size / float(np.median(ratios))
         raise ObservationError(
             f"{recording.name}: {worst}.{order_hint(xy, recording)} Correct size_m (now {1000 * tags.size:g} mm; about "
-            f"{fitting:.3g} mm would fit), length_m (now {1000 * length:g} mm) or the tags' s."
+            f"{fitting:.3g} mm would fit), length_m (now {1000 * length:g} mm) or the tags' s.",
+            about="tag places",
         )
 
 

@@ -15,10 +15,12 @@ def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
     offset less the stated one."""
     if uncertainty < ROUGHLY and abs(shift) > uncertainty + _CONTRADICTS * sd:
         text = f"The data would have the film start {shift:+.3f} s from start_s, more than its uncertainty"
-        return Remark("warning", f"{text}; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s.")
+        text += f"; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s."
+        return Remark("warning", text, about="clock")
     if uncertainty < ROUGHLY:
         return Remark("note", f"The data tell the clocks' offset no better than start_uncertainty_s; {AS_WRITTEN}.")
-    return Remark("warning", f"The clocks could not be matched from the data (one sd {sd:.2g} s); {AS_WRITTEN}.")
+    text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {AS_WRITTEN}."
+    return Remark("warning", text, about="clock")
 
 
 def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) -> tuple[Remark, ...]:
@@ -26,10 +28,10 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
     remarks = []
     if min(clock.offset - low, high - clock.offset) < 2 * clock.sd:
         text = "The clock offset found lies at the edge of the range searched; give a better start_s in [video]."
-        remarks.append(Remark("warning", text))
+        remarks.append(Remark("warning", text, about="clock"))
     elif abs(clock.offset - clock.stated) > uncertainty + 2 * clock.sd:
         text = f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty."
-        remarks.append(Remark("warning", text))
+        remarks.append(Remark("warning", text, about="clock"))
     if clock.sd > 0.1:
         remarks.append(
             Remark("note", f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak.")

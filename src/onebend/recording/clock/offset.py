@@ -90,7 +90,7 @@ def fit_clock(
     rows = compared_rows(markers, log, rate, (low, high), settings)
     match = None if rows is None else matched(markers, rows, rate, push_s, (low, high), prior, settings)
     if match is None:
-        return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE),))
+        return ClockFit(unsettled, None, (Remark("warning", TOO_LITTLE, about="clock"),))
     offset, sd, noise = match
     if not sd < 0.5 * spread:
         return ClockFit(unsettled, noise, (unsettled_remark(offset - stated, sd, uncertainty),))

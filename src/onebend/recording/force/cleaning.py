@@ -163,13 +163,14 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
     remarks = []
     if not len(zero.time):
         text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."
-        remarks.append(Remark("warning", text))
+        remarks.append(Remark("warning", text, about="no rest"))
     elif len(zero.time) == 1:
         text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
         remarks.append(Remark("note", text))
     elif float(np.ptp(zero.value, axis=0).max()) > 0.2 * largest:
         change = float(np.ptp(zero.value, axis=0).max())
-        remarks.append(Remark("warning", f"The force's zero drifted by {change:.2g} N between the rests."))
+        text = f"The force's zero drifted by {change:.2g} N between the rests."
+        remarks.append(Remark("warning", text, about="drift"))
     if not math.isfinite(cutoff):
         remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
     return tuple(remarks)

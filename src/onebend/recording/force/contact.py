@@ -54,7 +54,8 @@ def find_contact(
     if not departed[0] <= threshold:
         text = "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero."
         loaded = np.full(len(time), log is not None)
-        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (Remark("warning", text),))
+        remark = Remark("warning", text, about="no rest")
+        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (remark,))
     first = int(np.argmax(departed > threshold)) if np.any(departed > threshold) else len(time)
     returned = departed < max(threshold, settings.returned * float(departed.max()))
     returned[:first] = True
@@ -68,7 +69,8 @@ def find_contact(
             if np.any(~still & free):
                 remarks.append(Remark("note", f"The beam swings freely from {released:.2f} s of the film on."))
     if not free[: max(first, 1)].any():
-        remarks.append(Remark("warning", "The rest before contact is too short to use: the force has no zero."))
+        text = "The rest before contact is too short to use: the force has no zero."
+        remarks.append(Remark("warning", text, about="no rest"))
     spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
     rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)
     touched = np.flatnonzero(~free)

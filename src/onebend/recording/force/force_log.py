@@ -183,4 +183,4 @@ def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
     """Nothing, a note or a warning on `count` of the rows."""
     if not count:
         return ()
-    return (Remark("warning" if count > MANY * rows else "note", f"{count} of {rows} {what}."),)
+    return (Remark("warning" if count > MANY * rows else "note", f"{count} of {rows} {what}.", about="bad rows"),)

@@ -30,7 +30,7 @@ def still_columns(force: Array) -> tuple[Remark, ...]:
     sentence = "force of the log never changes ({:g} N): is its channel connected, is it the right column?"
     constant = np.ptp(force, axis=0) == 0.0
     return tuple(
-        Remark("warning", f"The {axis} {sentence.format(value)}")
+        Remark("warning", f"The {axis} {sentence.format(value)}", about="constant force")
         for axis, value, unchanged in zip(AXES, force[0], constant, strict=True)
         if unchanged
     )
@@ -58,7 +58,7 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
                     f"{share:.0f} % of its rows: the sensor is at the end of its range, and the force was larger. k(s) "
                     "comes out wrong; push less, or take a wider range."
                 )
-                remarks.append(Remark("warning", text, doubt=True))
+                remarks.append(Remark("warning", text, doubt=True, about="sensor's end"))
     return tuple(remarks)
 
 
@@ -80,7 +80,8 @@ def refuse_other_unit(force: Array, mass: float, where: str) -> None:
         return
     raise ObservationError(
         f"{where}: the largest force on the beam {said} {largest:.3g} N{times}. Is the log in {units}? Convert it to "
-        "newtons; else all of k(s) is wrong by the same factor. If it is right, correct mass_kg."
+        "newtons; else all of k(s) is wrong by the same factor. If it is right, correct mass_kg.",
+        about="force unit",
     )
 
 
@@ -96,9 +97,8 @@ def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
         text = f"The largest force on the beam is only {largest:.2g} N"
     else:
         return ()
-    return (
-        Remark("warning", f"{text}: is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."),
-    )
+    text += ": is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."
+    return (Remark("warning", text, about="force unit"),)
 
 
 def unit_in_name(columns: Sequence[str], time_unit: str) -> str:

@@ -154,7 +154,8 @@ def refuse_unseen(
     if not share.any():
         raise ObservationError(
             f"{video.file}: no tag of recording.toml is in any of the {frames} frames. "
-            f"{what_is_there(video, tags, strangers, pictures, frames)}"
+            f"{what_is_there(video, tags, strangers, pictures, frames)}",
+            about="unseen tag",
         )
     every = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     missing = [str(tag) for tag, shown in zip(every, share, strict=True) if not shown]
@@ -162,14 +163,16 @@ def refuse_unseen(
         seen = sorted({*strangers, *(tag for tag, shown in zip(every, share, strict=True) if shown)})
         raise ObservationError(
             f"{video.file}: tag {', '.join(missing)} is in none of {frames} frames; seen: {', '.join(map(str, seen))}. "
-            "Correct the ids in recording.toml, or take out those that are not on the beam."
+            "Correct the ids in recording.toml, or take out those that are not on the beam.",
+            about="unseen tag",
         )
     for what, part, entries in (("base", share[:base], tags.on_base), ("beam", share[base:], tags.on_beam)):
         if not part.any():
             ids = ", ".join(str(tag.id) for tag in entries)
             raise ObservationError(
                 f"{video.file}: no {what} tag (id {ids}) is in any of the {frames} frames. Check the ids in "
-                "recording.toml and that the tag is in the picture."
+                "recording.toml and that the tag is in the picture.",
+                about="unseen tag",
             )
 
 
@@ -212,7 +215,8 @@ def unseen_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> lis
         return []
     seen = ", ".join(str(tag) for tag, visible in zip(tag_id, share, strict=True) if visible)
     text = f"Tag {', '.join(missing)} is in none of {frames} frames; seen: {seen}."
-    return [Remark("warning", f"{text} Correct the ids in recording.toml, or take out those that are not on the beam.")]
+    text += " Correct the ids in recording.toml, or take out those that are not on the beam."
+    return [Remark("warning", text, about="unseen tag")]
 
 
 def stranger_remarks(strangers: Counter[int], looks: int) -> list[Remark]:

@@ -62,6 +62,7 @@ def frozen_remarks(hung: BoolArray, time: Array) -> tuple[Remark, ...]:
             "warning",
             f"The pictures of frames {begin} to {end - 1} only repeat the one before, and then the beam is elsewhere: "
             f"the film hung for {time[end] - time[begin - 1]:.2g} s. They are left out.",
+            about="film hung",
         )
         for begin, end in runs(hung).tolist()
     )

@@ -26,16 +26,17 @@ SOURCES = ("video", "markers", "poses", "photos")
 
 def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, ...]:
     """A warning for each number that is probably wrong, a note on two that are easily swapped."""
-    warnings = [] if camera is None else camera_doubts(camera)
-    notes = []
+    remarks = [] if camera is None else [Remark("warning", text, about="camera") for text in camera_doubts(camera)]
+    if beam.mass / beam.length > HEAVIEST:
+        text = f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?"
+        remarks.append(Remark("warning", text, about="unit"))
     if beam.width > beam.thickness:
-        notes.append(
+        text = (
             f"width_m = {beam.width:g} is larger than thickness_m = {beam.thickness:g}, so the beam bends over its "
             "thicker side: width_m lies in the plane of bending. Are the two swapped?"
         )
-    if beam.mass / beam.length > HEAVIEST:
-        warnings.append(f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?")
-    return (*(Remark("warning", text) for text in warnings), *(Remark("note", text) for text in notes))
+        remarks.append(Remark("note", text))
+    return tuple(remarks)
 
 
 def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
@@ -52,7 +53,7 @@ def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) ->
         )
     if scale_sd > ROUGHEST:
         warnings.append(f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?")
-    remarks = [Remark("warning", text) for text in warnings]
+    remarks = [Remark("warning", text, about="wide tolerance") for text in warnings]
     if beam.rest == "straight" and beam.curvature_sd not in (0.0, CURVATURE_SD):
         remarks.append(Remark("note", 'rest_curvature_sd_deg is used only with rest = "unknown".'))
     return tuple(remarks)
@@ -77,12 +78,15 @@ def unit_remarks(beam: BeamEntry, tags: TagsEntry, entries: dict[str, Any]) -> t
         if sd > NOWHERE * length:
             warnings.append(f"{name} = {sd:g} is more than a fifth of the beam's length: is it in metres?")
     turns = [("turn_sd_deg", tags.turn_sd), ("rotation_sd_deg", math.nan if force is None else force.rotation_sd)]
-    warnings += [
+    open_turns = [
         f"{name} = {math.degrees(sd):g} leaves the direction open: is it right?" for name, sd in turns if sd > TURNED
     ]
     if force is not None and force.gain_sd > SCALED:
         warnings.append(f"gain_sd = {force.gain_sd:g} is {100.0 * force.gain_sd:g} %: is it a share (0.02 = 2 %)?")
-    return tuple(Remark("warning", text) for text in warnings)
+    return (
+        *(Remark("warning", text, about="unit") for text in warnings),
+        *(Remark("warning", text, about="wide tolerance") for text in open_turns),
+    )
 
 
 def camera_doubts(camera: CameraEntry) -> list[str]:

@@ -154,7 +154,7 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     text = f"The base moves, by up to {1000 * float(step.max()):.2g} mm and {math.degrees(float(np.ptp(turn))):.2g} deg"
     if base == 1 and not np.isfinite(angle).any():
         text += "; one marker without an angle does not show its turn. Put a second one on it"
-    return shift, turn, (Remark("warning", f"{text}. It was followed from frame to frame."),)
+    return shift, turn, (Remark("warning", f"{text}. It was followed from frame to frame.", about="base moves"),)
 
 
 def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactSettings) -> tuple[Array, float]:
@@ -220,7 +220,8 @@ def check_scale(rec: Recording, xy: Array) -> None:
             raise ObservationError(
                 f"{rec.name}: {names[order[i]]} and {names[order[i + 1]]} are {1000 * farthest:.4g} mm apart at most, "
                 f"recording.toml puts {1000 * arc:.4g} mm of beam between them.{order_hint(xy, rec)} Are x_m and y_m "
-                "in metres? Check length_m and the markers' ids and s."
+                "in metres? Check length_m and the markers' ids and s.",
+                about="unit",
             )
 
 

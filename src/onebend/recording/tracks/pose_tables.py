@@ -145,7 +145,8 @@ def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     if np.any(distance > 0.0) and np.max(relative) < NEAR:
         raise ObservationError(
             f"{rec.name}: every point is within {100 * np.max(relative):.2g} % of the beam's length of the clamp. Is "
-            f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?"
+            f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?",
+            about="unit",
         )
     reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd
     if np.any(distance > reach):
@@ -153,5 +154,6 @@ def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
         raise ObservationError(
             f"{rec.name}: in pose {loads.names[pose]} point {rec.tags.on_beam[i].id} is {1000 * distance[pose, i]:.4g} "
             f"mm from the clamp, and only {1000 * rec.tags.on_beam[i].s * rec.beam.length:.4g} mm of beam lead there. "
-            "Are x_m and y_m in metres, and from the clamp? Check length_m and the points' s."
+            "Are x_m and y_m in metres, and from the clamp? Check length_m and the points' s.",
+            about="unit",
         )

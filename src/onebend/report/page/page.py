@@ -63,7 +63,7 @@ def page(
 
 def _content(findings: Findings) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
-    remarks = [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)]
+    remarks = [{"recording": whose, **remark.as_dict(), "docs": remark.docs} for whose, remark in all_remarks(findings)]
     return {
         "name": name_of(findings),
         "several": len(findings.recordings) > 1,

@@ -1,0 +1,53 @@
+"""What the allowances do to k(s), in words: each with its share, and what would narrow the band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution
+from onebend.learning.posterior import Posterior
+from onebend.records import GAIN_SD, PLACE_SD, Observations
+from onebend.report.wording import ANOTHER, change_words
+
+_MOST_TOLD = 2
+
+
+def share_words(share: Attribution) -> str:
+    """`relaxation (k(s) 9.8 % off without it)`: what the data show of it, else what it costs."""
+    does = []
+    if share.sure and share.shift > SHIFTS:
+        change = change_words(share.shift)
+        does.append(f"{change} k(s) without it" if change == ANOTHER else f"k(s) {change} off without it")
+    if share.widening > WIDENS:
+        does.append(f"band {share.widening:.2f} times as wide")
+    if not does:
+        does.append(f"k(s) may be {change_words(share.size)} off without it")
+    return f"{share.name} ({', '.join(does)})"
+
+
+def narrower_words(posterior: Posterior) -> str:
+    """What would narrow the band, at most two things, and by how many times at most; empty where nothing that a person
+    can do would by much."""
+    shares = sorted((one for one in posterior.attributions if one.matters), key=lambda one: -one.widening)
+    seen = [recording.observations for recording in posterior.recordings]
+    every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
+    told = [f"{what} (up to {widening:.2f} times)" for widening, what in every if what]
+    return ", ".join(told[:_MOST_TOLD])
+
+
+def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
+    """To know more about it; empty where nothing can be done, or where it is stated already."""
+    stated = [one.stated for one in recordings]
+    by_hand = any(one.place_sd >= PLACE_SD for one in stated)
+    uncalibrated = any(one.gain_sd >= GAIN_SD for one in stated)
+    ways = {
+        "place of the push": ("measure where the push acts: `at_sd_m`", by_hand),
+        "stretch and shear": ("measure the thickness: `width_m`", any(np.isnan(one.thickness) for one in stated)),
+        "stiff tags": ("thinner tags", True),
+        FORCE_SCALE: ("calibrate the sensor with a weight: `gain_sd`", uncalibrated),
+        "rest shape": ("measure the beam at rest: `rest_curvature_sd_deg`", True),
+    }
+    way, is_open = ways.get(name, ("", False))
+    return way if is_open else ""
