@@ -121,7 +121,7 @@ def _hanging(posterior: Posterior) -> list[Remark]:
         f"(by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? "
         "Check width_m, thickness_m and mass_kg, too"
     )
-    return [Remark("warning", text)]
+    return [Remark("warning", text, about="force unit")]
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:

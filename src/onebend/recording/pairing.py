@@ -98,7 +98,7 @@ def without_slow_sensor(
         "sensor's filter off, or push more slowly."
     )
     cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
-    return without_lag(log, lag.tau, cutoff), (Remark("warning", text),)
+    return without_lag(log, lag.tau, cutoff), (Remark("warning", text, about="clock"),)
 
 
 def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
@@ -248,7 +248,7 @@ def check_place(
         f"The beam bends by {math.degrees(beyond):.2g} deg between tags beyond the push, where nothing acts on it. "
         "Check at_s in [push] (a share of the length, 1 at the tip), and the tags' s."
     )
-    return (Remark("warning", text, doubt=True),)
+    return (Remark("warning", text, doubt=True, about="push place"),)
 
 
 def _or_the_clocks(rec: Recording, markers: Markers) -> str:
