@@ -21,6 +21,7 @@ from onebend.learning.posterior import Posterior, fit
 from onebend.recording.observe import observe
 from onebend.records import GAIN_SD, Array
 
+IDEAL = tuple(f"{beam}_{push}" for beam in ("linear", "quadratic", "cubic") for push in ("train", "fast", "s08", "s06"))
 PLACES = 60
 LEVELS = (0.5, 0.95)
 # What stands for the one effect of a recording that has no other, by its name in the truth or in the folder's name.
@@ -129,14 +130,19 @@ def main() -> None:
     print("| steps | fit, processor time [s] |")
     print("| --- |" + " --- |" * 8)
     groups: dict[str, list[Found]] = {}
-    for folder in [*sorted((recordings / "wild").iterdir()), *sorted((recordings / "tracks").iterdir())]:
+    ideal = [one for one in recordings.iterdir() if one.name in IDEAL]
+    for folder in [
+        *sorted(ideal),
+        *sorted((recordings / "wild").iterdir()),
+        *sorted((recordings / "tracks").iterdir()),
+    ]:
         if not (folder / "truth" / "truth.npz").is_file():
             continue
         print(folder.name, file=sys.stderr, flush=True)
         one = learned(folder)
         print(row(one), flush=True)
-        tracks = folder.parent.name == "tracks"
-        kind = f"tracks, {folder.name.split('_')[0]}" if tracks else "films"
+        kind = "films" if folder.parent.name == "wild" else f"tracks, {folder.name.split('_')[0]}"
+        kind = "films, ideal benches" if folder in ideal else kind
         groups.setdefault(kind, []).append(one)
     for name, every in groups.items():
         print(summary(name, every))
