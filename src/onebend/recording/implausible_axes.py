@@ -30,6 +30,7 @@ TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
 BETTER = 0.1  # of that share: a reading that leaves less is named in the message
 DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
+MOST = 95.0  # percentile over the frames that stands for the largest
 SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
 
 
@@ -89,6 +90,22 @@ def read_force(
     by_angle = [_unexplained(force[good] @ to_beam(float(a)), turns, levers) for a in angles]
     best = int(np.argmin(by_angle))
     return Reading(unexplained, float(angles[best]), by_angle[best])
+
+
+def turn_beyond(markers: Markers, rest: RestShape, push_s: Array, loaded: BoolArray) -> tuple[float, float]:
+    """rad: the largest turn against each other of two tags that both sit beyond the push, and of any tag, since rest.
+
+    Where nothing else acts the beam beyond a push is as it was at rest. Zeros where no two tags sit there.
+    """
+    beyond = np.flatnonzero(markers.s >= np.nanmax(push_s, initial=0.0))
+    if len(beyond) < 2 or not np.isfinite(push_s[loaded]).any():
+        return 0.0, 0.0
+    bend = (markers.angle - rest.angle)[loaded]
+    first, last = beyond[np.argmin(markers.s[beyond])], beyond[np.argmax(markers.s[beyond])]
+    between = np.abs(bend[:, last] - bend[:, first])
+    if not np.isfinite(between).any():
+        return 0.0, 0.0
+    return float(np.nanpercentile(between, MOST)), float(np.nanpercentile(np.nanmax(np.abs(bend), axis=1), MOST))
 
 
 def _unexplained(force: Array, turns: Array, levers: Array) -> float:
