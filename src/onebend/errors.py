@@ -66,6 +66,7 @@ SECTIONS: dict[str, str] = {
     # the force
     "axes": "the-force-contradicts-the-bending",
     "force direction": "the-force-contradicts-the-bending",
+    "axis scale": "the-force-contradicts-the-bending",
     "force unit": "the-force-may-be-in-another-unit",
     "constant force": "a-force-never-changes",
     "sensor's end": "the-sensor-is-at-the-end-of-its-range",

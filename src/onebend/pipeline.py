@@ -15,6 +15,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
+from onebend.learning.model.frames import with_seen_tags
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
 from onebend.learning.modulus import modulus_along, modulus_remarks, stated_section
@@ -87,7 +88,8 @@ def learn(
     trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        seen = with_mass([observe(one, settings=observing, detect=detect, progress=watch) for one in wanted])
+        every = [observe(one, settings=observing, detect=detect, progress=watch) for one in wanted]
+        seen = with_mass(with_seen_tags(every))
     with watch.whole("learn"):
         learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=watch)
     posterior = None
@@ -131,6 +133,7 @@ def _not_learned_from(
 
 
 def _same_data(one: Observations, other: Observations) -> bool:
+    (one,), (other,) = with_seen_tags([one]), with_seen_tags([other])
     return np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
 
 

@@ -258,3 +258,16 @@ def test_base_log_errors_name_the_line(tmp_path: Path) -> None:
             read_base_log(path)
     path.write_text("time_s,base_deg\n0,-90\n1,90\n", encoding="utf-8")
     assert read_base_log(path).angle == pytest.approx([-math.pi / 2, math.pi / 2])
+
+
+def test_a_beam_that_bends_beyond_the_push_is_doubted() -> None:
+    said = [one for one in observed(rec=recording(push=PushEntry(at=0.3))).source.remarks if one.doubt]
+    assert ["beyond the push" in one.text and "at_s" in one.text for one in said] == [True]
+    assert not [one for one in plain().source.remarks if one.doubt]
+
+
+def test_a_log_of_two_rows_a_second_keeps_its_peak() -> None:
+    log = PUSHED.log()
+    few = ForceLog(log.time[::100], log.force[::100])
+    found = np.linalg.norm(observed(few).force, axis=1).max()
+    assert found == pytest.approx(np.linalg.norm(plain().force, axis=1).max(), rel=0.1)

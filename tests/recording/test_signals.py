@@ -45,6 +45,18 @@ def test_outliers_are_found_and_steps_are_not() -> None:
     assert set(found) == {300, 700, 1200}
 
 
+@pytest.mark.parametrize("rate", [2.0, 5.0, 10.0, 50.0, 500.0])
+def test_the_peak_of_a_push_is_no_outlier_at_any_rate(rate: float) -> None:
+    time = np.arange(0.0, 14.0, 1.0 / rate)
+    push = np.sin(np.pi * np.clip((time - 3.0) / 8.0, 0.0, 1.0)) ** 2
+    for seed in range(10):
+        values = np.outer(push, [0.9, -0.4]) + 0.02 * noise((len(time), 2), seed)
+        assert outliers(values, spacing=1.0 / rate).mean() < 0.02
+    if rate >= 10.0:
+        values[len(time) // 3, 0] += 1.0
+        assert outliers(values, spacing=1.0 / rate)[len(time) // 3]
+
+
 def test_a_clean_signal_has_no_outliers() -> None:
     assert not outliers(np.sin(np.linspace(0, 6, 500))[:, None]).any()
     assert not outliers(np.zeros((500, 2))).any()

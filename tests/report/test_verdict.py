@@ -14,7 +14,7 @@ from rich.console import Console
 from onebend.learning.criticism.criticism import Finding
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fit_remarks, fitted_rms, possible
-from onebend.records import MassLine, Remark
+from onebend.records import MassLine, Remark, StatedSection
 from onebend.report.findings import another_beam
 from onebend.report.page.cards import cards
 from onebend.report.page.page import page
@@ -178,3 +178,14 @@ def test_where_nothing_means_anything_no_value_is_shown() -> None:
     show_run(where, far, Path("out"))
     assert isinstance(where.file, io.StringIO)
     assert "EI / L" not in where.file.getvalue()
+
+
+@pytest.mark.parametrize(("mass", "hangs"), [(0.08, False), (8.0, True)])
+def test_a_beam_that_would_hang_far_down_tells_of_the_forces_unit(mass: float, hangs: bool) -> None:
+    found = fitted()
+    first = found.recordings[0]
+    section = StatedSection("rectangle", np.array([0.0, 1.0]), np.full(2, 0.02), np.full(2, 0.03))
+    stated = replace(first.observations.stated, section=section, mass=mass)
+    whole = (replace(first, observations=replace(first.observations, stated=stated)), *found.recordings[1:])
+    said = fit_remarks(replace(found, problem=replace(found.problem, recordings=whole)))
+    assert [one.level for one in said if "hang down out of the plane" in one.text] == ["warning"] * hangs

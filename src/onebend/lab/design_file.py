@@ -11,7 +11,8 @@ from typing import Any, Literal
 
 from onebend.beam.profiles.piecewise import broken_line
 from onebend.beam.profiles.stiffness import Powers, Profile
-from onebend.errors import MechanicsError
+from onebend.errors import MechanicsError, ResultsError
+from onebend.files.single_file import write_file
 from onebend.lab.designs import Design, design_named, width_table
 from onebend.lab.materials import TYPICAL_DENSITY, ModulusEstimate, from_shore_00, from_shore_a, silicone
 from onebend.recording.toml.schema import (
@@ -148,14 +149,15 @@ def write_design_template(path: Path | str) -> Path:
     """Write a commented design to fill in, and return its path.
 
     Raises:
-        MechanicsError: the file exists already.
+        MechanicsError: the file exists already, or cannot be written.
     """
     path = Path(path)
+    if path.exists():
+        raise MechanicsError(f"{path} exists already. Edit it, or name another file.")
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(template())
-    except FileExistsError:
-        raise MechanicsError(f"{path} exists already. Edit it, or name another file.") from None
+        write_file(path, template())
+    except ResultsError as wrong:
+        raise MechanicsError(str(wrong)) from None
     return path
 
 

@@ -13,6 +13,7 @@ from onebend.records import Array, Remark
 
 _SLIP = 1e-3  # m, by which the push may act beside where it is said to
 _OUT = 1.2  # s: a push farther out than that is no place
+_OUT_OF_SCALE = 0.5  # of the force: two axes whose scales differ by more than a factor of three
 _LINEAR = 1.0  # change of log k: what the tests say of it is to first order, and says nothing beyond
 _Words = tuple[str, str]  # what it would be, and what to do
 
@@ -165,6 +166,15 @@ def _direction(value: Array, _: Posterior) -> _Words:
     return words, f"Check columns in [force], and whether rotation_deg is {np.rad2deg(value[0]):+.2g} from what it says"
 
 
+def _axes(value: Array, _: Posterior) -> _Words:
+    do = "Calibrate each axis of the force sensor with a weight"
+    if abs(value[0]) > _OUT_OF_SCALE:
+        return "the scales of the force's two axes differ", do
+    more, less = ("y", "x") if value[0] > 0.0 else ("x", "y")
+    off = 100.0 * ((1.0 + abs(value[0])) / (1.0 - abs(value[0])) - 1.0)
+    return f"the force along {more} is measured {off:.0f} % too large against that along {less}", do
+
+
 def _weight(value: Array, _: Posterior) -> _Words:
     words = f"a weight of about {float(np.linalg.norm(value)):.2g} N bends the beam"
     return words, "Check [gravity] and mass_kg, and that nothing hangs from the beam"
@@ -192,6 +202,7 @@ _MECHANICS: dict[str, Callable[[Array, Posterior], _Words]] = {
     "push place": _place,
     "push beside": _beside,
     "force direction": _direction,
+    "axis scale": _axes,
     "weight": _weight,
     "viscous": _viscous,
     "clamp gives": _pliant,
@@ -218,7 +229,10 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
         "Calibrate the camera; check size_m",
     ),
     "clock": lambda v, _: (f"the clocks are off by {1000 * abs(v[0]):.0f} ms", "Check start_s and the frame times"),
-    "mass": lambda _, __: ("the mass, or how it is spread, is not as written", "Check mass_kg and [gravity]"),
+    "mass": lambda _, __: (
+        "the beam's weight and the force do not agree: the mass, or how it is spread, is not as written, or the force",
+        "Check mass_kg, [gravity], and that the log is in newtons (not kg or g)",
+    ),
     "curvature": lambda _, __: ("the beam at rest is bent more than expected", "Check the tags' places and the rest"),
 }
 _CHANGES: dict[str, Callable[[float, int], _Words]] = {

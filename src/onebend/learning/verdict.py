@@ -15,8 +15,10 @@ from onebend.records import Array, Observations, Remark
 
 _TESTED_AS = {"place": "push place", "direction": "force direction"}
 _FAR = 3.0  # prior sds: a nuisance beyond says that the prior, or the recording, is wrong
-_OF_THE_PUSH = ("push place", "push beside", "place", "force direction", "direction")
+_OF_THE_PUSH = ("push place", "push beside", "place", "force direction", "direction", "axis scale")
 _G = 9.81  # m/s^2
+_LIGHTEST = 500.0  # kg/m^3: foams apart, nothing that bends and springs back is lighter
+_FAR_DOWN = 0.5  # of the length
 _LOUD = 3.0  # times the noise of the tags' own covariances: more is remarked on
 
 
@@ -73,7 +75,8 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
     tests = _tests(posterior)
-    return (*wrong, *_search(posterior), *tests, *_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+    odd = (*_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
+    return (*wrong, *_search(posterior), *tests, *_hanging(posterior), *odd)
 
 
 def _tests(posterior: Posterior) -> tuple[Remark, ...]:
@@ -104,6 +107,31 @@ def _first_check(posterior: Posterior) -> str:
     if any(np.any(one.observations.force != 0.0) for one in posterior.recordings):
         return "Check the sign and the axes of [force], then the clocks"
     return "Check the tags' places and the direction of gravity"
+
+
+def _hanging(posterior: Posterior) -> list[Remark]:
+    """A warning where a beam of this k(s), section and weight would hang far out of the plane, as none that is filmed.
+
+    A cantilever of mass m hangs down by `m g L^2 int (1 - s)^3 / (2 k) ds`, k being that of the other direction: larger
+    by the square of the section's size across the plane over that in it.
+    """
+    one, s = posterior.recordings[0].observations, np.linspace(0.0, 1.0, 201)
+    section, upright = one.stated.section, any(np.any(r.observations.gravity) for r in posterior.recordings)
+    if section is None or section.shape != "rectangle" or one.static or upright:
+        return []
+    thick, deep = (np.interp(s, section.s, size) for size in (section.thickness, section.width))
+    light = _LIGHTEST * one.length * float(np.trapezoid(thick * deep, s))
+    mass = one.stated.mass if np.isfinite(one.stated.mass) else light
+    bends = (1.0 - s) ** 3 / (2.0 * posterior.beam.stiffness(s)) * (thick / deep) ** 2
+    sag = mass * _G * one.length**2 * float(np.trapezoid(bends, s))
+    if sag < _FAR_DOWN * one.length:
+        return []
+    text = (
+        f"with this k(s) the beam, of {1000.0 * mass:.2g} g or more, would hang down out of the plane by its weight "
+        f"(by {1000.0 * sag:.2g} mm, to first order), unless it lies on something. Is the log in newtons (not kg)? "
+        "Check width_m, thickness_m and mass_kg, too"
+    )
+    return [Remark("warning", text, about="force unit")]
 
 
 def _clamp(posterior: Posterior) -> list[Remark]:

@@ -46,6 +46,7 @@ CLEARLY = 0.003  # by which it must leave less: a right log whose axes are off b
 AS_SIMPLE = 3.0  # times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn
 DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
 SHIFTS = np.arange(-10, 11) * 0.05  # s: clocks that were matched by wrong axes are off by a few tenths
+MOST = 95.0  # percentile over the frames that stands for the largest
 SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
 
 
@@ -155,6 +156,22 @@ def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> st
     if reading.inexplicable:
         return "The force does not follow the bending, however its axes are read. Check that the log is of this push."
     return f"The force contradicts the bending. In [force], check {key}, rotation_deg and acts_on."
+
+
+def turn_beyond(markers: Markers, rest: RestShape, push_s: Array, loaded: BoolArray) -> tuple[float, float]:
+    """rad: the largest turn against each other of two tags that both sit beyond the push, and of any tag, since rest.
+
+    Where nothing else acts the beam beyond a push is as it was at rest. Zeros where no two tags sit there.
+    """
+    beyond = np.flatnonzero(markers.s >= np.nanmax(push_s, initial=0.0))
+    if len(beyond) < 2 or not np.isfinite(push_s[loaded]).any():
+        return 0.0, 0.0
+    bend = (markers.angle - rest.angle)[loaded]
+    first, last = beyond[np.argmin(markers.s[beyond])], beyond[np.argmax(markers.s[beyond])]
+    between = np.abs(bend[:, last] - bend[:, first])
+    if not np.isfinite(between).any():
+        return 0.0, 0.0
+    return float(np.nanpercentile(between, MOST)), float(np.nanpercentile(np.nanmax(np.abs(bend), axis=1), MOST))
 
 
 def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Array]:

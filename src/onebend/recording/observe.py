@@ -18,7 +18,16 @@ from onebend.recording.folder import read_recording
 from onebend.recording.force.cleaning import ForceSettings
 from onebend.recording.force.contact import Contact, ContactSettings, find_contact
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
-from onebend.recording.pairing import check_direction, cleaned, match_clocks, pair, read_log, usable
+from onebend.recording.pairing import (
+    check_direction,
+    check_place,
+    cleaned,
+    match_clocks,
+    pair,
+    read_log,
+    usable,
+    without_slow_sensor,
+)
 from onebend.recording.photos import photo_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
@@ -128,6 +137,9 @@ def assemble(
     check_span(markers.time, rec.name, most=MOST_FRAMES)
     reading = with_angles(markers)  # clocks and contact are read with angles; only measured ones are learned from
     fit = match_clocks(rec, reading, log, base, settings.clock)
+    log, slow = without_slow_sensor(rec, reading, log, fit, settings.clock, settings.force)
+    if slow:
+        fit = match_clocks(rec, reading, log, base, settings.clock)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
     gravity = gravity_in_frame(rec.gravity, base, markers, markers.time + fit.clock.offset)
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
@@ -135,11 +147,13 @@ def assemble(
     angled, refuse = with_angles(in_frame), settings.check_force
     bare = rest if angled is in_frame else rest_shape(angled, contact.still)
     implausible = check_direction(rec, angled, bare, acting.force, acting.push_s, acting.loaded, refuse=refuse)
+    implausible += check_place(rec, in_frame, rest, acting.push_s, acting.loaded)
     usable_frames, drop_remarks = usable(markers, acting.force)
     of_log = ((), ()) if acting.clean is None else (contact.remarks, acting.clean.remarks)
     remarks = (
         *rec.remarks,
         *markers.remarks,
+        *slow,
         *fit.remarks,
         *of_log[0],
         *frame_remarks,

@@ -12,6 +12,7 @@ from onebend.errors import ObservationError
 from onebend.recording.bags.force_topic import read_bag_force
 from onebend.recording.beam_frame import RestShape
 from onebend.recording.clock.offset import ClockFit, ClockSettings, displacements, fit_clock
+from onebend.recording.clock.sensor_lag import slow_sensor, without_lag
 from onebend.recording.force.cleaning import (
     ForceSettings,
     choose_cutoff,
@@ -24,11 +25,13 @@ from onebend.recording.force.contact import Contact
 from onebend.recording.force.force_log import FEWEST_ROWS, read_force_log
 from onebend.recording.force.implausible_force import refuse_other_unit, size_remarks
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
-from onebend.recording.implausible_axes import axes_words, read_force
+from onebend.recording.implausible_axes import axes_words, read_force, turn_beyond
 from onebend.recording.signals import at_times, bandwidth, step
 from onebend.recording.toml.entries import Recording
-from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
+
+BENDS_BEYOND = 0.05  # of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push
+LEAST_TURN = math.radians(3.0)
 
 
 def read_log(rec: Recording) -> ForceLog | None:
@@ -77,6 +80,25 @@ def match_clocks(
     times = log.time if log is not None else base.time if base is not None else markers.time
     check_overlap(markers, times, fit.clock.offset, "force log" if log is not None else "base angle log")
     return fit
+
+
+def without_slow_sensor(
+    rec: Recording, markers: Markers, log: ForceLog | None, fit: ClockFit, clock: ClockSettings, force: ForceSettings
+) -> tuple[ForceLog | None, tuple[Remark, ...]]:
+    """The log, where its sensor is slow as one that is not would have written it, with a warning; else as it is."""
+    if log is None or rec.force is None:
+        return log, ()
+    turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
+    lag = slow_sensor(markers, turned, fit.clock, push_s=push_place(rec, log), settings=clock)
+    if lag is None:
+        return log, ()
+    text = (
+        f"The force sensor is slow: its log follows the force with a time constant of about {lag.tau:.2g} s, which "
+        "makes every peak too low and k(s) too small. This was undone, as well as the log allows. Switch the "
+        "sensor's filter off, or push more slowly."
+    )
+    cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
+    return without_lag(log, lag.tau, cutoff), (Remark("warning", text, about="clock"),)
 
 
 def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:
@@ -196,18 +218,34 @@ def check_direction(
     if rec.markers is not None:
         text += f" Or the axes of {rec.markers.file.name} are not those of the log: x_m, y_m and angle_rad."
     if refuse and reading.impossible:
-        if rec.video is not None:
-            text += f" {_or_the_clocks(rec.video, markers)}"
+        text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
         raise ObservationError(f"{rec.name}: {text}", about="axes")
     return (Remark("warning", text, doubt=True, about="axes"),)
 
 
-def _or_the_clocks(video: VideoEntry, markers: Markers) -> str:
-    """Other mistakes that look like a force that contradicts the bending."""
+def check_place(
+    rec: Recording, markers: Markers, rest: RestShape, push_s: Array, loaded: BoolArray
+) -> tuple[Remark, ...]:
+    """A warning where the beam bends between tags (with angles of their own) that both sit beyond the push."""
+    if rec.gravity is not None or rec.push is None or not loaded.any():
+        return ()
+    beyond, largest = turn_beyond(markers, rest, push_s, loaded)
+    if beyond < max(BENDS_BEYOND * largest, LEAST_TURN):
+        return ()
+    text = (
+        f"The beam bends by {math.degrees(beyond):.2g} deg between tags beyond the push, where nothing acts on it. "
+        "Check at_s in [push] (a share of the length, 1 at the tip), and the tags' s."
+    )
+    return (Remark("warning", text, doubt=True, about="push place"),)
+
+
+def _or_the_clocks(rec: Recording, markers: Markers) -> str:
+    """Other mistakes that look like a force that contradicts the bending: a sentence, or nothing."""
     seconds = float(markers.time[-1] - markers.time[0])
     rate = (len(markers.time) - 1) / seconds
-    film = f"Or the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"
-    if not math.isfinite(video.start):
-        return f"{film}."
-    start = "start_s in [video] is farther off than start_uncertainty_s: without it the whole log is searched"
-    return f"{film}, or {start}."
+    of_film = f"the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"
+    table = "video" if rec.video is not None else "markers"
+    of_start = f"start_s in [{table}] is farther off than start_uncertainty_s: without it the whole log is searched"
+    possible = [of_film] if rec.video is not None else []
+    possible += [of_start] if math.isfinite(rec.start[0]) else []
+    return f"Or {', or '.join(possible)}." if possible else ""

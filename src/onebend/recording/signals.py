@@ -17,6 +17,7 @@ LONG_GAP = 0.25  # s: motion within a longer gap is not interpolated
 SEPARATE = 10.0  # periods of the cut-off: stretches farther apart are filtered separately
 SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples at least, beside a gap that give the level and slope there
 BRIDGE = 15  # points of a bridge over a gap
+SPIKE = 0.75  # s, in which outliers are looked for
 FINE = 3.0  # steps of the last digit: larger noise is visible
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
@@ -92,12 +93,17 @@ def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
     return straightened
 
 
-def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
+def outliers(values: Array, *, spacing: float = 0.0, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
     """(N,) True where a column deviates from its running median by more than `threshold` robust local sd (Hampel).
 
     The local scale is the running median of the absolute deviation over ten times the window, never below half of the
     whole signal's: a quiet stretch does not make ordinary samples outliers. A signal without noise has no outliers.
+    Nor is it below what the signal itself changes from sample to sample.
+    With samples `spacing` [s] apart the window is no longer than `SPIKE`, but five samples: the peak of a push is no
+    spike.
     """
+    if spacing > 0.0:
+        half_width = int(np.clip(0.5 * SPIKE / spacing, 2, half_width))
     size = 2 * half_width + 1
     is_outlier = np.zeros(len(values), dtype=bool)
     if len(values) < size:
@@ -108,8 +114,9 @@ def outliers(values: Array, *, half_width: int = 7, threshold: float = 6.0) -> B
         stride = max(1, size // 3)
         coarse = MAD_TO_SD * median_filter(deviation[::stride], max(3, 10 * size // stride), mode="nearest")
         scale = np.maximum(np.repeat(coarse, stride)[: len(deviation)], 0.5 * overall)
+        change = median_filter(np.abs(np.diff(column, append=column[-1:])), size, mode="nearest")
         if overall > 0:
-            is_outlier |= deviation > threshold * scale
+            is_outlier |= deviation > threshold * np.maximum(scale, change)
     return is_outlier
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -15,8 +17,12 @@ from onebend.records import Array, IntArray
 from onebend.text_files import MOST_ROWS, QUOTED, csv_rows, listed_columns, quoted
 
 MOST_CELLS = 20_000_000  # of a Parquet table, which may be packed very small
+MOST_BYTES = 400_000_000  # of the same, unpacked
+LONGEST_WORD = 1000  # characters of a cell of the same; each may stand in every row
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
 UNKNOWN = "unknown"  # a cell of a load that acts with unknown strength
+
+Cells = list[object] | np.ndarray  # of a column; an array holds numbers only
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ def read_columns(
     return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
 
 
-def _refuse_others(path: Path, cells: dict[str, list[object]], known: Sequence[str], kind: str) -> None:
+def _refuse_others(path: Path, cells: dict[str, Cells], known: Sequence[str], kind: str) -> None:
     """An error where a column that is not known holds numbers: it is probably misnamed, or in another unit."""
     for name in (name for name in cells if name not in known):
         if any(_is_number(cell) for cell in cells[name]):
@@ -96,7 +102,7 @@ def _is_number(cell: object) -> bool:
         return False
 
 
-def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
+def _csv(path: Path) -> tuple[dict[str, Cells], int]:
     """Cells by column, empty lines left out, and the line of the first row."""
     lines = [row for _, row in csv_rows(path, RecordingError)]
     header = [name.strip() for name in lines[0]] if lines else []
@@ -109,23 +115,64 @@ def _csv(path: Path) -> tuple[dict[str, list[object]], int]:
     return {name: [row[i] for row in body] for i, name in enumerate(header) if name}, 2
 
 
-def _parquet(path: Path) -> tuple[dict[str, list[object]], int]:
+def _parquet(path: Path) -> tuple[dict[str, Cells], int]:
     import pyarrow as pa  # here: most tables are CSV, and Arrow takes a tenth of a second to load
     import pyarrow.parquet as pq
 
     try:
-        head = pq.read_metadata(path)
+        head, schema = pq.read_metadata(path), pq.read_schema(path)
         if head.num_rows * max(head.num_columns, 1) > MOST_CELLS or head.num_rows > MOST_ROWS:
             raise RecordingError(
                 f"{path}: {head.num_rows} rows of {head.num_columns} columns are more than can be read."
             )
-        table = pq.read_table(path)
+        nested = [field.name for field in schema if pa.types.is_nested(field.type)]
+        if nested:
+            raise RecordingError(
+                f"{path}: the column {quoted(nested[0])} holds lists. A cell is one number or one word."
+            )
+        size = sum(head.row_group(i).total_byte_size for i in range(head.num_row_groups))
+        if size > MOST_BYTES:
+            raise RecordingError(
+                f"{path}: unpacked it has {size / 1e6:.3g} MB; at most {MOST_BYTES / 1e6:.3g} are read."
+            )
+        words = [field.name for field in schema if not _is_short(field.type)]
+        table = pq.read_table(path, read_dictionary=words)  # each word once, however often it stands there
+        for name in words:
+            _refuse_long_words(path, name, table[name])
     except (pa.ArrowException, OSError) as wrong:
         raise RecordingError(f"{path} cannot be read as Parquet ({wrong}). Export it anew, or as CSV.") from None
-    return {name: table[name].to_pylist() for name in table.column_names}, 1
+    return {name: _cells(table[name]) for name in table.column_names}, 1
 
 
-def _numbers(path: Path, name: str, cells: list[object], rows: IntArray, unknown: bool) -> Array:
+def _cells(column: Any) -> Cells:
+    """A column's cells: an array where all are numbers."""
+    import pyarrow as pa
+
+    numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+    cells: Cells = column.to_numpy() if numeric and column.null_count == 0 else column.to_pylist()
+    return cells
+
+
+def _is_short(kind: Any) -> bool:
+    """Whether a value of this Arrow type takes a few bytes."""
+    import pyarrow as pa
+
+    return bool(pa.types.is_primitive(kind) or pa.types.is_null(kind))
+
+
+def _refuse_long_words(path: Path, name: str, column: Any) -> None:
+    """Raise where a column of words, read as a dictionary, holds texts."""
+    for chunk in column.chunks:
+        words = chunk.dictionary.to_pylist() if hasattr(chunk, "dictionary") else chunk.to_pylist()
+        if any(word is not None and len(word) > LONGEST_WORD for word in words):
+            raise RecordingError(f"{path}: a cell of {name} has more than {LONGEST_WORD} characters.")
+
+
+def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool) -> Array:
+    if isinstance(cells, np.ndarray):
+        if np.isinf(cells).any():
+            _refuse_infinite(path, name, rows[int(np.argmax(np.isinf(cells)))])
+        return cells.astype(float)
     numbers = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
@@ -139,6 +186,10 @@ def _numbers(path: Path, name: str, cells: list[object], rows: IntArray, unknown
             raise RecordingError(
                 f"{path}, row {rows[i]}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
             ) from None
-        if np.isinf(numbers[i]):
-            raise RecordingError(f"{path}, row {rows[i]}: {name} is infinite. Leave the cell empty where unknown.")
+        if math.isinf(numbers[i]):
+            _refuse_infinite(path, name, rows[i])
     return numbers
+
+
+def _refuse_infinite(path: Path, name: str, row: int) -> NoReturn:
+    raise RecordingError(f"{path}, row {row}: {name} is infinite. Leave the cell empty where unknown.")

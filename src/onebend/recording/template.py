@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
-from onebend.errors import RecordingError
+from onebend.errors import RecordingError, ResultsError
+from onebend.files.single_file import write_file
 from onebend.recording.folder import FILE_NAME, FORMAT
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
@@ -45,14 +46,12 @@ def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[s
         RecordingError: the folder holds one already, or cannot be written.
     """
     path = Path(folder) / FILE_NAME
+    if path.exists():
+        raise RecordingError(f"{path} exists already. Edit it, or name another folder.")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            file.write(template(kind, **filled))
-    except FileExistsError:
-        raise RecordingError(f"{path} exists already. Edit it, or name another folder.") from None
-    except OSError as wrong:
-        raise RecordingError(f"{path} cannot be written: {wrong.strerror}. Name another folder.") from None
+        write_file(path, template(kind, **filled))
+    except ResultsError as wrong:
+        raise RecordingError(str(wrong)) from None
     return path
 
 

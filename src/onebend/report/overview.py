@@ -154,7 +154,7 @@ def _largest(recording: Recording, log: ForceLog) -> Array:
 def tared(recording: Recording, log: ForceLog) -> Array:
     """(N, 2) N, the log's force on the beam in its axes without spikes and quick noise, less what it shows in its
     first rows: roughly its zero."""
-    bad = outliers(log.force)
+    bad = outliers(log.force, spacing=step(log.time))
     span = max(1, round(SMOOTH / step(log.time)))
     values = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
     smooth = uniform_filter1d(np.stack(values, axis=1), min(span, len(bad) // 4), axis=0, mode="nearest")

@@ -72,6 +72,8 @@ def otherwise(name: str, h: float) -> Array:
         return poses(beam, at_s=1.0 + h)
     if name == "force direction":
         return poses(beam, FORCES @ np.array([[np.cos(h), np.sin(h)], [-np.sin(h), np.cos(h)]]))
+    if name == "axis scale":
+        return poses(beam, FORCES * np.array([1.0 + h, 1.0 - h]))
     if name == "clamp":
         return poses(replace(beam, clamp_angle=h))
     assert name == "stretch"
@@ -82,7 +84,14 @@ def otherwise(name: str, h: float) -> Array:
 
 @pytest.mark.parametrize(
     ("name", "h"),
-    [("length", 1e-4), ("push place", -1e-4), ("force direction", 1e-4), ("clamp", 1e-4), ("stretch", 1e-4)],
+    [
+        ("length", 1e-4),
+        ("push place", -1e-4),
+        ("force direction", 1e-4),
+        ("axis scale", 1e-4),
+        ("clamp", 1e-4),
+        ("stretch", 1e-4),
+    ],
 )
 def test_patterns_are_derivatives_of_the_beam(name: str, h: float) -> None:
     slope = (otherwise(name, h) - poses(spline_beam())) / h

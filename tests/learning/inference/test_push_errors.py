@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,6 +84,7 @@ def learned(
     said: float = np.nan,
     turn: float = 0.0,
     bend: float = 1.0,
+    scale: tuple[float, float] = (1.0, 1.0),
     place_sd: float = PLACE_SD,
     direction_sd: float = DIRECTION_SD,
 ) -> Posterior:
@@ -94,7 +96,7 @@ def learned(
     )
     made = virtual_recording(bench, seed=1)
     cos, sin = np.cos(turn), np.sin(turn)
-    log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]))
+    log = replace(made.log, force=made.log.force @ np.array([[cos, sin], [-sin, cos]]) * np.array(scale))
     seen = with_stated(observe_virtual(replace(made, log=log)), place_sd=place_sd, direction_sd=direction_sd)
     return fit([seen], 0.02, settings=replace(IDEAL, functions=16, most_frames=80, first_frames=40))
 
@@ -125,9 +127,10 @@ def test_axes_that_are_off_are_found_within_their_tolerance() -> None:
     [
         ("force direction", {"turn": 0.35}),
         ("push place", {"at_s": 0.6, "said": 1.0}),
+        ("axis scale", {"scale": (2.5, 1.0)}),
     ],
 )
-def test_a_gross_mistake_is_told(name: str, wrong: dict[str, float]) -> None:
+def test_a_gross_mistake_is_told(name: str, wrong: dict[str, Any]) -> None:
     one = learned(**wrong)
     assert not one.criticism.trusted
     assert one.criticism.causes[0].score.suspect.name == name

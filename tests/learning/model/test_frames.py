@@ -13,7 +13,7 @@ from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import force_that_bends
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
-from onebend.learning.model.frames import learnable_frames, usable_frames
+from onebend.learning.model.frames import learnable_frames, usable_frames, with_seen_tags
 from onebend.learning.posterior import fit
 from onebend.records import Observations
 from tests.learning.bench import IDEAL
@@ -63,3 +63,14 @@ def test_a_beam_that_is_let_go_is_learned_as_well_as_one_led_back(fall: float) -
     band, true = found.band(s), SOFT.stiffness(s)
     assert np.max(np.abs(np.log(band.k / true))) < 0.1
     assert np.mean((band.low < true) & (true < band.high)) > 0.9
+
+
+def test_a_tag_that_no_recording_shows_is_left_out() -> None:
+    one = pushed(2.0)
+    hidden = replace(one, xy=np.where(np.arange(3)[:, None] == 1, np.nan, one.xy))
+    (left,) = with_seen_tags([hidden])
+    assert left.tag_id.tolist() == [1, 3]
+    np.testing.assert_array_equal(left.xy, one.xy[:, [0, 2]])
+    np.testing.assert_array_equal(left.rest_covariance, one.rest_covariance[[0, 2]])
+    both = with_seen_tags([hidden, one])  # one of them shows it
+    assert [len(o.tag_id) for o in both] == [3, 3]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -108,6 +109,30 @@ def check_same_beam(recordings: Sequence[Observations]) -> None:
                 f"{o.source.name} is not of the beam of {first.source.name}: length {o.length} m against "
                 f"{first.length} m, tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
             )
+
+
+def with_seen_tags(recordings: Sequence[Observations]) -> list[Observations]:
+    """The recordings of one beam without the tags that none of them ever shows: they tell nothing, and cost time."""
+    if len({one.tag_id.tobytes() for one in recordings}) != 1:
+        return list(recordings)
+    seen = np.any([np.isfinite(one.xy).any(axis=(0, 2)) for one in recordings], axis=0)
+    return list(recordings) if seen.all() else [_of_tags(one, seen) for one in recordings]
+
+
+def _of_tags(one: Observations, kept: BoolArray) -> Observations:
+    """The observations of the tags `kept` (m,) alone."""
+    return replace(
+        one,
+        tag_id=one.tag_id[kept],
+        marker_s=one.marker_s[kept],
+        xy=one.xy[:, kept],
+        angle=one.angle[:, kept],
+        covariance=one.covariance[:, kept],
+        rest_xy=one.rest_xy[kept],
+        rest_angle=one.rest_angle[kept],
+        rest_covariance=one.rest_covariance[kept],
+        by_camera=None if one.by_camera is None else one.by_camera[:, kept],
+    )
 
 
 def push_places(observations: Observations) -> Array:

@@ -35,7 +35,7 @@ class BinnedLog:
 
 def binned(log: ForceLog, rate: float, span: tuple[float, float], highest_rate: float) -> BinnedLog:
     """The log within `span` [s] at `rate` rows per second, at most `highest_rate`, and no more than the log has."""
-    inside = (log.time >= span[0]) & (log.time <= span[1]) & ~outliers(log.force)
+    inside = (log.time >= span[0]) & (log.time <= span[1]) & ~outliers(log.force, spacing=step(log.time))
     time, force = log.time[inside], log.force[inside]
     if len(time) < 10:
         return BinnedLog(np.empty(0), np.empty((0, 2)), 1.0, 0.0)

@@ -67,7 +67,7 @@ def clean_force(
     keeps its bias, its noise is unknown (NaN) and a warning says so. `noise` is what is known of the sensor's noise
     (from the clock search); without it the scatter at rest stands for it, and drift is not in `noise_sd`.
     """
-    bad = outliers(log.force, threshold=settings.outlier_sd)
+    bad = outliers(log.force, spacing=step(log.time), threshold=settings.outlier_sd)
     force = log.force @ to_beam(rotation)
     if acts_on == "robot":
         force = -force

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtri
 
-from onebend.recording.signals import MAD_TO_SD, bridged, outliers, runs
+from onebend.recording.signals import MAD_TO_SD, bridged, outliers, runs, step
 from onebend.records import Array, BoolArray, ForceLog, Markers, Remark
 
 
@@ -118,7 +118,7 @@ def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float
 
 def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
     """Time on the log's clock from which the force stays what it was in `rest` [s, log's clock]; infinite if never."""
-    good = ~outliers(log.force)
+    good = ~outliers(log.force, spacing=step(log.time))
     time, force = log.time[good], log.force[good]
     before = (time >= rest.min(initial=np.inf)) & (time <= rest.max(initial=-np.inf))
     width = 0.1

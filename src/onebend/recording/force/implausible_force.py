@@ -13,7 +13,7 @@ from onebend.recording.signals import within_noise
 from onebend.records import Array, Remark
 
 AXES = ("first", "second")
-AT_END, MORE_THAN_NEXT = 0.01, 3.0  # share of rows at an extreme value; how many times those at the next value
+AT_END, MORE_THAN_NEXT, FEWEST = 0.01, 3.0, 5  # share of rows at an extreme value; times those at the next; rows
 LARGEST, SMALLEST = (
     100.0,
     5e-3,
@@ -46,7 +46,7 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
     for axis, column in zip(AXES, force.T, strict=True):
         values, counts = np.unique(column, return_counts=True)
         for end, index, inward in (("largest", -1, -2), ("smallest", 0, 1)):
-            if len(values) < 3 or counts[index] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward]):
+            if len(values) < 3 or counts[index] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward], FEWEST):
                 continue
             at_extreme = column == values[index]
             after, before = np.append(False, at_extreme[:-1]), np.append(at_extreme[1:], False)

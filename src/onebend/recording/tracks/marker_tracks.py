@@ -13,7 +13,7 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.recording.camera.base import MOVED, RUNNING, running_median
-from onebend.recording.camera.projection import FARTHEST, chord_fits
+from onebend.recording.camera.projection import FARTHEST, chord_fits, order_hint
 from onebend.recording.camera.tag_poses import unwrap
 from onebend.recording.force.contact import ContactSettings, find_contact
 from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
@@ -208,6 +208,7 @@ def check_scale(rec: Recording, xy: Array) -> None:
     metres, or a wrong s."""
     s = np.array([0.0, *(tag.s for tag in rec.tags.on_beam)])
     order = np.argsort(s)
+    names = ["the clamp", *(f"marker {tag.id}" for tag in rec.tags.on_beam)]
     points = np.concatenate([np.zeros((len(xy), 1, 2)), xy], axis=1)[:, order]
     arcs = np.diff(s[order]) * rec.beam.length
     slack = 3 * math.sqrt(2) * rec.tags.placement_sd
@@ -219,9 +220,9 @@ def check_scale(rec: Recording, xy: Array) -> None:
         farthest = float(np.percentile(measured, FARTHEST))
         if not chord_fits(farthest, arc, slack):
             raise ObservationError(
-                f"{rec.name}: two neighbouring markers (or the clamp and the first) are {1000 * farthest:.4g} mm apart "
-                f"at most, recording.toml puts {1000 * arc:.4g} mm of beam between them. Are x_m and y_m in metres? "
-                "Check length_m and the markers' s.",
+                f"{rec.name}: {names[order[i]]} and {names[order[i + 1]]} are {1000 * farthest:.4g} mm apart at most, "
+                f"recording.toml puts {1000 * arc:.4g} mm of beam between them.{order_hint(xy, rec)} Are x_m and y_m "
+                "in metres? Check length_m and the markers' ids and s.",
                 about="unit",
             )
 

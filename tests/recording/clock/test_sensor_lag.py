@@ -1,0 +1,56 @@
+"""A slow force sensor: found by what the log does beside the tags, and undone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.recording.clock.offset import ClockSettings, fit_clock
+from onebend.recording.clock.sensor_lag import SensorLag, slow_sensor, without_lag
+from onebend.recording.signals import low_pass, step
+from onebend.records import ForceLog
+from tests.recording.pushed import Pushed
+
+PUSHED = Pushed()
+SETTINGS = ClockSettings()
+
+
+def behind(log: ForceLog, tau: float) -> ForceLog:
+    """The log of a sensor with a first-order lag `tau` [s], which was at rest before."""
+    part, force = 1.0 - np.exp(-step(log.time) / tau), log.force.copy()
+    force[0] = log.force[:50].mean(axis=0)
+    for i in range(1, len(force)):
+        force[i] = force[i - 1] + part * (log.force[i] - force[i - 1])
+    return replace(log, force=force)
+
+
+def found(log: ForceLog, push_s: float | None = 1.0) -> SensorLag | None:
+    clock = fit_clock(PUSHED.markers(), log, 249.4, 2.0, push_s=push_s, settings=SETTINGS).clock
+    return slow_sensor(PUSHED.markers(), log, clock, push_s=push_s, settings=SETTINGS)
+
+
+@pytest.mark.parametrize("push_s", [1.0, pytest.param(None, marks=pytest.mark.slow)])
+def test_a_slow_sensor_is_found_and_a_quick_one_is_not(push_s: float | None) -> None:
+    lag = found(behind(PUSHED.log(), 0.8), push_s)
+    assert lag is not None
+    assert lag.tau == pytest.approx(0.8, rel=0.2)
+    assert found(PUSHED.log(), push_s) is None
+
+
+@pytest.mark.slow
+def test_a_delay_is_no_lag() -> None:
+    log = PUSHED.log()
+    assert found(replace(log, time=log.time + 0.8)) is None
+
+
+def test_a_lag_is_undone() -> None:
+    log = PUSHED.log()
+    smooth = low_pass(log.time, log.force, 2.0, longest_gap=0.1)
+    slow = behind(log, 0.8)
+    undone = without_lag(slow, 0.8, 2.0).force
+    inner = slice(100, -100)
+    size = float(np.ptp(smooth[:, 0]))
+    assert np.abs(slow.force - smooth)[inner].max() > 0.3 * size
+    assert np.abs(undone - smooth)[inner].max() < 0.1 * size
