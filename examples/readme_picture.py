@@ -25,7 +25,7 @@ figures = [
         found.beam,
         uncertain=found.stiffness,
         regression=learned.beam.stiffness,
-        marker_s=observations.marker_s,
+        tags=dict(zip(observations.tag_id.tolist(), observations.marker_s.tolist(), strict=True)),
     ),
 ]
 pictures = [Image.open(BytesIO(png_of(figure))).convert("RGB") for figure in figures if figure is not None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -125,12 +125,7 @@ def _not_learned_from(
     """The comparisons that validate; a warning on each with data that the beam was learned from, copied or not."""
     known = [any(_same_data(other, one) for one in seen) for _, other in pairs]
     remarks = tuple(
-        Remark(
-            "warning",
-            f"the beam was learned from {comparison.name}, so this recording is no validation and was left out: a fit "
-            "always looks good on its own data. Film another push, and validate on that",
-            about="no validation",
-        )
+        _no_validation(comparison.name, "this recording is no validation and was left out")
         for (comparison, _), learned in zip(pairs, known, strict=True)
         if learned
     )
@@ -195,7 +190,8 @@ def _regression(
 
 
 def _no_regression(why: object) -> Remark:
-    return Remark("warning", f"the paper's regression found no beam: {why}", about="no regression")
+    text = f"the paper's regression found no beam: {why}. Take k(s) from the fit, which needs none"
+    return Remark("warning", text, about="no regression")
 
 
 def _fit(
@@ -237,12 +233,14 @@ def compare(
     beam: Beam,
     folders: Sequence[Path | str],
     *,
+    learned_from: Sequence[Observations] = (),
     stiffness: UncertainStiffness | None = None,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
     """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
+    A warning stands on those that it was `learned_from`.
 
     Raises:
         ObservationError: a recording of a beam of another length; and all that `learn` raises.
@@ -254,7 +252,20 @@ def compare(
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, progress=progress)
         pairs.append((validate(beam, seen, stiffness=stiffness), seen))
-    return pairs
+    return [(_warned(found, seen, learned_from), seen) for found, seen in pairs]
+
+
+def _warned(found: Comparison, seen: Observations, learned_from: Sequence[Observations]) -> Comparison:
+    if not any(np.array_equal(one.xy, seen.xy, equal_nan=True) for one in learned_from):
+        return found
+    return replace(found, remarks=(_no_validation(found.name, "this is no validation"), *found.remarks))
+
+
+def _no_validation(name: str, what: str) -> Remark:
+    text = (
+        f"the beam was learned from {name}, so {what}: a fit always looks good on its own data. Film another push, and"
+    )
+    return Remark("warning", f"{text} validate on that", about="no validation")
 
 
 @one_blas_thread

@@ -133,7 +133,7 @@ def test_a_fit_that_misses_hopelessly_says_so_once_and_nothing_else() -> None:
     far = shifted(one, 1.0)
     (said,) = fit_remarks(far)
     assert said.level == "warning"
-    assert "not to be relied on" in said.text
+    assert "NOT TO BE TRUSTED" in said.text
     near = shifted(one, 0.003)
     assert [miss.hopeless for miss in (*far.misses, *near.misses)] == [True, False]
     assert not near.band(np.linspace(0, 1, 11)).identified.any()
@@ -235,6 +235,13 @@ def test_what_was_learned_from_is_no_validation(monkeypatch: pytest.MonkeyPatch)
     assert [one.source.name for one in run.validation_observations] == ["other"]
     told = [remark.text for remark in run.remarks if "no validation" in remark.text]
     assert ["made" in told[0], "copy" in told[1], len(told)] == [True, True, 2]
+    pairs = pipeline.compare(run.beam, ["train", "copy", "fast"], learned_from=run.recordings)
+    said = [[one.text for one in found.remarks if "no validation" in one.text] for found, _ in pairs]
+    assert [len(texts) for texts in said] == [1, 1, 0]
+    assert "Film another push" in said[0][0]
+    assert not any(
+        "no validation" in one.text for found, _ in pipeline.compare(run.beam, ["train"]) for one in found.remarks
+    )
 
 
 def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:

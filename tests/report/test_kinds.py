@@ -57,7 +57,7 @@ def test_the_page_of_hung_weights_speaks_of_no_film_and_of_no_force_log() -> Non
     for wrong in ("No force was logged", "loaded frames", "the video", "film", "as logged", "force log", "over time",
                   "Force and clock", "sensor", "0.0 s"):  # fmt: skip
         assert wrong not in text.replace("needs a filmed push", ""), wrong
-    for right in ("6 static poses under known loads", "Loads and points", "poses in which a point was found",
+    for right in ("6 static poses under known loads", "Loads and points", "poses in which a tag was found",
                   "load_sd_N", "a balance that reads 1 %"):  # fmt: skip
         assert right in text, right
 
@@ -68,8 +68,8 @@ def test_hung_weights_have_one_distance_from_the_fit() -> None:
     assert run.posterior is not None
     text = Links(page(run, {}, version="1")).text
     worst = max(float(np.nanmax(rms)) for rms in fitted_rms(run.posterior))
-    card = next(card for card in cards(run) if "worst point" in card["what"])
-    assert card["value"] == f"{millimetres(worst)} mm"
+    card = next(card for card in cards(run) if "worst tag" in card["what"])
+    assert card["value"].startswith(f"{millimetres(worst)}\u00a0mm (tag")
     as_written = validate(run.beam, run.recordings[0]).rms
     said = text.split("Fit to what it was learned from")[1].split("What a real beam and a real bench also do")[0]
     fitted = {millimetres(value) for value in fitted_rms(run.posterior)[0]}
@@ -95,9 +95,8 @@ def test_assumptions_and_inputs_fit_the_kind(kind: str) -> None:
     assert ("logged force" in said) == (kind in ("film", "tracks"))
     assert ("stood still" in said) == (kind in ("photos", "poses"))
     rows = dict(inputs(one))
-    word = {"film": "frames in which a tag", "tracks": "frames in which a marker",
-            "photos": "photos in which a tag", "poses": "poses in which a point"}[kind]  # fmt: skip
-    assert f"{word} was found" in rows
+    instants = {"film": "frames", "tracks": "frames"}.get(kind, kind)
+    assert f"{instants} in which a tag was found" in rows
     assert ("loads" in rows) == (kind in ("photos", "poses"))
 
 

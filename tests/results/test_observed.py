@@ -14,7 +14,7 @@ import pytest
 
 from onebend.errors import ResultsError
 from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated, StatedSection
-from onebend.results.observations_file import load_observations, save_observations
+from onebend.results.observations_file import load_observations, observations_beside, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up
 from tests.made_up import same, with_source
@@ -114,6 +114,19 @@ def test_bare_observations_come_back(tmp_path: Path) -> None:
 @dataclass(frozen=True)
 class Holder:
     values: dict[str, float]
+
+
+def test_what_a_model_was_learned_from_is_found_beside_it(tmp_path: Path) -> None:
+    assert observations_beside(tmp_path / "model.json") == ()
+    first, second = (
+        with_source(made_up.observations(), name="first"),
+        with_source(made_up.observations(), name="second"),
+    )
+    save_observations(tmp_path / "observations.parquet", first)
+    save_observations(tmp_path / "observations-2.parquet", second)
+    (tmp_path / "observations-3.parquet").write_bytes(b"damaged")
+    for where in (tmp_path, tmp_path / "model.json"):
+        assert {one.source.name for one in observations_beside(where)} == {"first", "second"}
 
 
 def test_a_field_that_has_no_way_to_json_and_back_is_an_error() -> None:

@@ -39,6 +39,7 @@ from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import learned_writer, validation_writer
 from onebend.results.model import model_file
+from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of
 from onebend.results.recording_files import recording_files
 from onebend.results.summary import (
@@ -192,8 +193,16 @@ def validate(
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     with clean_errors():
         stored = read_trusted(model)
-        beam, known = stored.beam, stored.uncertain
-        work = partial(compare, beam, recordings, stiffness=known, observing=_observing(threads, epsilon))
+        known = observations_beside(model)
+        work = partial(
+            compare,
+            stored.beam,
+            recordings,
+            learned_from=known,
+            stiffness=stored.uncertain,
+            observing=_observing(threads, epsilon),
+        )
+        beam = stored.beam
         if output is None:
             with progress_of(quiet) as progress:
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)

@@ -80,7 +80,7 @@ class Design:
                 Remark(
                     "warning",
                     f"the beam is only {self.length / widest:.1f} widths long: it shears as well as bends, and is "
-                    "softer than said here.",
+                    "softer than said here. Make it longer, or narrower.",
                     about="shear",
                 ),
             )

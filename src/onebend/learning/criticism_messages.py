@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from onebend.learning.criticism.alternatives import Suspect
 from onebend.learning.criticism.criticism import ALARM_WRITTEN, Criticism, Finding
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Remark
@@ -24,7 +25,8 @@ def criticism_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     odd = [
         Remark(
             "note",
-            f"{supposed_words(f, posterior)}: more than chance explains, but too little to count: k(s) would change by "
+            f"{supposed_words(f, posterior)}: more than chance explains, but too little to matter: k(s) would change "
+            "by "
             "less than half of its sd",
         )
         for f in small
@@ -46,7 +48,7 @@ def _verdict(posterior: Posterior) -> Remark:
             parts.append("About as likely: " + "; ".join(what for what, _ in others))
         parts.append(_effect(critic))
     else:
-        parts.append("No single cause that is known of explains it. Look at the residuals, and at the film")
+        parts.append("No single cause that is known of explains it. Look at the residuals in the report, tag by tag")
     return Remark("warning", ". ".join(parts), about=about_causes(critic))
 
 
@@ -63,7 +65,7 @@ def _effect(critic: Criticism) -> str:
     change = 100.0 * float(np.expm1(best.shift))
     return (
         f"With the likeliest one taken into account k(s) would change by up to {change:.2g} %; a band "
-        f"{critic.widening:.2g} times as wide would hold that k(s), and no other mistake"
+        f"{critic.widening:.2g} times as wide would hold that k(s), if this is the only cause"
     )
 
 
@@ -71,7 +73,11 @@ def symptom_words(finding: Finding, posterior: Posterior) -> str:
     """Which coordinate of which tag, and how much."""
     suspect = finding.score.suspect
     whose = f"{suspect.recording}: " if len(posterior.recordings) > 1 else ""
-    return f"{whose}tag {suspect.tag} {suspect.name}, {_millimetres(finding.score.size)} RMS that follows the load"
+    return f"{whose}{_residuals(suspect)} ({_millimetres(finding.score.size)} RMS)"
+
+
+def _residuals(suspect: Suspect) -> str:
+    return f"residuals of tag {suspect.tag} in {suspect.name} that follow the load"
 
 
 def cause_words(finding: Finding, posterior: Posterior) -> _Words:
@@ -82,10 +88,11 @@ def cause_words(finding: Finding, posterior: Posterior) -> _Words:
         what, do = _MECHANICS[suspect.name](value, posterior)
     elif suspect.kind == "prior":
         what, do = _PRIORS[suspect.name](value, suspect.tag)
+        do = do if suspect.name != "scale" or _filmed(posterior) else "Check the unit and the scale of the tags' places"
     elif suspect.kind == "change":
         what, do = _CHANGES[suspect.name](finding.score.size, suspect.tag)
     else:
-        what, do = symptom_words(finding, posterior), "Look at the film"
+        what, do = symptom_words(finding, posterior), "Look at the residuals of this tag in the report"
     return whose + what, do
 
 
@@ -111,7 +118,7 @@ def supposed_words(finding: Finding, posterior: Posterior) -> str:
     if finding.score.suspect.kind == "trend":
         suspect = finding.score.suspect
         whose = f"{suspect.recording}: " if len(posterior.recordings) > 1 else ""
-        return f"{whose}tag {suspect.tag} {suspect.name} follows the load in a way that the model does not"
+        return f"{whose}{_residuals(suspect)}"
     if not np.all(np.isfinite(finding.score.value)):
         return f"{finding.score.suspect.name}: nothing in the data tells"
     return cause_words(finding, posterior)[0]
@@ -126,14 +133,18 @@ def _stretch(value: Array, _: Posterior) -> _Words:
 
 def _shear(value: Array, _: Posterior) -> _Words:
     size = f" (G A about {_two_digits(1.0 / value[0])} N)" if value[0] > 0.0 else ""
-    return f"the beam shears{size}", "A beam as thick as that, or as soft across, is beyond this model"
+    return (
+        f"the beam shears{size}",
+        "Learn from a thinner beam: one as thick as that, or as soft across, is beyond this model",
+    )
 
 
 def _length(value: Array, posterior: Posterior) -> _Words:
     said = posterior.recordings[0].observations.length
     side = "longer" if value[0] > 0.0 else "shorter"
     words = f"the beam is about {_millimetres(said * abs(value[0]))} {side} than the {1000 * said:.4g} mm written down"
-    return words, "Measure length_m from the clamp's edge to the tip, the tags' s, and the size of the tags' squares"
+    squares = ", and the size of the tags' squares" if _filmed(posterior) else ""
+    return words, f"Measure length_m from the clamp's edge to the tip, and the tags' s{squares}"
 
 
 def _place(value: Array, posterior: Posterior) -> _Words:
@@ -172,12 +183,12 @@ def _weight(value: Array, _: Posterior) -> _Words:
 def _viscous(_: Array, __: Posterior) -> _Words:
     return (
         "the shape lags behind the force",
-        "Push more slowly; check the clocks; a beam that flows is beyond this model",
+        "Push more slowly; a beam that flows is beyond this model",
     )
 
 
 def _pliant(_: Array, __: Posterior) -> _Words:
-    return "the clamp gives way under the load", "Hold the beam more firmly, or see --clamp-sd-deg"
+    return "the clamp gives way under the load", "Hold the beam more firmly"
 
 
 def _rest(_: Array, __: Posterior) -> _Words:
@@ -205,13 +216,16 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
     ),
     "across": lambda v, tag: (f"tag {tag} sits {_millimetres(abs(v[0]))} beside its written place", _PLACES),
     "turn": lambda v, tag: (f"tag {tag} is turned by {_degrees(v[0])}", _PLACES),
-    "clamp": lambda v, _: (f"the clamp is turned by {_degrees(v[0])}", "Check the base tag, or see --clamp-sd-deg"),
+    "clamp": lambda v, _: (
+        f"the clamp is turned by {_degrees(v[0])}",
+        "Check the direction of the clamp, or state clamp_sd_deg in [beam]",
+    ),
     "origin": lambda v, _: (
         f"the clamp is {_millimetres(float(np.linalg.norm(v)))} from where the base tag puts it",
-        "Check the base tag's place, length_m and the tags' s",
+        "Check where the beam leaves the clamp, length_m and the tags' s",
     ),
     "scale": lambda v, _: (
-        f"lengths in the picture are off by {100 * v[0]:.2g} %",
+        f"measured lengths are off by {100 * v[0]:.2g} %",
         "Calibrate the camera; check size_m",
     ),
     "clock": lambda v, _: (f"the clocks are off by {1000 * abs(v[0]):.0f} ms", "Check start_s and the frame times"),
@@ -229,6 +243,11 @@ _CHANGES: dict[str, Callable[[float, int], _Words]] = {
     "slip": lambda size, _: (f"the clamp slipped (tags move by {_millimetres(size)})", "Hold the beam more firmly"),
     "loose": lambda size, tag: (f"tag {tag} moved on the beam by {_millimetres(size)}", "Glue it, and record anew"),
 }
+
+
+def _filmed(posterior: Posterior) -> bool:
+    """Whether a camera saw any of it."""
+    return any(one.observations.source.view is not None for one in posterior.recordings)
 
 
 def _two_digits(value: float) -> str:

@@ -17,7 +17,7 @@ from onebend.learning.model.parameters import Block
 from onebend.learning.posterior import Posterior
 from onebend.records import Array
 
-LEVEL = "level of k(s)"
+LEVEL = "mean log k(s)"
 _PLACES = 201
 
 
@@ -57,7 +57,7 @@ def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tu
 
 
 def correlations(posterior: Posterior) -> tuple[list[str], Array]:
-    """Names (N,) and correlations (N, N) of the quantities; the level of k(s) comes first."""
+    """Names (N,) and correlations (N, N) of the quantities; the mean of log k(s) comes first."""
     names, rows = [LEVEL], [_level(posterior)]
     left_out = {"stiffness"} | {
         a.name for one in posterior.recordings for a in one.allowances if a.enters == "poses" and a.sized

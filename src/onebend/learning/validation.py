@@ -138,11 +138,13 @@ def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
             Remark(
                 "warning",
                 f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
-                "branch that grows from rest (it would snap through); these frames are left out of the comparison",
+                "branch that grows from rest (it would snap through); these frames are left out of the comparison: "
+                "check the force and its place",
                 about="no equilibrium",
             )
         )
     if not np.all(stable | ~converged):
         text = f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"
+        text += ": check the force's sign, and that it is this beam"
         out.append(Remark("warning", text, about="no equilibrium"))
     return tuple(out)

@@ -67,7 +67,7 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     wrong = [
         Remark(
             "warning",
-            f"{_whose(posterior, one.name)}{one.words}: k(s) and its band are not to be relied on",
+            f"{_whose(posterior, one.name)}{one.words}: k(s) is NOT TO BE TRUSTED. {_first_check(posterior)}",
             about="miss",
         )
         for one in posterior.misses
@@ -87,7 +87,7 @@ def _tests(posterior: Posterior) -> tuple[Remark, ...]:
         return told
     text = (
         "there is more in the recording than the fit allows for, and nothing that is known of explains it. Look at the "
-        "residuals in the report"
+        "residuals in the report, tag by tag"
     )
     return (Remark("warning", text, about="unexplained"), *told)
 
@@ -95,8 +95,18 @@ def _tests(posterior: Posterior) -> tuple[Remark, ...]:
 def _search(posterior: Posterior) -> list[Remark]:
     if posterior.optimum.converged:
         return []
-    text = f"the fit did not converge ({posterior.optimum.stopped}): k(s) and its band are not to be relied on"
+    text = f"the fit did not converge ({posterior.optimum.stopped}): k(s) is NOT TO BE TRUSTED"
+    text += ". Push further, or learn from several pushes"
     return [Remark("warning", text, about="not converged")]
+
+
+def _first_check(posterior: Posterior) -> str:
+    """What is most often wrong where the fit misses the tags."""
+    if all(one.observations.static for one in posterior.recordings):
+        return "Check the loads and their unit, then the signs of x and y"
+    if any(np.any(one.observations.force != 0.0) for one in posterior.recordings):
+        return "Check the sign and the axes of [force], then the clocks"
+    return "Check the tags' places and the direction of gravity"
 
 
 def _hanging(posterior: Posterior) -> list[Remark]:
@@ -131,7 +141,7 @@ def _clamp(posterior: Posterior) -> list[Remark]:
         return []
     text = (
         f"the clamp's direction was left free to {np.rad2deg(sd):.2g} deg (sd; usual: {np.rad2deg(usual):.2g} deg). A "
-        "turned clamp looks like a softer beam near it, so this can cost what the data say of k there; see the band"
+        "turned clamp looks like a softer beam near it, so the band is wider there. Measure the clamp's direction"
     )
     return [Remark("warning", text, about="free clamp")]
 
@@ -158,7 +168,7 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
             if (_TESTED_AS.get(block.name, block.name), tag) not in told:
                 text = (
                     f"{block.labels[i]} came out {away[i]:.1f} times as far off as recording.toml and the priors allow "
-                    "(one sd): something may not be as it is written there"
+                    "(one sd): check what is written of it"
                 )
                 out.append(Remark("note", text))
     return out

@@ -99,7 +99,8 @@ def to_beam_frame(
         text = "Weight bends the beam in every frame: x is taken along the base tag, and the rest shape is unknown."
         return markers, unknown, (Remark("note", text),)
     if not still.any():
-        text = "No frame shows the beam at rest: x is taken along the base tag, and the rest shape is unknown."
+        text = "No frame shows the beam at rest: x is taken along the base tag, and the rest shape is unknown. Record "
+        text += "three still seconds before the push."
         return markers, unknown, (Remark("warning", text, about="no rest"),)
     turn = beam_turn(rest_shape(markers, still), placement_sd)
     markers = turned(markers, turn)

@@ -31,7 +31,9 @@ def missing_remarks(time: Array, what: str) -> tuple[Remark, ...]:
         return ()
     longest = float(np.diff(time).max())
     text = f"About {count} {what} are missing, {len(time)} are there; the longest gap is {longest:.3g} s."
-    return (Remark("warning" if count > NOTICED * len(time) else "note", text, about="bad rows"),)
+    if count <= NOTICED * len(time):
+        return (Remark("note", text, about="bad rows"),)
+    return (Remark("warning", f"{text} Look at what drops them, and record again.", about="bad rows"),)
 
 
 def false_zeros(force: Array) -> BoolArray:

@@ -25,7 +25,7 @@ from onebend.recording.force.contact import Contact
 from onebend.recording.force.force_log import FEWEST_ROWS, read_force_log
 from onebend.recording.force.implausible_force import refuse_other_unit, size_remarks
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
-from onebend.recording.implausible_axes import read_force, turn_beyond
+from onebend.recording.implausible_axes import axes_words, read_force, turn_beyond
 from onebend.recording.signals import at_times, bandwidth, step
 from onebend.recording.toml.entries import Recording
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
@@ -214,21 +214,9 @@ def check_direction(
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
     if reading is None or not (reading.impossible or reading.better or reading.rotated):
         return ()
-    if reading.better == "opposite":
-        text = "The force looks as if it had the opposite sign. Give acts_on in [force] the other value, beam or robot."
-    elif reading.better:
-        how = reading.better if reading.better.startswith("turned") else f"with {reading.better}"
-        text = f"The force fits the bending far better {how}. Check columns, rotation_deg in [force]."
-    elif reading.rotated:
-        fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
-        text = (
-            f"The force fits the bending far better turned by {math.degrees(reading.turn):.0f} deg. Check columns and "
-            f"rotation_deg in [force] (about {fits:.0f} would fit)."
-        )
-    elif reading.inexplicable:
-        text = "The force does not follow the bending, however its axes are read. Check that the log is of this push."
-    else:
-        text = "The force contradicts the bending. Check columns, rotation_deg and acts_on in [force]."
+    text = axes_words(reading, rotation, key="axes" if rec.force and rec.force.topic else "columns")
+    if rec.markers is not None:
+        text += f" Or the axes of {rec.markers.file.name} are not those of the log: x_m, y_m and angle_rad."
     if refuse and reading.impossible:
         text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
         raise ObservationError(f"{rec.name}: {text}", about="axes")

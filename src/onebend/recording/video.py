@@ -153,7 +153,10 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     measured = 1 / float(np.median(np.diff(time)))
     if abs(measured / video.fps - 1) <= RATE_TOLERANCE:
         return ()
-    text = f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used."
+    text = (
+        f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
+        "Correct fps."
+    )
     return (Remark("warning", text, about="frame rate"),)
 
 

@@ -13,6 +13,7 @@ from onebend.learning.criticism.criticism import ALARM_WRITTEN
 from onebend.learning.criticism_messages import supposed_words
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
+from onebend.learning.verdict import possible
 from onebend.recording.signals import runs
 from onebend.records import Observations
 from onebend.report.findings import Findings
@@ -136,7 +137,7 @@ def stop_words(posterior: Posterior) -> str:
     """Whether the fit converged; where not, why it stopped."""
     steps = f"after {posterior.optimum.steps} steps"
     if posterior.optimum.converged:
-        return f"converged {steps}: the last moved k(s) by next to nothing of its sd"
+        return f"converged {steps}: {posterior.optimum.stopped}"
     return f"did not converge {steps}: {posterior.optimum.stopped}"
 
 
@@ -199,7 +200,7 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
     """The tests with the smallest p-values; none where the fit is hopeless, as the tests are of small changes."""
     if any(misfit.hopeless for misfit in posterior.misses):
         return []
-    critic = posterior.criticism
+    critic = possible(posterior).criticism
     return [
         ModelTestRow(
             what=supposed_words(finding, posterior),
@@ -213,18 +214,19 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 
 
 def alarm_words(posterior: Posterior) -> str:
-    """The threshold of the tests: among so many, some look odd by chance."""
-    critic = posterior.criticism
+    """The threshold of the tests: among so many, some stand out by chance."""
+    critic = possible(posterior).criticism
     written = max(critic.alarm, ALARM_WRITTEN)
     return (
-        f"Of {len(critic.findings)} tests some look odd by chance: one counts beyond {_odds(critic.alarm)} "
+        f"Of {len(critic.findings)} tests some stand out by chance: one counts as standing out beyond "
+        f"{_odds(critic.alarm)} "
         f"({_odds(written)} for place and direction of the push, which people write down), if k(s) would change by "
         "more than half of its sd."
     )
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:
-    """The strongest pairs, one sentence each; first what the level of k(s) itself depends on."""
+    """The strongest pairs, one sentence each; first what the mean of log k(s) depends on."""
     level = with_level(posterior)
     words = [f"{_pair(pair)}" for pair in level]
     return words + [_pair(pair) for pair in tradeoffs(posterior) if pair not in level]

@@ -74,7 +74,8 @@ def poor_fit(comparison: Comparison, *, other: bool = False) -> list[Remark]:
     if other:
         check = f"that this is the beam that was learned, {check}"
     text = (
-        f"the simulated beam misses M{worst + 1} by {1000 * comparison.rms[worst]:.3g} mm RMS where it moves by "
+        f"the simulated beam misses tag {comparison.tag_id[worst]} by {1000 * comparison.rms[worst]:.3g} mm RMS where "
+        "it moves by "
         f"{1000 * motion[worst]:.3g} mm: this is no good fit. Check {check}"
     )
     return [Remark("warning", text, about="tag missed")]
@@ -91,7 +92,7 @@ def another_beam(comparison: Comparison) -> list[Remark]:
     if not ratio[worst] > MANY:
         return []
     text = (
-        f"M{worst + 1} is missed by {ratio[worst]:.2g} times what the force's noise explains: is this another beam "
+        f"tag {comparison.tag_id[worst]} is missed by {ratio[worst]:.2g} times the force noise: is this another beam "
         "than the learned one, or are the clock, the force or the place of the push wrong in one of the two recordings?"
     )
     return [Remark("warning", text, about="another beam")]

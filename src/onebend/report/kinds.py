@@ -19,20 +19,16 @@ class KindWords:
 
     kind: Kind
     frames: str  # several instants of it
-    tags: str  # what is seen of the beam
-    tag: str
     under: str  # what the beam is simulated under without a fit's corrections
     inputs: str  # the heading over what was read
     gone_by: str  # what an hour of work is compared with; empty where nothing passed
 
 
 WORDS: dict[Kind, KindWords] = {
-    "film": KindWords("film", "frames", "tags", "tag", "under the force as logged", "Force and clock", "video"),
-    "tracks": KindWords(
-        "tracks", "frames", "markers", "marker", "under the force as logged", "Force and clock", "recording"
-    ),
-    "photos": KindWords("photos", "photos", "tags", "tag", "under the loads as written", "Loads and photos", ""),
-    "poses": KindWords("poses", "poses", "points", "point", "under the loads as written", "Loads and points", ""),
+    "film": KindWords("film", "frames", "under the force as logged", "Force and clock", "video"),
+    "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock", "recording"),
+    "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos", ""),
+    "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points", ""),
 }
 
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import half_width_words
 from onebend.errors import section
 from onebend.learning.criticism.alternatives import Suspect
 from onebend.learning.criticism_messages import cause_words
@@ -22,9 +23,9 @@ from onebend.records import Array, Observations
 from onebend.report.allowance_words import narrower_words, share_words
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
-from onebend.report.wording import marker_words, millimetres, significant
+from onebend.report.wording import millimetres, significant, tag_words
 
-AS_GOOD = 1.5  # times what the force's noise alone explains: a sensor that is not better can show no better beam
+AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
 _MOST_NAMED = 4  # allowances, tests
 _SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
 _NARROW, _MOST = 0.1, 0.9  # half-width of the band, identified share: with less, another push tells more
@@ -42,7 +43,7 @@ class Verdict:
     use: str  # how far off its predictions are, and what that means
     narrower: str  # what to state for a narrower band; empty where nothing would help much
     next: str  # the one thing to do
-    error: float  # m RMS of the worst marker; NaN: not known
+    error: float  # m RMS of the worst tag; NaN: not known
     error_of: ErrorOf
     about: str = ""  # what is wrong with k(s), a key of `errors.SECTIONS`; "": nothing is
 
@@ -62,14 +63,14 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Error:
-    """The worst marker of the recordings that count."""
+    """The worst tag of the recordings that count."""
 
     of: ErrorOf
     rms: float  # m
-    marker: str
-    sensor: float  # m, what the force's noise alone explains of it
+    tag: str
+    noise: float  # m, the force noise of it
     likely: float  # m, what that, the band of k(s) and the push's tolerances let expect
-    motion: float  # m, how far the marker moves
+    motion: float  # m, how far the tag moves
     name: str
     failed: bool  # a warning says so
 
@@ -130,8 +131,8 @@ def _known(findings: Findings) -> str:
         return f"{span}, not identified: at no place to a factor of 1.5 (95 %)"
     widest = max(end - begin for begin, end in ranges)
     where = ", ".join(f"{begin:.2f} to {end:.2f}" for begin, end in ranges if end - begin >= min(_SLIVER, widest))
-    wide = significant(100.0 * math.expm1(typical_half_width(uncertain)), 2)
-    return f"{span}, ± {wide} % (95 %, median) over s = {where}"
+    wide = half_width_words(typical_half_width(uncertain))
+    return f"{span}, {wide} (95 %, median) over s = {where}"
 
 
 def _rests_on(posterior: Posterior | None) -> str:
@@ -140,7 +141,7 @@ def _rests_on(posterior: Posterior | None) -> str:
     if any(one.hopeless for one in posterior.misses):
         return "nothing: the fit misses the tags by far"
     critic = posterior.criticism
-    count = f"{len(critic.findings)} tests of the model"
+    count = f"{len(possible(posterior).criticism.findings)} tests of the model"
     if critic.alarms:
         able = possible(posterior).criticism.alarms
         named = ", ".join(dict.fromkeys(_suspect_words(one.score.suspect) for one in able[:_MOST_NAMED]))
@@ -178,14 +179,14 @@ def _worst(of: ErrorOf, comparisons: Sequence[Comparison], rms: Sequence[Array])
     failed = of == "validation" and any(poor_fit(two, other=True) or another_beam(two) for two in comparisons)
     value = float(values[m]) if known else math.nan
     return _Error(
-        of, value, marker_words(one, m), float(one.sensor_rms[m]), float(one.likely_rms[m]), motion, one.name, failed
+        of, value, tag_words(one, m), float(one.sensor_rms[m]), float(one.likely_rms[m]), motion, one.name, failed
     )
 
 
 def _use(findings: Findings, error: _Error) -> str:
     if findings.posterior is not None and findings.posterior.doubts:
         return "none: no place of k(s) counts as identified"
-    said = f"{millimetres(error.rms)} mm RMS (worst: {error.marker})"
+    said = f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"
     if error.of == "fit" and (poor := _poor(findings.trainings)) != "":
         return f"the fit is off by {said}, but {poor}: no good prediction"
     if error.of != "validation":
@@ -195,11 +196,11 @@ def _use(findings: Findings, error: _Error) -> str:
     where = f"validation on {error.name}: {said}"
     part = f"{significant(100.0 * error.rms / error.motion, 2)} % of its motion"
     means = f"no good prediction, {part}" if error.failed else f"shapes are predicted to {part}"
-    if not (math.isfinite(error.sensor) and error.sensor > 0.0):
+    if not (math.isfinite(error.noise) and error.noise > 0.0):
         return f"{where}: {means}"
-    explained = f"the force's noise alone explains {millimetres(error.sensor)}"
-    if error.rms <= AS_GOOD * error.sensor and not error.failed:
-        return f"{where}; {explained}: as good as the sensor allows"
+    explained = f"force noise {millimetres(error.noise)}"
+    if error.rms <= AS_GOOD * error.noise and not error.failed:
+        return f"{where}; {explained}: as good as this force sensor allows"
     if math.isfinite(error.likely):
         explained += f", with the band of k(s) and the push's place {millimetres(error.likely)}"
         if error.rms <= AS_GOOD * error.likely and not error.failed:
@@ -212,7 +213,7 @@ def _poor(trainings: Sequence[Comparison]) -> str:
     if not any(poor_fit(one) for one in trainings):
         return ""
     logged = _worst("as logged", trainings, [one.rms for one in trainings])
-    moves = f"{logged.marker}, which moves by {significant(1e3 * logged.motion)}"
+    moves = f"{logged.tag}, which moves by {significant(1e3 * logged.motion)}"
     return f"under the force as logged by {millimetres(logged.rms)} at {moves}"
 
 

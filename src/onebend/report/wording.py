@@ -72,17 +72,18 @@ def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
     return [*rows, ("together", sum(seconds.values()))]
 
 
-def worst_marker(comparison: Comparison) -> str:
-    """The largest RMS of a comparison, with the marker it belongs to."""
+def worst_tag(comparison: Comparison) -> str:
+    """The largest RMS of a comparison, with the tag it belongs to."""
     if not np.isfinite(comparison.rms).any():
         return UNKNOWN
     i = int(np.nanargmax(comparison.rms))
-    return f"{millimetres(comparison.rms[i])} mm (M{i + 1})"
+    whole = f"{millimetres(comparison.rms[i])} mm ({tag_words(comparison, i)})"
+    return whole.replace("tag ", "tag\N{NO-BREAK SPACE}").replace(" mm", "\N{NO-BREAK SPACE}mm")
 
 
-def marker_words(comparison: Comparison, index: int) -> str:
-    """The marker as pictures call it, M1 from the clamp on, and as `recording.toml` does."""
-    return f"M{index + 1}, tag {int(comparison.tag_id[index])}"
+def tag_words(comparison: Comparison, index: int) -> str:
+    """The tag by its id in `recording.toml`, as everywhere."""
+    return f"tag {int(comparison.tag_id[index])}"
 
 
 def clock_words(clock: ClockOffset) -> str:
@@ -93,7 +94,10 @@ def clock_words(clock: ClockOffset) -> str:
         return f"{clock.offset:.3f} s as written in recording.toml; the data could not settle it"
     away = 1000.0 * (clock.offset - clock.stated)
     said = f", {away:+.0f} ms from the written {clock.stated:.3f} s" if np.isfinite(clock.stated) else ""
-    return f"{clock.offset:.3f} s ± {1000.0 * clock.sd:.1f} ms (sd){said}; the sensor's own lag is inside"
+    return (
+        f"{clock.offset:.3f} s ± {1000.0 * clock.sd:.1f} ms (sd){said}; a constant lag of the force sensor is part of "
+        "it"
+    )
 
 
 def inputs(observations: Observations) -> list[tuple[str, str]]:
@@ -111,9 +115,9 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
         )
         rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
-    tags = ", ".join(f"M{i + 1} (tag {tag}) {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
+    tags = ", ".join(f"tag {tag} {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
     words = words_of(observations)
-    return [*rows, (f"{words.frames} in which a {words.tag} was found", tags)]
+    return [*rows, (f"{words.frames} in which a tag was found", tags)]
 
 
 def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
@@ -155,7 +159,7 @@ def assumptions(findings: Findings) -> list[str]:
         f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.",
         _allowed(findings),
         *_loading(recording),
-        f"Each {words_of(recording).tag} sits at its written s to {sd} mm (sd).",
+        f"Each tag sits at its written s to {sd} mm (sd).",
     ]
 
 

@@ -88,6 +88,17 @@ def load_observations(path: Path | str) -> Observations:
         ) from error
 
 
+def observations_beside(model: Path) -> tuple[Observations, ...]:
+    """What the beam in `model` (a `model.json`, or its folder) was learned from, as far as it lies beside it."""
+    found = []
+    for path in sorted((model if model.is_dir() else model.parent).glob("observations*.parquet")):
+        try:
+            found.append(load_observations(path))
+        except ResultsError:
+            continue  # what is damaged says nothing of the recordings
+    return tuple(found)
+
+
 def _tabled() -> set[str]:
     """The fields that stand in the table."""
     return {*_COLUMNS, *_TAG_COLUMNS, _COVARIANCE}

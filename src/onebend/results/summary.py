@@ -16,7 +16,7 @@ from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.swing.damping import SwingFit
 from onebend.learning.tradeoffs import tradeoffs, with_level
-from onebend.learning.verdict import fitted_rms
+from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations, StatedSection
 from onebend.report.confidence import identified_ranges
 from onebend.report.findings import Findings, all_remarks, pair_remarks
@@ -123,7 +123,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
         "hyperparameters": asdict(optimum.hyperparameters),
         "fitted_rms_m": list(fitted_rms(posterior)),
-        "criticism": posterior.criticism.as_dict(),
+        "criticism": possible(posterior).criticism.as_dict() | {"trusted": posterior.criticism.trusted},
         "log_evidence": optimum.log_evidence,
         "steps": optimum.steps,
         "converged": optimum.converged,

@@ -6,7 +6,7 @@ from math import degrees
 
 from onebend.studies.manipulation import TASKS
 from onebend.studies.outcome import StudyOutcome
-from onebend.studies.settings import COLOURED, REVERSAL, STRATEGIES
+from onebend.studies.settings import COLOURED, REVERSAL, STRATEGIES, StudySettings
 
 
 def assumed(outcome: StudyOutcome) -> list[str]:
@@ -38,6 +38,16 @@ def assumed(outcome: StudyOutcome) -> list[str]:
         "Both methods see the same observations: clock, tare, filter and scale of the picture are onebend's, not the "
         "paper's nearest rows and millimetres per pixel.",
     ]
+
+
+def quick_words(setting: StudySettings) -> str:
+    """What a quick study leaves out; empty of a whole one."""
+    if not setting.quick:
+        return ""
+    return (
+        f"Quick: shorter pushes and {setting.fps:g} frames/s, so its errors are not those that README and "
+        "docs/reproduce.md show of the whole run."
+    )
 
 
 def slow_error(outcome: StudyOutcome) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.report.page.template import render
 from onebend.report.wording import UNKNOWN, length_words, millimetres, significant
-from onebend.studies.assumed import assumed
+from onebend.studies.assumed import assumed, quick_words
 from onebend.studies.outcome import StudyOutcome
 from onebend.studies.tables import (
     Cell,
@@ -66,7 +66,7 @@ def page(outcome: StudyOutcome, figures: Mapping[str, bytes], *, version: str) -
         "version": version,
         "video": setting.video,
         "seed": setting.seed,
-        "quick": setting.quick,
+        "quick": quick_words(setting),
         "cards": cards(outcome),
         "selections": [shown(selection_table(beam)) for beam in outcome.beams],
         "training": shown(training_table(outcome)),

@@ -38,8 +38,8 @@ class Strategy:
 
 # The paper prints neither forces nor times, but: the fast push is 2 to 3 times as fast; those at 0.8 and 0.6 bend less.
 STRATEGIES = (
-    Strategy("slow", "slow, at the tip", radians(65.0), 7.0, 5.0),
-    Strategy("fast", "fast, at the tip", radians(65.0), 2.8, 2.0),
+    Strategy("slow", "slow, at the tip", radians(65.0), 7.0, 6.0),
+    Strategy("fast", "fast, at the tip", radians(65.0), 2.8, 2.6),
     Strategy("s08", "slow, at s = 0.8", radians(55.0), 6.0, 4.0),
     Strategy("s06", "slow, at s = 0.6", radians(40.0), 6.0, 4.0),
 )

@@ -9,14 +9,18 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from onebend.learning.design.proposals import Plan, Proposal, direction_words, identified_words, width_words
+from onebend.learning.design.proposals import Plan, Proposal, direction_words, identified_words
 from onebend.report.wording import significant
 
 
 def plan_table(plan: Plan) -> Table:
-    """The proposals of a plan, best first."""
-    table = Table(title="What to do next, by what it would leave of the band", title_justify="left", box=None)
-    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "band after"):
+    """The proposals of a plan: what costs nothing first."""
+    table = Table(
+        title="What to do next: what costs nothing first, then by how well k(s) would be known on average",
+        title_justify="left",
+        box=None,
+    )
+    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "k(s) then"):
         table.add_column(name, justify="left" if name in ("force", "needs") else "right")
     for i, proposal in enumerate(plan.proposals):
         needs = proposal.needs or ("the same once more" if proposal.repeats else "nothing new")
@@ -25,9 +29,7 @@ def plan_table(plan: Plan) -> Table:
             direction_words(proposal.push.direction),
             significant(proposal.push.largest),
         )
-        table.add_row(
-            str(i + 1), *cells, f"{1e3 * proposal.tip_moves:.0f}", needs, width_words(proposal.after.mean_width)
-        )
+        table.add_row(str(i + 1), *cells, f"{1e3 * proposal.tip_moves:.0f}", needs, proposal.after.mean_words)
     return table
 
 
@@ -35,8 +37,9 @@ def show_plan(console: Console, plan: Plan) -> None:
     """All that `onebend plan` says."""
     before = plan.before
     console.print(
-        f"Now the 95 % band of k is {width_words(before.mean_width)} wide on average, at worst "
-        f"{width_words(before.worst_width)} at s = {before.worst_s:.2f}; {identified_words(before)}.\n",
+        f"Now k(s) is known to {before.mean_words} (95 %) on average over the whole beam, to {before.worst_words} at "
+        "worst "
+        f"(s = {before.worst_s:.2f}); {identified_words(before)}.\n",
         highlight=False,
     )
     console.print(plan_table(plan))

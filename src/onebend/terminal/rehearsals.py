@@ -9,9 +9,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from onebend.beam.profiles.uncertain import half_width_words
 from onebend.forecast.prediction import BudgetEntry
 from onebend.forecast.rehearsal import MEDIAN, NINETY, Obtained, Rehearsal, setup_words
-from onebend.learning.design.proposals import PLACES, identified_words, width_words
+from onebend.learning.design.proposals import PLACES, identified_words
 from onebend.report.wording import significant
 
 EVERY = 10  # of the 101 places
@@ -23,8 +24,9 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
     console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]", highlight=False)
     console.print(
-        f"The 95 % band of k would be {width_words(p.quality.mean_width)} wide on average, at worst "
-        f"{width_words(p.quality.worst_width)} at s = {p.quality.worst_s:.2f}; {identified_words(p.quality)}.\n",
+        f"k(s) would be known to {p.quality.mean_words} (95 %) on average over the whole beam, to "
+        f"{p.quality.worst_words} "
+        f"at worst (s = {p.quality.worst_s:.2f}); {identified_words(p.quality)}.\n",
         highlight=False,
     )
     console.print(errors_table(rehearsal))
@@ -64,22 +66,25 @@ def errors_table(rehearsal: Rehearsal) -> Table:
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Table:
     """The band if one nuisance were known exactly."""
-    table = Table(title="What costs most: the band if one thing were known exactly", title_justify="left", box=None)
-    for name in ("known exactly", "band then", "removes"):
+    table = Table(
+        title="What costs most: how well k(s) would be known if one thing were known exactly",
+        title_justify="left",
+        box=None,
+    )
+    for name in ("known exactly", "k(s) then", "removes"):
         table.add_column(name, justify="left" if name == "known exactly" else "right")
     for entry in budget:
-        table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
+        table.add_row(escape(entry.name), half_width_words(0.5 * entry.mean_width), share_words(entry.share))
     return table
 
 
 def advice_table(rehearsal: Rehearsal) -> Table:
     """Changes, best first."""
     table = Table(title="What to change, by how much it narrows the band", title_justify="left", box=None)
-    for name in ("", "change", "band then", "removes"):
+    for name in ("", "change", "k(s) then", "removes"):
         table.add_column(name, justify="left" if name == "change" else "right")
     for i, change in enumerate(rehearsal.advice, 1):
-        width = width_words(change.quality.mean_width)
-        table.add_row(str(i), escape(change.text), width, share_words(change.share))
+        table.add_row(str(i), escape(change.text), change.quality.mean_words, share_words(change.share))
     return table
 
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from onebend.report.wording import UNKNOWN, millimetres
+from onebend.studies.assumed import quick_words
 from onebend.studies.outcome import StudyOutcome
 from onebend.studies.printed import printed_m3
 from onebend.studies.tables import below_printed
@@ -37,4 +38,6 @@ def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> No
     reached = sum(done.found.converged for done in tasks)
     console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
     console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.", highlight=False)
+    if words := quick_words(outcome.setting):
+        console.print(words, highlight=False)
     console.print(f"Wrote {output / 'report.html'}", highlight=False, markup=False)

@@ -15,7 +15,7 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
-from onebend.report.confidence import gain_words, load_error_words, stop_words, tradeoff_words, unidentified_words
+from onebend.report.confidence import load_error_words, scale_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.modulus import MeasuredBeam, measured_beam, modulus_rows, modulus_words
 from onebend.report.verdict import hopeless, verdict_of
@@ -36,7 +36,7 @@ from onebend.terminal.tables import (
 )
 
 _COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trusted": "red", "no band": "yellow"}
-_FEWEST_ROWS, _MOST_ROWS = 8, 16  # of the plot of k(s)
+_FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
 def show_run(console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False) -> None:
@@ -75,12 +75,12 @@ def verdict_rows(run: Findings) -> Table:
 def _stiffness(console: Console, run: Findings, *, log: bool) -> list[RenderableType]:
     """The plot as large as the screen lets it be, and the numbers below."""
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
-    rows = min(max(console.height - 17, _FEWEST_ROWS), _MOST_ROWS)
+    rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = measured_beam(run)
     words = modulus_words(measured)
     below: list[RenderableType] = [_sentences(words)] if words else []
     if run.posterior is None:
-        return [stiffness_plot(run.beam, rows=_FEWEST_ROWS), *below]
+        return [stiffness_plot(run.beam, rows=rows), *below]
     uncertain = run.posterior.stiffness
     numbers = band_table(uncertain, columns=columns, modulus=modulus_rows(measured, band_places(columns)))
     return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
@@ -106,9 +106,9 @@ def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
         largest = millimetres(float(np.nanmax(rms)))
-        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every marker."
+        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every tag."
         if not comparison.static:
-            text += " The table is larger by the log's slow error, which the fit takes off."
+            text += " The table is larger by the slow error of the force log, which the fit takes off."
         words.append(text)
     return words
 
@@ -116,19 +116,18 @@ def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
 def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
-    forced = any(recording.source.clean_force is not None for recording in run.recordings)
     blind = unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [
         estimate_table(uncertain, run.learned, modulus_rows(measured_beam(run), np.linspace(0.0, 1.0, 11)))
     ]
-    force = [gain_words(posterior.gain_sd, forced=forced), *load_error_words(posterior.load_error)]
+    force = [scale_words(posterior.gain_sd, run.recordings), *load_error_words(posterior.load_error)]
     found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
     words = tradeoff_words(posterior)
     return (
-        [*found, _sentences(["Hardly told apart (the level of k(s) is its mean over the identified places):", *words])]
+        [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
         if words
         else found
     )

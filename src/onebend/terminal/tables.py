@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import Band, UncertainStiffness, half_width_words
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.records import Array
@@ -18,20 +18,20 @@ from onebend.report.modulus import ModulusRows
 from onebend.report.wording import (
     UNKNOWN,
     bic_words,
-    marker_words,
     millimetres,
     percent,
     significant,
     stage_rows,
+    tag_words,
 )
 
-FEW = 4  # markers whose columns fit side by side in 80
+FEW = 4  # tags whose columns fit side by side in 80
 WIDE = 91  # columns of a plot: eleven numbers fit below it
 
 
 def selection_table(learned: Learned) -> Table:
     """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
-    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the markers and BIC"
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
     table = Table(title=title, title_justify="left", box=None)
     table.add_column("")
     names, errors = _trial_errors(learned)
@@ -47,28 +47,29 @@ def selection_table(learned: Learned) -> Table:
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    """Headings, and cells of every trial: each marker's RMS, or the worst alone where there are many."""
-    markers = len(learned.training.tag_id)
-    if markers <= FEW:
-        return [f"M{i + 1} \\[mm]" for i in range(markers)], [list(map(millimetres, t.rms)) for t in learned.trials]
+    """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
+    if len(learned.training.tag_id) <= FEW:
+        return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
+            list(map(millimetres, t.rms)) for t in learned.trials
+        ]
     worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
-    return ["worst marker \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
+    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
-    """Tables IV to VI, one marker a row: RMS, what the force's noise alone explains of it, and what is likely."""
-    meaning = "noise: what the force's alone explains; likely: with the band of k(s) and the push's place"
+    """Tables IV to VI, one tag a row: RMS, the force noise, and what is likely."""
+    meaning = "force noise: from the log's noise alone; likely: with the band of k(s) and the push's place"
     table = Table(title=f"{what}: RMS distance ({meaning})", title_justify="left", box=None)
     table.add_column("recording", overflow="fold", ratio=1)
     table.add_column("frames", justify="right", no_wrap=True)
-    table.add_column("marker", no_wrap=True)
-    for name in ("s", "RMS \\[mm]", "noise \\[mm]", "likely \\[mm]"):
+    table.add_column("tag", no_wrap=True)
+    for name in ("s", "RMS \\[mm]", "force noise \\[mm]", "likely \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in comparisons:
         for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
             beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
-            table.add_row(*whose, marker_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
+            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
     return table
 
 
@@ -95,11 +96,18 @@ def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: ModulusR
         (name, [significant(float(value)) for value in values])
         for name, values in (("k [N m]", band.k), ("from", band.low), ("to", band.high))
     ]
+    rows.insert(1, ("±", half_widths(band)))
     if modulus is not None:
         rows += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
     for name, cells in rows:
         add(name, [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)])
     return table
+
+
+def half_widths(band: Band) -> list[str]:
+    """Half the band at each place: "7.4 %", "x 2.4"."""
+    halves = 0.5 * np.log(band.high / band.low)
+    return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
 
 
 def estimate_table(
@@ -109,16 +117,16 @@ def estimate_table(
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name in ("s", "k [N m]", "95 % from", "to", "identified"):
+    for name in ("s", "k [N m]", "± 95 %", "from", "to", "identified"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     if regression is not None:
         table.add_column("paper's k", justify="right", no_wrap=True)
     if modulus is not None:
         for name in (f"E [{modulus.unit}]", "from", "to"):
             table.add_column(escape(name), justify="right", no_wrap=True)
-    columns = zip(s, band.k, band.low, band.high, band.identified, strict=True)
-    for i, (place, k, low, high, known) in enumerate(columns):
-        cells = [f"{place:.1f}", significant(k), significant(low), significant(high), "yes" if known else "no"]
+    columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
+    for i, (place, k, half, low, high, known) in enumerate(columns):
+        cells = [f"{place:.1f}", significant(k), half, significant(low), significant(high), "yes" if known else "no"]
         if regression is not None:
             cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
         if modulus is not None:

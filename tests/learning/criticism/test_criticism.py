@@ -205,7 +205,7 @@ def test_every_suspect_has_words(suspect: Suspect, value: float) -> None:
     assert any(MORE in text for text in texts)
     small = replace(fitted(), criticism=Criticism((replace(finding, sds=0.4),)))
     assert small.criticism.trusted
-    assert any(remark.level == "note" and "too little to count" in remark.text for remark in fit_remarks(small))
+    assert any(remark.level == "note" and "too little to matter" in remark.text for remark in fit_remarks(small))
 
 
 def test_markers_without_any_noise_are_fitted_to_the_end() -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
 from onebend.errors import LearningError
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
-from onebend.learning.design.proposals import PLACES, Plan, direction_words, width_words
+from onebend.learning.design.proposals import PLACES, Plan, direction_words
 from onebend.learning.inference.fit_problem import log_k_map
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
@@ -107,10 +107,18 @@ def test_a_beam_not_pushed_at_its_tip_is_to_be_pushed_there(next_pushes: Plan) -
     assert first.after.identified > next_pushes.before.identified + 0.2
 
 
-def test_proposals_are_ranked_and_of_every_kind(next_pushes: Plan) -> None:
-    left = [one.after.mean_width for one in next_pushes.proposals]
-    assert left == sorted(left)
-    assert len(left) == 8
+def test_what_costs_nothing_comes_first_and_another_sensor_last(next_pushes: Plan) -> None:
+    cost = [2 if one.better_sensor else 1 if one.added_tag else 0 for one in next_pushes.proposals]
+    assert cost == sorted(cost)
+    assert set(cost) == {0, 1, 2}
+    for each in range(3):
+        left = [one.after.mean_width for one, its in zip(next_pushes.proposals, cost, strict=True) if its == each]
+        assert left == sorted(left)
+    assert not next_pushes.proposals[0].needs
+
+
+def test_proposals_are_of_every_kind(next_pushes: Plan) -> None:
+    assert len(next_pushes.proposals) == 8
     assert all(one.after.mean_width < next_pushes.before.mean_width for one in next_pushes.proposals)
     assert any(one.repeats for one in next_pushes.proposals)
     assert any(one.added_tag is not None for one in next_pushes.proposals)
@@ -224,8 +232,10 @@ def test_directions_in_words(degrees: float, words: str) -> None:
 
 
 def test_widths_in_words() -> None:
-    assert width_words(0.214) == "21 %"
-    assert width_words(np.log(4.0)) == "a factor of 4"
+    assert half_width_words(np.log(1.074)) == "± 7.4 %"
+    assert half_width_words(np.log(1.25)) == "± 25 %"
+    assert half_width_words(np.log(4.0)) == "a factor of 4"
+    assert half_width_words(np.inf) == "a factor of inf"
 
 
 def test_a_proposal_in_one_line(next_pushes: Plan) -> None:

@@ -33,7 +33,9 @@ def every_figure() -> dict[str, Figure]:
     learned = made_up.learned(ONE)
     assert SEEN.source.view is not None
     return {
-        "stiffness": curves.stiffness(learned.beam, marker_s=ONE.marker_s, push_s=0.8),
+        "stiffness": curves.stiffness(
+            learned.beam, tags=dict(zip(ONE.tag_id.tolist(), ONE.marker_s.tolist(), strict=True)), push_s=0.8
+        ),
         "band": curves.stiffness(FIT.beam, uncertain=FIT.stiffness, regression=learned.beam.stiffness, push_s=0.8),
         "nuisances": curves.nuisances(FIT.nuisances()),
         "fit": recordings.fit_over_frame(IMAGE, SEEN.source.view, learned.beam, ONE, SEEN),
@@ -74,7 +76,7 @@ def test_the_fit_is_drawn_solid_and_the_logged_force_dashed() -> None:
     dashed = [line for line in axes.lines if line.get_linestyle() == "--"]
     assert len(dashed) == len(blue) + 1  # and one for the legend
     above, _ = recordings.markers(LOGGED, FITTED).axes
-    solid = [line for line in above.lines if str(line.get_label()).startswith("M")]
+    solid = [line for line in above.lines if str(line.get_label()).startswith("tag ")]
     np.testing.assert_allclose(np.array(solid[0].get_ydata(), dtype=float), 1000 * FITTED.comparison.predicted[:, 0, 0])
     force = recordings.force(seen, FITTED).axes[0]
     labels = [str(line.get_label()) for line in force.lines]
@@ -226,15 +228,19 @@ def test_however_many_markers_all_is_inside_the_picture(count: int) -> None:
     for figure in (recordings.shapes(made_up.BEAM, one, SEEN), recordings.markers(one), recordings.residuals(one)):
         png_of(figure)
         legends = [legend for axes in figure.axes if (legend := axes.get_legend()) is not None]
-        names = [text.get_text() for legend in legends for text in legend.get_texts() if text.get_text()[0] == "M"]
+        names = [
+            text.get_text() for legend in legends for text in legend.get_texts() if text.get_text().startswith("tag ")
+        ]
         assert len(names) == min(count, 7)
-        assert names[-1].split(",")[0].split(":")[0].split()[0] == f"M{count}"
+        assert names[-1].split(",")[0].split(":")[0].split()[1] == f"{count}"
         for legend in legends:
             box, page = legend.get_window_extent(), figure.bbox.padded(5.0)  # px: a legend has a margin of its own
             assert page.x0 <= box.x0 < box.x1 <= page.x1
             assert page.y0 <= box.y0 < box.y1 <= page.y1
-    figure = curves.stiffness(made_up.BEAM, marker_s=one.marker_s)
-    assert len([text for text in figure.axes[0].texts if text.get_text().startswith("M")]) == min(count, 7)
+    figure = curves.stiffness(made_up.BEAM, tags=dict(zip(one.tag_id.tolist(), one.marker_s.tolist(), strict=True)))
+    assert len([text for text in figure.axes[0].texts if text.get_text().removeprefix("tag ").isdigit()]) == min(
+        count, 7
+    )
 
 
 def test_colours_of_many_markers_go_by_their_order() -> None:

@@ -45,6 +45,7 @@ def test_the_script_is_given_the_curve_of_the_records() -> None:
     assert [band["level"] for band in data["bands"]] == [0.95, 0.8, 0.5]
     assert data["known"] == found.posterior.band(S).identified.tolist()
     assert data["top_N_m"] == highest_shown(found.posterior.stiffness)
+    assert data["tag_id"] == [1, 2, 3]
     assert data["tag_s"] == pytest.approx(found.trainings[0].marker_s, rel=1e-5)
 
 
@@ -177,3 +178,10 @@ def test_a_script_from_elsewhere_does_not_run(tmp_path: Path) -> None:
 
 def test_the_scripts_are_small() -> None:
     assert sum(len(page_file(COMMON, name)) for name in SCRIPTS) < 30_000
+
+
+def test_the_table_of_k_fits_a_phone(tmp_path: Path) -> None:
+    script = """const table = document.querySelector("table.k");
+document.title = [table.rows.length, table.scrollWidth <= table.parentElement.clientWidth].join(" ");"""
+    html = page(made_up.findings(0), {}, version="1").replace("<main>", '<main style="width: 390px">')
+    assert after_script(html, script, tmp_path, width=390) == "12 true"  # headless windows are 500 px or wider

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from onebend.learning.model.fit_data import FitData
+from onebend.learning.verdict import fitted_rms
 from onebend.records import ClockOffset, Remark
 from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
 from onebend.report.figures.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
 from onebend.report.page.cards import cards
 from onebend.report.page.page import page
-from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_marker
+from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_tag
 from tests import made_up
 from tests.made_up import with_source, with_stated
 
@@ -92,7 +93,8 @@ def test_page_says_the_figures() -> None:
         "onebend 1.2.3",
         "n = 4 curvature modes",
         f"{significant(k.min())} … {significant(k.max())}\u00a0N\u00a0m",
-        worst_marker(found.trainings[0]),
+        f"{millimetres(float(np.nanmax(fitted_rms(fit)[0])))}\u00a0mm (tag\u00a0",
+        millimetres(float(found.trainings[0].rms[0])),  # as logged, folded below
         "1 % too stiff",
         "made-up: clamp angle",
         f"converged after {fit.optimum.steps} steps",
@@ -155,7 +157,7 @@ def test_a_poor_fit_is_a_warning() -> None:
     assert poor_fit(good) == []
     far = made_up.comparison(error_m=0.02)
     assert [remark.level for remark in poor_fit(far)] == ["warning"]
-    assert "M1" in poor_fit(far)[0].text  # which moves least
+    assert "misses tag 1 by" in poor_fit(far)[0].text  # which moves least
     assert "the beam that was learned" not in poor_fit(far)[0].text
     assert "the beam that was learned" in pair_remarks(far, made_up.observations())[-1].text
     unseen = replace(good, measured=np.full_like(good.measured, np.nan), rms=np.full(3, np.nan))
@@ -171,7 +173,7 @@ def test_a_validation_far_beyond_the_noise_is_a_warning() -> None:
     quiet = replace(noisy, sensor_rms=np.array([0.00005, 0.004, np.nan]))
     (said,) = another_beam(quiet)
     assert said.level == "warning"
-    assert "M1 is missed by 10 times" in said.text
+    assert "tag 1 is missed by 10 times the force noise" in said.text
     assert another_beam(made_up.comparison(error_m=1e-6)) == []  # next to nothing, whatever explains it
     other = replace(made_up.findings(1), validations=(quiet,))
     assert any("another beam" in remark.text for _, remark in all_remarks(other))
@@ -206,7 +208,7 @@ def test_small_words() -> None:
     assert millimetres(0.0) == "0.00"
     assert percent(1.0, 4.0) == "25 %"
     assert percent(1.0, 0.0) == "–"
-    assert worst_marker(replace(made_up.comparison(), rms=np.full(3, np.nan))) == "–"
+    assert worst_tag(replace(made_up.comparison(), rms=np.full(3, np.nan))) == "–"
 
 
 def test_cards_count_the_recordings_and_keep_to_what_is_identified() -> None:

@@ -22,6 +22,15 @@ SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
 IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
 
 
+def half_width_words(half: float) -> str:
+    """Half a band of log k as people read it: "± 7.4 %", or "a factor of 2.4" where k may be twice as large."""
+    share = 100.0 * float(np.expm1(half))
+    if share >= 99.5:
+        return f"a factor of {np.exp(half):.2g}"
+    decimals = 0 if share >= 9.95 else 1 if share >= 0.995 else 2
+    return f"± {share:.{decimals}f} %"
+
+
 def half_width(sd: Array | float, level: float = 0.95) -> Array:
     """Half the width of the band between the quantiles of a normal of this sd that leave out `1 - level`."""
     return np.asarray(ndtri(0.5 + 0.5 * level) * sd)

@@ -101,7 +101,8 @@ def plan(
     *,
     progress: Progress = Silent(),
 ) -> Plan:
-    """Next pushes on a beam whose k(s) is known as `uncertain`, ranked by the mean width of the band they would leave.
+    """Next pushes on a beam whose k(s) is known as `uncertain`: what costs nothing first, then by the mean width of the
+    band that they would leave.
 
     `beam` gives length, rest shape and mass; its stiffness is taken from `uncertain`.
 
@@ -122,7 +123,7 @@ def plan(
     first = min(plain, key=_left)
     after = now.after(_told(thoughts[plain.index(first)], bench))
     second = min((_propose(t, after, bench) for t in thoughts), key=_left)
-    ranked = _distinct(sorted([*plain, *other], key=_left), settings)
+    ranked = _distinct(sorted([*plain, *other], key=_cost_and_left), settings)
     return Plan(now.quality(), now.sd(), ranked, (first, second), left_out)
 
 
@@ -219,8 +220,14 @@ def _left(proposal: Proposal) -> float:
     return proposal.after.mean_width
 
 
+def _cost_and_left(proposal: Proposal) -> tuple[int, float]:
+    """What costs nothing first, another force sensor last; within that, by the band that would be left."""
+    cost = 2 if proposal.better_sensor is not None else 1 if proposal.added_tag is not None else 0
+    return cost, _left(proposal)
+
+
 def _distinct(ranked: list[Proposal], settings: PlanSettings) -> tuple[Proposal, ...]:
-    """The best ones, near-duplicates merged; the best of every kind is among them."""
+    """The first ones, near-duplicates merged; the best of every kind is among them."""
     kept: list[Proposal] = []
     for one in ranked:
         alike = [k for k in kept if _kind(k) == _kind(one)]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import half_width_words
 from onebend.learning.design.instruments import PlannedPush
 from onebend.records import Array
 
@@ -22,6 +23,16 @@ class Quality:
     worst_s: float
     identified: float  # share of the beam
     identified_to: float  # k is identified from the clamp to here
+
+    @property
+    def mean_words(self) -> str:
+        """How well k is known, on average over the whole beam."""
+        return half_width_words(0.5 * self.mean_width)
+
+    @property
+    def worst_words(self) -> str:
+        """How well k is known where it is known least."""
+        return half_width_words(0.5 * self.worst_width)
 
 
 @dataclass(frozen=True)
@@ -52,8 +63,8 @@ class Proposal:
         with_what = f", with {self.needs}" if self.needs else ""
         return (
             f"{again}push at s = {self.push.at_s:.2f}, {direction_words(self.push.direction)}, to "
-            f"{self.push.largest:.2g} N (tip moves {1e3 * self.tip_moves:.0f} mm){with_what}: band "
-            f"{width_words(self.before.mean_width)} -> {width_words(self.after.mean_width)} on average; "
+            f"{self.push.largest:.2g} N (tip moves {1e3 * self.tip_moves:.0f} mm){with_what}: k(s) "
+            f"{self.before.mean_words} -> {self.after.mean_words} on average; "
             f"{identified_words(self.after)}"
         )
 
@@ -76,7 +87,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Plan:
-    """Proposals, best first; the best two pushes on today's bench; and what was left out."""
+    """Proposals, what costs nothing first; the best two pushes on today's bench; and what was left out."""
 
     before: Quality
     sd: Array  # (101,) of log k at `PLACES` now
@@ -94,11 +105,6 @@ class Plan:
             "pair": [one.as_dict() for one in self.pair],
             "left_out": list(self.left_out),
         }
-
-
-def width_words(width: float) -> str:
-    """A width of the band of log k: in percent of k, or as a factor where that is clearer."""
-    return f"{100.0 * width:.2g} %" if width < 0.995 else f"a factor of {np.exp(width):.2g}"
 
 
 def direction_words(direction: float) -> str:

@@ -115,7 +115,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         log_evidence=evidence.posterior(hyperparameters).log_evidence,
         steps=estimate.steps,
         converged=estimate.converged,
-        stopped=f"the last step was worth less than {settings.tolerance:g} of a sd"
+        stopped=f"the last step moved the parameters by less than {settings.tolerance:g} sd"
         if estimate.converged
         else f"{settings.most_steps} steps were not enough",
     )

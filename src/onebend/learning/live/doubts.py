@@ -34,7 +34,9 @@ def key_frame_doubts(keys: KeyFrames, marker: float, size: float, missed: str) -
     """
     out = []
     if size > FAR_OFF * marker:
-        out.append(f"the tags are off by {size / marker:.1f} times their noise: the estimate is still on its way")
+        out.append(
+            f"the tags are {size / marker:.2g} times their noise from the estimate, which still moves: go on pushing"
+        )
     out += [missed] if missed else []
     lost = int(np.count_nonzero(keys.lost[: keys.used]))
     if lost:

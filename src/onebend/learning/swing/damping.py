@@ -229,7 +229,7 @@ def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) 
 def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
     out: list[Remark] = []
     if fitted.moved:
-        text = "The fit still moved when its rounds were used up: its numbers are provisional."
+        text = "The fit still moved when its rounds were used up: its numbers are provisional. Film for longer."
         out.append(Remark("warning", text, about="swing"))
     travel = np.sqrt(np.nanmean(np.sum((fit.swing.seen - fit.swing.rest)[..., :2] ** 2, axis=-1), axis=0))
     worst = int(np.nanargmax(fit.rms / travel))
@@ -237,7 +237,7 @@ def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
         text = (
             f"The tag at s = {fit.swing.s[worst]:.3g} is {1000 * fit.rms[worst]:.2g} mm (RMS) from the fitted motion, "
             f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) or "
-            "mass along it), or is touched while it swings."
+            "mass along it), or is touched while it swings. Learn k(s) again, and film a release that nothing touches."
         )
         out.append(Remark("warning", text, about="swing"))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:

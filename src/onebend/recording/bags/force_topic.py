@@ -53,7 +53,10 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
     early = int(np.sum(np.diff(read[:, 0]) < 0))
     remarks = (*remark(early, len(read), "messages of the force log lie out of order and are sorted"),)
     if clock.by == "receipt":
-        text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used."
+        text = (
+            f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
+            "stamps."
+        )
         remarks = (*remarks, Remark("warning", text, about="no stamps"))
     remarks = (*remarks, *frame_remarks(entry, field, named))
     return whole_log(f"{entry.file}, {topic.channel.topic}", read[order], remarks)
@@ -115,6 +118,9 @@ def frame_remarks(entry: ForceEntry, field: str, named: list[str]) -> tuple[Rema
         )
     ]
     if field.split(".")[0].lower().startswith("k_f_ext") or (named and named[0].endswith(("_K", "_EE", "_hand"))):
-        text = "These axes turn with the tool: the force is right only if the tool kept its direction."
+        text = (
+            "These axes turn with the tool: the force is right only if the tool kept its direction. Log it in axes "
+            "that stand still."
+        )
         remarks.append(Remark("warning", text, about="tool axes"))
     return tuple(remarks)

@@ -109,12 +109,19 @@ def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
     remarks = []
     if bag.fault:
         text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
-        remarks.append(Remark("warning", f"{text} are used, those before that.", about="damaged bag"))
+        remarks.append(
+            Remark(
+                "warning", f"{text} are used, those before that. Check that the push is in them.", about="damaged bag"
+            )
+        )
     elif bag.scanned and entry.damaged == "refuse":
         text = f"[{name}] {entry.file.name} has no index (its recorder was not closed): read from front to back."
         remarks.append(Remark("note", text))
     if isinstance(entry, VideoEntry) and clock(entry).by == "receipt":
-        text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used."
+        text = (
+            f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
+            "stamps."
+        )
         remarks.append(Remark("warning", text, about="no stamps"))
     return remarks
 

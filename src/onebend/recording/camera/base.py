@@ -119,7 +119,7 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
         Remark(
             "warning",
             f"The base moves in the picture, by up to {distance:.2f} mm and {turn:.2f} deg: clamp or camera was not "
-            "still. It was followed from frame to frame.",
+            "still. It was followed from frame to frame. Fix both.",
             about="base moves",
         )
     ]

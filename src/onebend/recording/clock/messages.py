@@ -7,7 +7,10 @@ from onebend.records import ClockOffset, Remark
 
 AS_WRITTEN = "start_s is used as it is written"
 _CONTRADICTS = 3.0  # sd of the data beyond the uncertainty
-TOO_LITTLE = f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}."
+TOO_LITTLE = (
+    f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}. Push further, or measure "
+    "start_s."
+)
 
 
 def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
@@ -19,7 +22,7 @@ def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
         return Remark("warning", text, about="clock")
     if uncertainty < ROUGHLY:
         return Remark("note", f"The data tell the clocks' offset no better than start_uncertainty_s; {AS_WRITTEN}.")
-    text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {AS_WRITTEN}."
+    text = f"The clocks could not be matched from the data (one sd {sd:.2g} s); {AS_WRITTEN}. Check it."
     return Remark("warning", text, about="clock")
 
 
@@ -30,7 +33,10 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
         text = "The clock offset found lies at the edge of the range searched; give a better start_s in [video]."
         remarks.append(Remark("warning", text, about="clock"))
     elif abs(clock.offset - clock.stated) > uncertainty + 2 * clock.sd:
-        text = f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty."
+        text = (
+            f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty. Correct "
+            "start_s."
+        )
         remarks.append(Remark("warning", text, about="clock"))
     if clock.sd > 0.1:
         remarks.append(

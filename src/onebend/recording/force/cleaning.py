@@ -169,7 +169,7 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
         remarks.append(Remark("note", text))
     elif float(np.ptp(zero.value, axis=0).max()) > 0.2 * largest:
         change = float(np.ptp(zero.value, axis=0).max())
-        text = f"The force's zero drifted by {change:.2g} N between the rests."
+        text = f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up."
         remarks.append(Remark("warning", text, about="drift"))
     if not math.isfinite(cutoff):
         remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))

@@ -52,7 +52,10 @@ def find_contact(
     time = markers.time
     departed, threshold = departure(markers, settings)
     if not departed[0] <= threshold:
-        text = "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero."
+        text = (
+            "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero. "
+            "Record three still seconds before the push."
+        )
         loaded = np.full(len(time), log is not None)
         remark = Remark("warning", text, about="no rest")
         return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (remark,))
@@ -69,7 +72,7 @@ def find_contact(
             if np.any(~still & free):
                 remarks.append(Remark("note", f"The beam swings freely from {released:.2f} s of the film on."))
     if not free[: max(first, 1)].any():
-        text = "The rest before contact is too short to use: the force has no zero."
+        text = "The rest before contact is too short to use: the force has no zero. Record three still seconds."
         remarks.append(Remark("warning", text, about="no rest"))
     spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
     rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)

@@ -183,4 +183,6 @@ def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
     """Nothing, a note or a warning on `count` of the rows."""
     if not count:
         return ()
-    return (Remark("warning" if count > MANY * rows else "note", f"{count} of {rows} {what}.", about="bad rows"),)
+    if count <= MANY * rows:
+        return (Remark("note", f"{count} of {rows} {what}.", about="bad rows"),)
+    return (Remark("warning", f"{count} of {rows} {what}. Check the logger, and record again.", about="bad rows"),)

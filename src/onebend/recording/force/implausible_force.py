@@ -27,7 +27,7 @@ OTHER_TIME = re.compile(r"[_\s\[(/](ms|us|ns)[\])]?$")
 
 def still_columns(force: Array) -> tuple[Remark, ...]:
     """A warning for each column of the forces (N, 2) that never changes."""
-    sentence = "force of the log never changes ({:g} N): is its channel connected, is it the right column?"
+    sentence = "force of the log never changes ({:g} N): is its channel connected? Check columns."
     constant = np.ptp(force, axis=0) == 0.0
     return tuple(
         Remark("warning", f"The {axis} {sentence.format(value)}", about="constant force")

@@ -45,11 +45,13 @@ def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) ->
     clamp = max((entries[name].clamp_sd for name in SOURCES if entries[name] is not None), default=math.nan)
     if clamp > LOOSEST:
         warnings.append(
-            f"clamp_sd_deg = {math.degrees(clamp):g} lets the clamp turn freely: k near it cannot be known then."
+            f"clamp_sd_deg = {math.degrees(clamp):g} lets the clamp turn freely: k near it cannot be known then. "
+            "Write how firm it is."
         )
     if beam.rest == "unknown" and beam.curvature_sd > ROUNDEST:
         warnings.append(
-            f"rest_curvature_sd_deg = {math.degrees(beam.curvature_sd):.3g} is a beam that may be rolled up."
+            f"rest_curvature_sd_deg = {math.degrees(beam.curvature_sd):.3g} is a beam that may be rolled up: is it in "
+            "degrees?"
         )
     if scale_sd > ROUGHEST:
         warnings.append(f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?")

@@ -19,7 +19,7 @@ from onebend.recording.force.contact import ContactSettings, find_contact
 from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.entries import Recording
-from onebend.recording.tracks.chords import with_angles
+from onebend.recording.tracks.chords import check_angles, with_angles
 from onebend.recording.tracks.plane_fit import best_plane, plane_remarks
 from onebend.records import UNKNOWN_ANGLE_SD, Array, Markers, Remark
 
@@ -77,6 +77,7 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
     back = np.array([[cos, sin], [-sin, cos]])
     xy = (in_base - origin) @ back.T
     check_scale(rec, xy)
+    check_angles(xy, raw.s, angle, rec.name)
     return Markers(**{**vars(raw), "xy": xy, "angle": unwrap(angle - direction)})
 
 
@@ -154,7 +155,8 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     text = f"The base moves, by up to {1000 * float(step.max()):.2g} mm and {math.degrees(float(np.ptp(turn))):.2g} deg"
     if base == 1 and not np.isfinite(angle).any():
         text += "; one marker without an angle does not show its turn. Put a second one on it"
-    return shift, turn, (Remark("warning", f"{text}. It was followed from frame to frame.", about="base moves"),)
+    text += ". It was followed from frame to frame. Fix the base, and the tracker"
+    return shift, turn, (Remark("warning", f"{text}.", about="base moves"),)
 
 
 def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactSettings) -> tuple[Array, float]:

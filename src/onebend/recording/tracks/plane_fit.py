@@ -86,6 +86,6 @@ def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
     extent = float(np.nanmax(np.linalg.norm(flat - np.nanmean(flat, axis=(0, 1)), axis=-1)))
     text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * largest:.2g} mm at most"
     if largest > MUCH * extent:
-        text += ": this is no bending in one plane, and what leaves it is not seen."
+        text += ": this is no bending in one plane, and what leaves it is not seen. Push within one plane."
         return (Remark("warning", text, about="out of plane"),)
     return (Remark("note", f"{text}; only the motion in the plane is used."),)

@@ -26,7 +26,7 @@ _EDGED: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground=
 def check_picture(found: Overview) -> Figure | None:
     """A frame with the tags, the beam's axis and the largest force; below it the force over time.
 
-    Of tracks and poses, which have no picture, the markers in the plane. None where there is nothing to draw.
+    Of tracks and poses, which have no picture, the tags in the plane. None where there is nothing to draw.
     """
     return None if found.preview is None and found.observations is None else _drawn(found)
 
@@ -98,15 +98,15 @@ def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log
 
 
 def _plane(axes: Axes, found: Overview) -> None:
-    """Where tracks or poses have the markers, in the beam's frame."""
+    """Where tracks or poses have the tags, in the beam's frame."""
     assert found.observations is not None
     o = found.observations
     for i, tag in enumerate(o.tag_id.tolist()):
-        axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"marker {tag}, s = {o.marker_s[i]:.3g}")
+        axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"tag {tag}, s = {o.marker_s[i]:.3g}")
     axes.plot([0.0, 1000.0 * o.length], [0.0, 0.0], color=BLUE, linewidth=1.4, label="the beam's x axis")
     axes.plot([0.0], [0.0], "s", color=INK)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"{len(o.time)} poses of the markers, as read")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"{len(o.time)} poses of the tags, as read")
     axes.legend(loc="best")
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,12 +30,12 @@ def stiffness(
     *,
     uncertain: UncertainStiffness | None = None,
     regression: Profile | None = None,
-    marker_s: Array | Sequence[float] = (),
+    tags: Mapping[int, float] = MappingProxyType({}),
     push_s: float | None = None,
 ) -> Figure:
     """k(s) along the beam with its bands, grey where the data are blind; the regression's k(s) beside it.
 
-    The symbols are the tags; hatched: what no push reached.
+    The symbols are the tags, by id and place; hatched: what no push reached.
     """
     if uncertain is None:
         figure, (axes,) = blank(3.1)
@@ -47,7 +48,7 @@ def stiffness(
         axes.plot(_S, regression(_S), color=ORANGE, linewidth=1.3, linestyle="--", label="the paper's regression")
         top = max(top, min(float(np.max(regression(_S))), 1.5 * top))
     axes.set(xlim=(0, 1), ylabel="bending stiffness k = EI / L [N m]", ylim=(1.15 * low, 1.15 * top or None))
-    _places(axes, marker_s, push_s)
+    _places(axes, tags, push_s)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")
     figure.axes[-1].set_xlabel("place along the beam s")
@@ -114,16 +115,14 @@ def _reach(where: BoolArray) -> BoolArray:
     return np.concatenate([where[:1], where[1:] | where[:-1]])
 
 
-def _places(axes: Axes, marker_s: Array | Sequence[float], push_s: float | None) -> None:
+def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None:
     """The tags on the axis, and what no push reached."""
-    count = len(marker_s)
-    for i, place in enumerate(marker_s):
-        tint = colour(i, count)
+    count = len(tags)
+    for i, (tag, place) in enumerate(tags.items()):
+        tint, text = colour(i, count), f"tag {tag}" if i == 0 else f"{tag}"
         axes.plot(place, 0.0, marker=shape(i), color=tint, markersize=7, clip_on=False, zorder=5)
         if i in named(count):
-            axes.annotate(
-                f"M{i + 1}", (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=tint, fontsize=8.5
-            )
+            axes.annotate(text, (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=tint, fontsize=8.5)
     if push_s is not None and push_s < 0.999:
         axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
         axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")

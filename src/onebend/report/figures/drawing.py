@@ -76,13 +76,13 @@ def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None)
 
 def _stiffness(findings: Findings) -> Figure:
     """k(s) with its band, and the regression's beside it where it is not the result itself."""
-    posterior, learned = findings.posterior, findings.learned
+    posterior, learned, first = findings.posterior, findings.learned, findings.trainings[0]
     pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in findings.trainings])
     return curves.stiffness(
         findings.beam,
         uncertain=None if posterior is None else posterior.stiffness,
         regression=None if posterior is None or learned is None else learned.beam.stiffness,
-        marker_s=findings.trainings[0].marker_s,
+        tags=dict(zip(first.tag_id.tolist(), first.marker_s.tolist(), strict=True)),
         push_s=float(pushed.max()) if pushed.size else None,
     )
 

@@ -40,7 +40,7 @@ def fit_over_frame(
     observations: Observations,
     fitted: Explained | None = None,
 ) -> Figure:
-    """Measured markers and the beam at the largest push, over the video frame (RGB) itself.
+    """Measured tags and the beam at the largest push, over the video frame (RGB) itself.
 
     The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
     force as logged.
@@ -64,7 +64,7 @@ def fit_over_frame(
         predicted = project(view, shown.predicted[t])
         axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label=f"{what} markers", **_EDGED)
     axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=2,
-              label="measured markers", **_EDGED)  # fmt: skip
+              label="measured tags", **_EDGED)  # fmt: skip
     where = line[round(float(shown.push_s[t]) * (len(line) - 1))] if line is not None else shown.measured[t, -1]
     points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
     _crop(axes, np.concatenate(points), image.shape)
@@ -100,7 +100,7 @@ def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
 
 @styled
 def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None) -> Figure:
-    """The beam and the measured markers at rest and at pushes of growing size (Fig. 7 of the paper)."""
+    """The beam and the measured tags at rest and at pushes of growing size (Fig. 7 of the paper)."""
     figure, (axes,) = blank(3.6)
     shown, count = comparison if fitted is None else fitted.comparison, len(comparison.tag_id)
     chosen = spread_of_pushes(shown, 6)
@@ -118,7 +118,7 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
         for i in range(count):
             axes.plot(
                 *(MM * shown.measured[t, i]), shape(i), color=colour(i, count), alpha=strength, markersize=6, zorder=4,
-                label=f"M{i + 1} measured" if order == len(chosen) - 1 and i in named(count) else None,
+                label=f"tag {shown.tag_id[i]} measured" if order == len(chosen) - 1 and i in named(count) else None,
             )  # fmt: skip
     axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
     if fitted is not None and not comparison.static:
@@ -131,7 +131,7 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
 
 @styled
 def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
-    """Every marker over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
+    """Every tag over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
     figure, (above, below) = blank(4.6, 2, 1, sharex=True)
     time, shown = comparison.time - comparison.time[0], comparison if fitted is None else fitted.comparison
     step, count = max(1, len(time) // 150), len(comparison.tag_id)  # dots that would cover each other are left out
@@ -143,7 +143,7 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
             if fitted is not None and not comparison.static:
                 axes.plot(*_unbroken(time, MM * comparison.predicted[:, i, axis]), color=tint, linewidth=0.9, **_DASHED)
             curve = _unbroken(shown.time - comparison.time[0], MM * shown.predicted[:, i, axis])
-            label = f"M{i + 1}, s = {comparison.marker_s[i]:.3g}" if i in named(count) else None
+            label = f"tag {comparison.tag_id[i]}, s = {comparison.marker_s[i]:.3g}" if i in named(count) else None
             axes.plot(*curve, color=tint, linewidth=1.4, label=label, **_marked(i, time))
         axes.set_ylabel(f"{name} [mm]")
     below.set_xlabel(_time_label(comparison))
@@ -176,13 +176,13 @@ def _time_label(comparison: Comparison) -> str:
 
 @styled
 def residuals(comparison: Comparison, title: str = "measured to simulated") -> Figure:
-    """How far the simulated markers are from the measured ones: over time, and in the plane."""
+    """How far the simulated tags are from the measured ones: over time, and in the plane."""
     figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
     residual = MM * (comparison.measured - comparison.predicted)
     time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
     for i, rms in enumerate(comparison.rms):
         distance, tint = distances(residual[:, i]), colour(i, count)
-        label = f"M{i + 1}: {millimetres(rms)} mm RMS" if i in named(count) else None
+        label = f"tag {comparison.tag_id[i]}: {millimetres(rms)} RMS" if i in named(count) else None
         left.plot(*_unbroken(time, distance), color=tint, linewidth=1.1, label=label, **_marked(i, time))
         right.plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
@@ -264,7 +264,7 @@ def _spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
 
 @styled
 def validation(comparisons: Sequence[Comparison]) -> Figure:
-    """RMS per marker and recording (Tables IV to VI), with the part that the force's noise alone explains."""
+    """RMS per tag and recording (Tables IV to VI), and the force noise."""
     figure, (axes,) = blank(0.9 + 0.28 * sum(len(comparison.tag_id) + 1 for comparison in comparisons))
     y, ticks = 0.0, []
     for comparison in comparisons:
@@ -274,12 +274,13 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
             end = np.nanmax([rms, MM * comparison.sensor_rms[i], 0.0])
             text = f"{millimetres(comparison.rms[i])} ({millimetres(comparison.sensor_rms[i])})"
             axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
-            ticks.append((y, f"{figure_text(comparison.name)}  M{i + 1}" if i == 0 else f"M{i + 1}"))
+            tag = f"tag {comparison.tag_id[i]}"
+            ticks.append((y, f"{figure_text(comparison.name)}  {tag}" if i == 0 else tag))
             y += 1.0
         y += 0.7
     axes.set_yticks(*zip(*ticks, strict=True))
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.margins(x=0.1)
-    axes.set(xlabel="RMS distance, measured to simulated [mm]\n(| and in brackets: explained by the force log's noise)")
+    axes.set(xlabel="RMS distance, measured to simulated [mm]\n(| and in brackets: force noise)")
     return figure

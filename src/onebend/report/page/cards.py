@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
 from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
-from onebend.report.kinds import only_static, words_of
+from onebend.report.kinds import words_of
 from onebend.report.modulus import measured_beam, modulus_range
 from onebend.report.verdict import Verdict, verdict_of
-from onebend.report.wording import millimetres, significant, worst_marker
+from onebend.report.wording import significant, worst_tag
 
 
 def cards(findings: Findings) -> list[dict[str, str]]:
@@ -26,7 +28,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         others = len(findings.validations)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}"
-        rows.append({"what": "validation, worst marker", "value": worst_marker(worst), "note": note})
+        rows.append({"what": "validation, worst tag", "value": worst_tag(worst), "note": note})
     if recording.source.clean_force is not None:
         size = np.linalg.norm(recording.force[recording.loaded], axis=1)
         noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
@@ -41,19 +43,14 @@ def verdict_card(verdict: Verdict) -> dict[str, str]:
 
 
 def _training_card(findings: Findings) -> dict[str, str]:
-    """The residual at the tags that the beam was learned from."""
-    what = "learned recording, worst marker"
-    logged = max(findings.trainings, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
-    if findings.posterior is None:
-        note = f"RMS over {len(logged.frame)} frames, under the force as logged"
-        return {"what": what, "value": worst_marker(logged), "note": note}
-    fitted = max(float(np.nanmax(values)) for values in fitted_rms(findings.posterior))
-    if only_static(findings.recordings):
-        words = words_of(findings.recordings[0])
-        note = f"RMS of the fit over {len(logged.frame)} {words.frames}"
-        return {"what": f"learned recording, worst {words.tag}", "value": f"{millimetres(fitted)} mm", "note": note}
-    note = f"RMS of the fit; {worst_marker(logged)} under the force as logged; the fit corrects its slow error"
-    return {"what": what, "value": f"{millimetres(fitted)} mm", "note": note}
+    """The residual at the tags that the beam was learned from: of the fit, where there is one."""
+    what = "learned recording, worst tag"
+    rms = [one.rms for one in findings.trainings] if findings.posterior is None else fitted_rms(findings.posterior)
+    which = int(np.argmax([float(np.max(np.nan_to_num(values))) for values in rms]))
+    logged = findings.trainings[which]
+    of = "RMS under the force as logged" if findings.posterior is None else "RMS of the fit"
+    note = f"{of}, over {len(logged.frame)} {words_of(findings.recordings[which]).frames}"
+    return {"what": what, "value": worst_tag(replace(logged, rms=rms[which])), "note": note}
 
 
 def _stiffness_card(findings: Findings) -> dict[str, str]:
@@ -85,6 +82,6 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
     return {
         "what": what,
-        "value": f"± {significant(100.0 * np.expm1(wide), 2)} %",
+        "value": half_width_words(wide),
         "note": f"95 %, median over the identified s = {where}",
     }

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import half_width_words
 from onebend.learning.criticism_messages import unseen_words
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms
+from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations
 from onebend.report.confidence import (
     alarm_words,
@@ -83,7 +84,7 @@ def _content(findings: Findings) -> dict[str, Any]:
         "k_rows": _stiffness_rows(findings),
         "modulus": modulus_rows(measured_beam(findings), np.linspace(0.0, 1.0, 11)),
         "modulus_words": modulus_words(measured_beam(findings)),
-        "tags": [f"M{i + 1}" for i in range(len(first.tag_id))],
+        "tags": [f"tag {tag}" for tag in first.tag_id],
         "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
         "learned_figures": _learned_captions(findings),
         "trials": [] if learned is None else _trials(learned),
@@ -106,7 +107,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "allowances": allowance_rows(posterior),
         "tests": model_test_rows(posterior),
         "alarm": alarm_words(posterior),
-        "unseen": unseen_words(posterior),
+        "unseen": unseen_words(possible(posterior)),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": " ".join([scale_words(posterior.gain_sd, recordings), *load_error_words(posterior.load_error)]),
         "stopped": stop_words(posterior),
@@ -127,6 +128,9 @@ def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
         band = posterior.band(s)
         for row, low, high, known in zip(rows, band.low, band.high, band.identified, strict=True):
             row |= {"low": significant(low), "high": significant(high), "known": bool(known)}
+            row["half"] = (
+                half_width_words(0.5 * float(np.log(high / low))).removeprefix("± ").replace("a factor of ", "× ")
+            )
     if posterior is not None and findings.learned is not None:
         for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
             row["regression"] = significant(k)
@@ -152,16 +156,16 @@ def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
 
 def _comparison_row(comparison: Comparison) -> dict[str, Any]:
     pairs = zip(comparison.rms, comparison.sensor_rms, strict=True)
-    cells = [{"rms": millimetres(rms), "sensor": millimetres(sensor)} for rms, sensor in pairs]
+    cells = [{"rms": millimetres(rms), "noise": millimetres(noise)} for rms, noise in pairs]
     return {"name": comparison.name, "frames": len(comparison.frame), "cells": cells}
 
 
 def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
     captions = []
     for i, comparison in enumerate(comparisons, start=1):
-        captions.append((f"validation-{i}-shapes", f"{comparison.name}: simulated beam and measured markers."))
+        captions.append((f"validation-{i}-shapes", f"{comparison.name}: simulated beam and measured tags."))
         captions.append(
-            (f"validation-{i}-residuals", f"{comparison.name}: distance between measured and simulated markers.")
+            (f"validation-{i}-residuals", f"{comparison.name}: distance between measured and simulated tags.")
         )
     return captions
 
@@ -171,8 +175,8 @@ def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
     captions = []
     for i, comparison in enumerate(findings.trainings[1:], start=2):
         words = words_of(findings.recordings[i - 1])
-        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured {words.tags}."))
-        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the {words.tags}."))
+        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured tags."))
+        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
         captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
     return captions
 
