@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -118,7 +119,8 @@ def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -
     away = np.array([[0.0, 0.0], [4e-3, 0.0], [0.0, 0.0]])
     moved = replace(made(), xy=np.add(made().xy, away), rest_xy=np.add(made().rest_xy, away))
     texts = [remark.text for remark in fit_remarks(fit([moved], 0.02, settings=FitSettings(functions=24)))]
-    assert any("tag 2 sits 4 mm along the beam from its written place" in text for text in texts)
+    said = [re.search(r"tag 2 sits ([\d.]+) mm along the beam from its written place", text) for text in texts]
+    assert [float(one[1]) for one in said if one] == pytest.approx([4.0], abs=0.2)
 
 
 def shifted(posterior: Posterior, by: float) -> Posterior:

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.report.confidence import gain_words, identified_ranges, load_error_words, nuisance_rows, unidentified_words
+from onebend.report.confidence import (
+    gain_words,
+    identified_ranges,
+    identified_words,
+    load_error_words,
+    nuisance_rows,
+    unidentified_words,
+)
 from onebend.report.figures import curves
 from onebend.report.figures.style import png_of
 from onebend.report.page.cards import band_card
@@ -95,3 +102,17 @@ def test_nuisances_are_shown_in_the_units_of_a_bench() -> None:
     assert float(rows["made-up: clock offset"].before) == pytest.approx(1e3 * clock.prior_sd)
     assert rows["made-up: clock offset"].unit == "ms"
     assert 0.0 <= rows["tag 1 along"].learned <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("ranges", "words"),
+    [
+        ([(0.0, 0.9)], "0.00 to 0.90"),
+        ([(0.0, 0.28), (0.29, 0.4), (0.41, 0.9)], "0.00 to 0.90 (but for 2 % of it)"),
+        ([(0.0, 0.4), (0.5, 0.9)], "0.00 to 0.40, 0.50 to 0.90"),
+        ([(0.0, 0.4), (0.5, 0.505)], "0.00 to 0.40"),
+        ([(0.5, 0.505)], "0.50 to 0.51"),
+    ],
+)
+def test_narrow_gaps_are_counted_and_not_named(ranges: list[tuple[float, float]], words: str) -> None:
+    assert identified_words(ranges) == words

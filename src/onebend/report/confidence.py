@@ -23,6 +23,8 @@ from onebend.report.wording import change_words, millimetres, significant
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
 _PLACES = 401
+NARROW = 0.03  # of the beam: a gap between identified stretches that is as wide as the edge of a tag's patch
+_SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
 _SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
@@ -52,6 +54,29 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
     s = np.linspace(0.0, 1.0, _PLACES)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
+
+
+def identified_words(ranges: Sequence[tuple[float, float]]) -> str:
+    """Where k(s) is identified, as "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90"; narrow gaps are not named.
+
+    Neither is an identified stretch as short as they are, beside longer ones. `ranges`: at least one.
+    """
+    joined: list[list[tuple[float, float]]] = []
+    for one in ranges:
+        if joined and one[0] - joined[-1][-1][1] < NARROW:
+            joined[-1].append(one)
+        else:
+            joined.append([one])
+    longest = max(parts[-1][1] - parts[0][0] for parts in joined)
+    words = []
+    for parts in joined:
+        begin, end = parts[0][0], parts[-1][1]
+        if end - begin < min(_SLIVER, longest):
+            continue
+        missing = end - begin - sum(high - low for low, high in parts)
+        but = f" (but for {max(100.0 * missing / (end - begin), 1.0):.0f} % of it)" if len(parts) > 1 else ""
+        words.append(f"{begin:.2f} to {end:.2f}{but}")
+    return ", ".join(words)
 
 
 def typical_half_width(uncertain: UncertainStiffness) -> float:
@@ -85,9 +110,11 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
     words = []
     if ranges[0][0] > 0.0:
         words.append(f"Nearer to the clamp than s = {np.ceil(100 * ranges[0][0]) / 100:.2f} {whose} {rest}")
-    words += [
-        f"Between s = {before[1]:.2f} and s = {after[0]:.2f} {whose} {rest}" for before, after in pairwise(ranges)
-    ]
+    gaps = [(before[1], after[0]) for before, after in pairwise(ranges)]
+    words += [f"Between s = {low:.2f} and s = {high:.2f} {whose} {rest}" for low, high in gaps if high - low >= NARROW]
+    narrow = [f"{0.5 * (low + high):.2f}" for low, high in gaps if high - low < NARROW]
+    if narrow:
+        words.append(f"Near s = {', '.join(narrow)}, over less than {NARROW:g} each, {whose} {rest}")
     if ranges[-1][1] < 1.0:
         words.append(f"Beyond s = {ranges[-1][1]:.2f} {whose} {rest}")
     return words

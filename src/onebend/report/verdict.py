@@ -21,13 +21,12 @@ from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Array, Observations
 from onebend.report.allowance_words import narrower_words, share_words
-from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
+from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
 from onebend.report.wording import millimetres, significant, tag_words
 
 AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
 _MOST_NAMED = 4  # allowances, tests
-_SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
 _NARROW, _MOST = 0.1, 0.9  # half-width of the band, identified share: with less, another push tells more
 ErrorOf = Literal["validation", "fit", "as logged"]
 
@@ -129,10 +128,8 @@ def _known(findings: Findings) -> str:
     ranges = identified_ranges(uncertain)
     if not ranges:
         return f"{span}, not identified: at no place to a factor of 1.5 (95 %)"
-    widest = max(end - begin for begin, end in ranges)
-    where = ", ".join(f"{begin:.2f} to {end:.2f}" for begin, end in ranges if end - begin >= min(_SLIVER, widest))
     wide = half_width_words(typical_half_width(uncertain))
-    return f"{span}, {wide} (95 %, median) over s = {where}"
+    return f"{span}, {wide} (95 %, median) over s = {identified_words(ranges)}"
 
 
 def _rests_on(posterior: Posterior | None) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
 from onebend.learning.verdict import fitted_rms
-from onebend.report.confidence import identified_ranges, stiffness_range, typical_half_width
+from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
 from onebend.report.kinds import words_of
 from onebend.report.modulus import measured_beam, modulus_range
@@ -79,9 +79,8 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     if not ranges:
         return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
     wide = typical_half_width(uncertain)
-    where = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in ranges)
     return {
         "what": what,
         "value": half_width_words(wide),
-        "note": f"95 %, median over the identified s = {where}",
+        "note": f"95 %, median over the identified s = {identified_words(ranges)}",
     }
