@@ -11,6 +11,7 @@ import pytest
 
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
 from onebend.errors import LearningError
+from onebend.learning.allowances.patches import WIDTHS
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
@@ -66,7 +67,7 @@ def test_what_stiffens_the_beam_under_its_tags_is_planned_with() -> None:
     shared = (one.layout.index[name, -1].where for name in ("along", "across", "turn"))
     tags = np.concatenate([np.arange(where.start, where.stop) for where in shared])
     index, onto = log_k_map(one.problem)
-    assert len(index) == one.layout.spline.count + 1
+    assert len(index) == one.layout.spline.count + len(WIDTHS)
     across = one.covariance[np.ix_(tags, index)] @ onto.T
     np.testing.assert_allclose(joint[f:, :f], across, rtol=1e-4, atol=1e-6 * np.abs(across).max())
 
