@@ -26,7 +26,7 @@ SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
 LONGEST = 0.25  # of the film: a longer lag leaves no push to see
 REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
 APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
-CERTAIN = 15.0  # log evidence of a slow sensor over a quick one
+CERTAIN = 30.0  # log evidence of a slow sensor over a quick one; other errors that last reach half of that
 FEWEST = 10  # frames, and rows of the log
 REFINED = 3  # lags between two of those above
 
