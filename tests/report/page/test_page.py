@@ -18,6 +18,7 @@ from onebend.report.figures.drawing import draw_all, fit
 from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
 from onebend.report.page.cards import cards
 from onebend.report.page.page import page
+from onebend.report.page.template import code_in
 from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_tag
 from tests import made_up
 from tests.made_up import with_source, with_stated
@@ -292,3 +293,12 @@ def test_what_is_allowed_for_stands_with_its_share() -> None:
 def _moved(film: FitData, away: float) -> FitData:
     """Its tags seen `away` [m] from where they were."""
     return replace(film, measured=film.measured + away)
+
+
+def test_what_is_to_be_typed_stands_as_code_and_cannot_become_markup() -> None:
+    assert code_in("use it (`onebend reach`), not `<b>`") == (
+        "use it (<code>onebend reach</code>), not <code>&lt;b&gt;</code>"
+    )
+    assert code_in("one ` alone") == "one ` alone"
+    shown = page(made_up.findings(1), {}, version="1")
+    assert "`" not in re.sub(r"<(script|style).*?</\1>", "", shown, flags=re.DOTALL)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 COMMON = "onebend.report.page"
 
@@ -32,11 +33,17 @@ def render(
     environment = Environment(
         loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
+    environment.filters["code"] = code_in
     look = Markup(page_file(COMMON, "look.css"))
     encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
     script = Markup("\n".join(page_file(COMMON, file) for file in scripts))
     given = {"look": look, "figures": encoded, "script": script, "policy": _policy(script)}
     return environment.get_template(name).render(**given, **content)
+
+
+def code_in(text: str) -> Markup:
+    """The text, escaped; what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _policy(script: str) -> str:
