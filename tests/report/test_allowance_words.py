@@ -20,12 +20,12 @@ def share(widening: float = 1.0, shift: float = 0.0, sds: float = 0.0) -> Attrib
 @pytest.mark.parametrize(
     ("one", "words"),
     [
-        (share(), "relaxation (k(s) may be 1 % off without it)"),
-        (share(shift=0.1, sds=1.0), "relaxation (k(s) may be 11 % off without it)"),  # or it is chance
-        (share(shift=0.1, sds=5.0), "relaxation (k(s) 11 % off without it)"),
-        (share(shift=2.0, sds=5.0), "relaxation (another k(s) without it)"),  # more than first order tells
+        (share(), "relaxation (left out, k(s) might be 1 % off)"),
+        (share(shift=0.1, sds=1.0), "relaxation (left out, k(s) might be 11 % off)"),  # or it is chance
+        (share(shift=0.1, sds=5.0), "relaxation (left out, k(s) would be 11 % off)"),
+        (share(shift=2.0, sds=5.0), "relaxation (left out, another k(s))"),  # more than first order tells
         (share(widening=1.25), "relaxation (band 1.25 times as wide)"),
-        (share(1.25, 0.1, 5.0), "relaxation (k(s) 11 % off without it, band 1.25 times as wide)"),
+        (share(1.25, 0.1, 5.0), "relaxation (left out, k(s) would be 11 % off, band 1.25 times as wide)"),
     ],
 )
 def test_a_share_is_what_the_data_show_and_what_it_costs(one: Attribution, words: str) -> None:

@@ -83,7 +83,7 @@ def test_terminal_report_and_summary_say_the_same() -> None:
 def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
     motion = 1e3 * np.ptp(made_up.comparison(largest=0.2).measured[:, 2, 1][np.r_[0:10, 12:90]])
     good = verdict_of(validated(0.0033, 0.0038))
-    assert "3.30 mm RMS (worst: tag 3); force noise 3.80: as good" in good.use
+    assert "3.30 mm RMS (worst: tag 3); force noise 3.80 mm: as good" in good.use
     assert (good.error, good.error_of) == (0.0033, "validation")
     fair = verdict_of(validated(0.0020, 0.0010))
     assert f"shapes are predicted to {100 * 2.0 / motion:.1f}"[:-1] in fair.use
@@ -97,7 +97,7 @@ def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
 
 def test_a_validation_is_held_against_the_band_and_the_place_of_the_push_too() -> None:
     as_known = verdict_of(validated(0.0020, 0.0005, 0.0018)).use
-    assert "force noise 0.50, with the band of k(s) and the push's place 1.80: shapes are" in as_known
+    assert "force noise 0.50 mm, with the band of k(s) and the push's place 1.80 mm: shapes are" in as_known
     assert as_known.endswith("as well as its band says")
     off = verdict_of(validated(0.0040, 0.0005, 0.0018)).use
     assert "place 1.80" in off

@@ -15,15 +15,15 @@ _MOST_TOLD = 2
 
 
 def share_words(share: Attribution) -> str:
-    """`relaxation (k(s) 9.8 % off without it)`: what the data show of it, else what it costs."""
+    """`relaxation (left out, k(s) would be 9.8 % off)`: what the data show of it, else what it costs."""
     does = []
     if share.sure and share.shift > SHIFTS:
         change = change_words(share.shift)
-        does.append(f"{change} k(s) without it" if change == ANOTHER else f"k(s) {change} off without it")
+        does.append(f"left out, {change} k(s)" if change == ANOTHER else f"left out, k(s) would be {change} off")
     if share.widening > WIDENS:
         does.append(f"band {share.widening:.2f} times as wide")
     if not does:
-        does.append(f"k(s) may be {change_words(share.size)} off without it")
+        does.append(f"left out, k(s) might be {change_words(share.size)} off")
     return f"{share.name} ({', '.join(does)})"
 
 

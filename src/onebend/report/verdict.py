@@ -195,11 +195,11 @@ def _use(findings: Findings, error: _Error) -> str:
     means = f"no good prediction, {part}" if error.failed else f"shapes are predicted to {part}"
     if not (math.isfinite(error.noise) and error.noise > 0.0):
         return f"{where}: {means}"
-    explained = f"force noise {millimetres(error.noise)}"
+    explained = f"force noise {millimetres(error.noise)} mm"
     if error.rms <= AS_GOOD * error.noise and not error.failed:
         return f"{where}; {explained}: as good as this force sensor allows"
     if math.isfinite(error.likely):
-        explained += f", with the band of k(s) and the push's place {millimetres(error.likely)}"
+        explained += f", with the band of k(s) and the push's place {millimetres(error.likely)} mm"
         if error.rms <= AS_GOOD * error.likely and not error.failed:
             means += ", as well as its band says"
     return f"{where}; {explained}: {means}"

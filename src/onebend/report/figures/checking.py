@@ -134,7 +134,7 @@ def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
     axes.set(xlabel="time of the log [s]", ylabel="N, less its start")
     handles, labels = axes.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
-    axes.legend(unique.values(), unique.keys(), loc="best", ncols=len(unique))
+    axes.legend(unique.values(), unique.keys(), loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=len(unique))
 
 
 def pushes(found: Overview) -> list[tuple[float, float, bool]]:

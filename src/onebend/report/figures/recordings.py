@@ -62,7 +62,7 @@ def fit_over_frame(
         points += [project(view, line)]
         axes.plot(*points[-1].T, color=BLUE, linewidth=2.2, label=f"{what} beam", **_EDGED)
         predicted = project(view, shown.predicted[t])
-        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label=f"{what} markers", **_EDGED)
+        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label=f"{what} tags", **_EDGED)
     axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=2,
               label="measured tags", **_EDGED)  # fmt: skip
     where = line[round(float(shown.push_s[t]) * (len(line) - 1))] if line is not None else shown.measured[t, -1]

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
+from onebend.learning.outcome import Comparison
 from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
 from onebend.report.kinds import words_of
 from onebend.report.modulus import measured_beam, modulus_range
 from onebend.report.verdict import Verdict, verdict_of
-from onebend.report.wording import significant, worst_tag
+from onebend.report.wording import millimetres, significant, worst_tag
 
 
 def cards(findings: Findings) -> list[dict[str, str]]:
@@ -27,7 +28,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         worst = max(findings.validations, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
         others = len(findings.validations)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
-        note = f"RMS, {which}"
+        note = f"RMS, {which}{_noise_of(worst)}"
         rows.append({"what": "validation, worst tag", "value": worst_tag(worst), "note": note})
     if recording.source.clean_force is not None:
         size = np.linalg.norm(recording.force[recording.loaded], axis=1)
@@ -35,6 +36,12 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         note = f"noise left in it: {significant(noise, 2)} mN (sd)"
         rows.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
     return rows
+
+
+def _noise_of(validation: Comparison) -> str:
+    """What the force noise alone does to the worst tag; a fit is closer, for it takes that noise out of the log."""
+    noise = validation.sensor_rms[int(np.argmax(np.nan_to_num(validation.rms)))]
+    return f"; force noise {millimetres(float(noise))} mm" if np.isfinite(noise) and noise > 0.0 else ""
 
 
 def verdict_card(verdict: Verdict) -> dict[str, str]:
