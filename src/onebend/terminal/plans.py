@@ -43,8 +43,8 @@ def show_plan(console: Console, plan: Plan) -> None:
         highlight=False,
     )
     console.print(plan_table(plan))
-    console.print("\n[bold]best[/]", Text(plan.proposals[0].text))
-    console.print("[bold]best two with what there is[/]", Text(_pair(plan.pair)))
+    console.print("\n[bold]best:[/]", Text(plan.proposals[0].text))
+    console.print("[bold]best two with what there is:[/]", Text(_pair(plan.pair)))
     for reason in plan.left_out:
         console.print(f"[yellow]![/] {escape(reason)}")
 
