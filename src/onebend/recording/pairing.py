@@ -27,7 +27,7 @@ from onebend.recording.force.implausible_force import refuse_other_unit, size_re
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
 from onebend.recording.implausible_axes import axes_words, read_force, turn_beyond
 from onebend.recording.signals import at_times, bandwidth, step
-from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.entries import ForceEntry, Recording
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 BENDS_BEYOND = 0.05  # of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push
@@ -61,8 +61,9 @@ def match_clocks(
     fit = None
     if log is not None and rec.force is not None:
         check_pace(rec, markers, log)
-        turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
-        fit = fit_clock(markers, turned, stated, uncertainty, push_s=push_place(rec, log), settings=settings)
+        fit = fit_clock(
+            markers, _turned(log, rec.force), stated, uncertainty, push_s=push_place(rec, log), settings=settings
+        )
     exact = uncertainty == 0.0 and math.isfinite(stated)
     if exact and fit is None:
         fit = ClockFit(ClockOffset(offset=stated, sd=0.0, stated=stated, found=True), None)
@@ -88,8 +89,7 @@ def without_slow_sensor(
     """The log, where its sensor is slow as one that is not would have written it, with a warning; else as it is."""
     if log is None or rec.force is None:
         return log, ()
-    turned = replace(log, force=log.force @ to_beam(rec.force.rotation))
-    lag = slow_sensor(markers, turned, fit.clock, push_s=push_place(rec, log), settings=clock)
+    lag = slow_sensor(markers, _turned(log, rec.force), fit.clock, push_s=push_place(rec, log), settings=clock)
     if lag is None:
         return log, ()
     text = (
@@ -99,6 +99,11 @@ def without_slow_sensor(
     )
     cutoff = choose_cutoff(bandwidth(markers.time, displacements(markers)), force)
     return without_lag(log, lag.tau, cutoff), (Remark("warning", text, about="clock"),)
+
+
+def _turned(log: ForceLog, entry: ForceEntry) -> ForceLog:
+    """The log in the beam's frame."""
+    return replace(log, force=log.force @ to_beam(entry.rotation))
 
 
 def check_pace(rec: Recording, markers: Markers, log: ForceLog) -> None:

@@ -111,8 +111,6 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
     onto: list[Array] = [layout.spline.on_finer]
     under_tags, o = layout.index.get(("patches", -1)), problem.recordings[0].observations
     if under_tags is not None and under_tags.start >= 0:
-        s = np.linspace(0.0, 1.0, 8 * fine.count)
-        values = patch_functions(o.marker_s, o.length, o.stated.tag_size, s)
         index.append(np.arange(under_tags.where.start, under_tags.where.stop))
-        onto.append(np.asarray(np.linalg.lstsq(fine.basis(s), values, rcond=None)[0]))
+        onto.append(fine.nearest(lambda s: patch_functions(o.marker_s, o.length, o.stated.tag_size, s)))
     return np.concatenate(index), np.concatenate(onto, axis=1)

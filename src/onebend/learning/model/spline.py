@@ -9,6 +9,7 @@ and where nothing is seen the band opens as the prior does.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,6 +44,11 @@ class Spline:
         """`s.shape + (count,)`."""
         flat = np.clip(np.ravel(s), 0.0, 1.0)
         return np.asarray(BSpline.design_matrix(flat, self.knots, _DEGREE).toarray().reshape(*np.shape(s), self.count))
+
+    def nearest(self, function: Callable[[Array], Array]) -> Array:
+        """(count, ...) coefficients of the least squares nearest to a function of places s (S,), (S, ...)."""
+        s = np.linspace(0.0, 1.0, 8 * self.count)
+        return np.asarray(np.linalg.lstsq(self.basis(s), function(s), rcond=None)[0])
 
     def precision(self, tau: float, rho: float) -> Array:
         """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
@@ -101,8 +107,7 @@ class Spline:
     @cached_property
     def on_finer(self) -> Array:
         """(count of the finer, count): the same functions by the finer ones' coefficients."""
-        s = np.linspace(0.0, 1.0, 8 * self.finer.count)
-        return np.asarray(np.linalg.lstsq(self.finer.basis(s), self.basis(s), rcond=None)[0])
+        return self.finer.nearest(self.basis)
 
     @cached_property
     def unseen(self) -> Array:

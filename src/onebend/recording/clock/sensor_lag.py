@@ -36,7 +36,7 @@ class SensorLag:
     """A first-order lag of the force sensor."""
 
     tau: float  # s
-    gain: float  # log evidence over a quick sensor
+    evidence: float  # its log, over that of a quick sensor
 
 
 def slow_sensor(
@@ -57,19 +57,19 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
     rested = resting(track)
     slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
-    if not any(gain(rested, rows, offset, lag, prior) > 0.0 for lag in slow[1::2]):
+    if not any(evidence(rested, rows, offset, lag, prior) > 0.0 for lag in slow[1::2]):
         return None
-    gains = np.array([gain(rested, rows, offset, lag, prior) for lag in slow])
-    best = int(np.argmax(gains))
-    if best + 1 >= len(slow) or not float(gains[best]) > CERTAIN:
+    logs = np.array([evidence(rested, rows, offset, lag, prior) for lag in slow])
+    best = int(np.argmax(logs))
+    if best + 1 >= len(slow) or not float(logs[best]) > CERTAIN:
         return None  # at the end of the range it is something else
     fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 2 * REFINED + 3)
-    gains = np.array([gain(rested, rows, offset, lag, prior, within=float(fine[-1])) for lag in fine])
-    weight = np.exp(gains - np.max(gains))
-    return SensorLag(tau=float(weight @ fine / np.sum(weight)), gain=float(np.max(gains)))
+    logs = np.array([evidence(rested, rows, offset, lag, prior, within=float(fine[-1])) for lag in fine])
+    weight = np.exp(logs - np.max(logs))
+    return SensorLag(tau=float(weight @ fine / np.sum(weight)), evidence=float(np.max(logs)))
 
 
-def gain(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior, *, within: float = 0.0) -> float:
+def evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior, *, within: float = 0.0) -> float:
     """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
 
     The offset found holds the delay too. Evidences of different rows cannot be compared: the rows are those that every
