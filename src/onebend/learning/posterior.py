@@ -26,6 +26,7 @@ from onebend.learning.criticism.criticism import Criticism, criticise
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.misfit import Miss, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
@@ -101,8 +102,8 @@ class Posterior:
         return self.optimum.x
 
     @property
-    def covariance(self) -> Array:
-        """(P, P) of the parameters (Laplace)."""
+    def covariance(self) -> JointCovariance:
+        """Of the parameters (Laplace)."""
         return self.optimum.covariance
 
     @cached_property
@@ -181,7 +182,7 @@ class Posterior:
             if block.start < 0 or block.name in left_out:
                 continue
             these, where = quantities(block, self.recordings), block.where
-            after = np.sqrt(np.diag(these.weights @ self.covariance[where, where] @ these.weights.T))
+            after = np.sqrt(np.diag(these.weights @ self.covariance.among(where) @ these.weights.T))
             value = these.weights @ self.mean[where]
             values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
             out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
