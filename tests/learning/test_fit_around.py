@@ -78,7 +78,7 @@ def test_correlations_are_those_of_draws_from_the_posterior() -> None:
     one = fitted()
     names, found = correlations(one)
     np.testing.assert_allclose(np.diag(found), 1.0)
-    draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance, 40_000, method="cholesky")
+    draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance.pairs[0], 40_000, method="cholesky")
     s = np.linspace(0, 1, 201)
     known = one.band(s).identified
     level = np.mean(draws[:, :8] @ one.layout.spline.basis(s[known]).T, axis=1)

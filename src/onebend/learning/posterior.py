@@ -24,7 +24,7 @@ from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.misfit import Miss, misses
@@ -50,6 +50,7 @@ from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
+_FEWEST_FRAMES = 20  # of each of very many recordings
 CONTRADICTED = "the force contradicts the bending"
 
 
@@ -59,7 +60,9 @@ class FitSettings:
 
     functions: int = 45  # of the spline of log k
     most_frames: int = 500  # of each recording, evenly chosen
+    most_frames_together: int = 5000  # of all recordings
     first_frames: int = 100  # of each recording, for the way from the start to near the optimum
+    first_recordings: int = 10  # evenly chosen, for the same
     priors: Priors = field(default_factory=Priors)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     last_rounds: int = 6  # at most, with all frames
@@ -245,14 +248,14 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    problem, x = _problem(recordings, start, settings)
+    some = np.unique(np.linspace(0, len(recordings) - 1, settings.first_recordings).round().astype(int)).tolist()
+    problem, x = _problem([recordings[i] for i in some], start, settings)
     near = find_maximum(problem, estimate_at(problem, x), early, progress)
     recordings, near = _with_mass_found(recordings, problem, near)
 
-    whole = replace(
-        problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline, settings.allowances)
-    )
-    estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
+    most = min(settings.most_frames, max(settings.most_frames_together // len(recordings), _FEWEST_FRAMES))
+    whole = _whole_problem(recordings, problem, replace(settings, most_frames=most))
+    estimate = find_maximum(whole, _carried_over(problem, near, whole, some), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
     return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
@@ -261,14 +264,30 @@ def _fit(
 def _problem(
     recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
 ) -> tuple[FitProblem, Array]:
-    """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
+    """The problem with a few frames of some recordings, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
     data = _data(recordings, settings.first_frames, spline, settings.allowances)
-    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
-    layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
+    layout = _layout(recordings, data, spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
     return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
+
+
+def _whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+    """The problem with all frames of all recordings."""
+    spline = problem.layout.spline
+    data = _data(recordings, settings.most_frames, spline, settings.allowances)
+    noise = tuple(expected_recording_noise(d) for d in data)
+    return FitProblem(
+        data, _layout(recordings, data, spline, settings), problem.level, replace(problem.expected, noise=noise)
+    )
+
+
+def _layout(
+    recordings: Sequence[Observations], data: Sequence[FitData], spline: Spline, settings: FitSettings
+) -> Layout:
+    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
+    return make_layout(spline, list(recordings), knots, settings.priors, allowances)
 
 
 def _data(
@@ -302,10 +321,26 @@ def _with_mass_found(
     return heavier, replace(near, x=x)
 
 
-def _carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem) -> MapEstimate:
-    """An estimate for all frames from that for a few."""
-    pairs = zip(problem.recordings, whole.recordings, strict=True)
-    same = all(np.array_equal(few.frames, every.frames) for few, every in pairs)
-    shapes = [p.solved.q for p in near.predictions] if same else None
-    begin = estimate_at(whole, near.x, shapes)
-    return with_own_forces(replace(begin, hyperparameters=near.hyperparameters, steps=near.steps))
+def _carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some: list[int]) -> MapEstimate:
+    """An estimate for all frames of all recordings, from that for a few frames of some. What the others have of their
+    own begins where nothing is known of it, their noise in the middle of what was found."""
+    x, found = np.zeros(whole.layout.size), near.hyperparameters
+    for (name, recording), block in whole.layout.index.items():
+        if block.start >= 0 and (recording < 0 or recording in some):
+            x[block.where] = problem.layout.get(near.x, name, recording if recording < 0 else some.index(recording))
+        elif block.start >= 0 and name == "force":
+            x[block.where] = whole.recordings[recording].error.mean.ravel()
+    pairs = list(zip(found.noise, problem.expected.noise, strict=True))
+    marker, force = (
+        float(np.median(one)) for one in zip(*((f.marker, f.force / e.force) for f, e in pairs), strict=True)
+    )
+    noise = tuple(
+        found.noise[some.index(i)] if i in some else RecordingNoise(marker, force * before.force)
+        for i, before in enumerate(whole.expected.noise)
+    )
+    shapes: list[Array | None] = [None] * len(whole.recordings)
+    for i, few, prediction in zip(some, problem.recordings, near.predictions, strict=True):
+        if np.array_equal(few.frames, whole.recordings[i].frames):
+            shapes[i] = prediction.solved.q
+    begin = estimate_at(whole, x, shapes)
+    return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))

@@ -103,7 +103,8 @@ class Evidence:
         layout = self.problem.layout
         block = layout.index["force", number]
         count = len(block.prior_sd) if block.start >= 0 else 0
-        return block.start - layout.parts[1 + number].start + np.arange(count)
+        start = block.start - layout.parts[1 + number].start
+        return np.arange(start, start + count)
 
     def place(self, hyperparameters: Hyperparameters) -> Array:
         """(4,) sd of the force error's sizes from what was expected."""

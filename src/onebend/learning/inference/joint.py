@@ -73,7 +73,7 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
     information, vector = form.matrix[kept:, kept:], form.vector[kept:]
     inside = root.around(information)
     inside[np.diag_indices(len(inside))] += 1.0 + damping
-    factor = np.linalg.cholesky(inside)
+    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
     cross = form.matrix[kept:, :kept]
     across = _lower(factor, root.transposed_times(cross))
     white = _lower(factor, root.transposed_times(vector - information @ mean))
@@ -158,7 +158,7 @@ def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solve
     left, root, mean = total([one.left for one in own]), before.roots[0], before.mean[shared]
     inside = root.around(left.matrix)
     inside[np.diag_indices(count)] += 1.0 + damping
-    factor = np.linalg.cholesky(inside)
+    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
     white = _lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
     return Solved(before, own, left, factor, white)
 

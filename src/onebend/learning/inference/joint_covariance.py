@@ -84,33 +84,31 @@ class JointCovariance:
     def conditioned(self, weights: Array, index: Sequence[IntArray], away: Sequence[Array]) -> Conditioning:
         """Numbers k, linear in the shared parameters by `weights` (S, n), if parameters b were known.
 
-        b stand at `index` of the parts: of the shared ones, or of the recordings' own, a list each. Over several
-        recordings Woodbury's identity brings the inverse of the covariance of b to the size of the shared parameters.
+        b stand at `index` of the parts: of the shared ones, and of each recording's own. Over several recordings
+        Woodbury's identity brings the inverse of the covariance of b to the size of the shared parameters.
         """
-        n, of_shared = self.shared, weights @ self.of_shared
-        each = [(number, i) for number, i in enumerate(index) if len(i)]
-        if len(each) == 1:
-            number, i = each[0]
-            pair = self.pairs[max(number - 1, 0)]
-            inside = i if number == 0 else i + n
+        n = self.shared
+        if len(self.pairs) == 1:
+            inside, whole = np.concatenate([index[0], index[1] + n]), np.concatenate(away)
+            pair = self.pairs[0]
             across, inverse = weights @ pair[:n, inside], _inverse(pair[np.ix_(inside, inside)])
             regression = across @ inverse
             explained = np.einsum("si,si->s", regression, across)
-            return Conditioning(explained, regression @ away[number], float(away[number] @ inverse @ away[number]))
-        if any(number == 0 for number, _ in each):
-            raise ValueError("shared parameters and own ones at once")
+            return Conditioning(explained, regression @ whole, float(whole @ inverse @ whole))
         told, right, square, precision = np.zeros((n, n)), np.zeros(n), 0.0, _inverse(self.of_shared)
-        for number, i in each:
-            pair, inside = self.pairs[number - 1], i + n
-            onto = pair[inside, :n] @ precision
-            inverse = _inverse(pair[np.ix_(inside, inside)] - onto @ pair[:n, inside])
+        for pair, i, by in zip(self.pairs, index[1:], away[1:], strict=True):
+            onto = pair[n + i, :n] @ precision
+            inverse = _inverse(pair[np.ix_(n + i, n + i)] - onto @ pair[:n, n + i])
             told += onto.T @ inverse @ onto
-            right += onto.T @ inverse @ away[number]
-            square += float(away[number] @ inverse @ away[number])
-        kept = np.linalg.inv(np.eye(n) + told @ self.of_shared)  # (I + M C)^-1
-        explained = np.einsum("sn,nm,sm->s", of_shared, kept @ told, of_shared)
-        square -= float(right @ self.of_shared @ kept @ right)
-        return Conditioning(explained, of_shared @ kept @ right, square)
+            right += onto.T @ inverse @ by
+            square += float(by @ inverse @ by)
+        kept = self.of_shared @ np.linalg.inv(np.eye(n) + told @ self.of_shared)  # (C^-1 + M)^-1
+        moved, square = kept @ right, square - float(right @ kept @ right)
+        inverse, left = _inverse(kept[np.ix_(index[0], index[0])]), away[0] - moved[index[0]]
+        moved = moved + kept[:, index[0]] @ inverse @ left
+        kept = kept - kept[:, index[0]] @ inverse @ kept[index[0]]
+        explained = np.einsum("sn,nm,sm->s", weights, self.of_shared - kept, weights)
+        return Conditioning(explained, weights @ moved, square + float(left @ inverse @ left))
 
     def _place(self, where: slice) -> tuple[int, slice]:
         """In which pair, and where in it."""
@@ -125,6 +123,8 @@ class JointCovariance:
 
 def _inverse(covariance: Array) -> Array:
     """(n, n) pseudo-inverse, whatever the units."""
+    if not len(covariance):
+        return covariance
     sd = np.sqrt(np.diag(covariance))
     return np.asarray(
         np.linalg.pinv(covariance / np.outer(sd, sd), rcond=_MOST_TOLD, hermitian=True) / np.outer(sd, sd)

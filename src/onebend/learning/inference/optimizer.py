@@ -62,7 +62,7 @@ class Optimum:
     stopped: str
 
 
-def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array] | None = None) -> MapEstimate:
+def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | None = None) -> MapEstimate:
     """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
 
     Raises:

@@ -87,7 +87,7 @@ class Layout:
     @property
     def shared(self) -> int:
         """Count of the parameters that all recordings share; they come first."""
-        return self.parts[0].stop
+        return int(self.parts[0].stop)
 
     @cached_property
     def free_blocks(self) -> tuple[tuple[Block, ...], ...]:
