@@ -11,9 +11,10 @@ from onebend.learning.attribution import FORCE_SCALE, GROUPS, LEFT, Attribution,
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.optimizer import Optimum
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Block, Layout, Priors
 from onebend.learning.model.spline import RHO, TAU
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.records import Array, IntArray
 from tests.learning.allowances.allowed_bench import with_everything
 from tests.learning.bench import SOFT, forces, observed

@@ -15,11 +15,12 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning import posterior
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import nothing_moves
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
 from onebend.learning.validation import mounting, validate

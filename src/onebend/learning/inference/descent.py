@@ -28,6 +28,7 @@ from onebend.learning.inference.linear_gaussian import (
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.records import Array
+from onebend.workers import each
 
 _FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
 _HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a trial that failed, and after one that did not
@@ -115,17 +116,18 @@ def all_converged(predictions: Sequence[Prediction]) -> bool:
 
 def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
     """Of every recording, its tags weighted by their noise at the estimate."""
-    pairs = zip(estimate.predictions, estimate.hyperparameters.noise, strict=True)
-    return [residual_rows(prediction, noise) for prediction, noise in pairs]
+    return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
 
 
 def with_own_forces(estimate: MapEstimate) -> MapEstimate:
     """The estimate with each frame's own force where it is most probable, all else as it is; unchanged where a beam
     under these forces would not stand."""
+
+    def settled(p: Prediction, rows: ResidualRows, noise: RecordingNoise) -> Prediction:
+        return predict(p.recording, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
+
     for _ in range(_OWN_PASSES):
-        every = zip(rows_of(estimate), estimate.predictions, estimate.hyperparameters.noise, strict=True)
-        own = [(p, split_off_force(rows, rows.r, noise)[1]) for rows, p, noise in every]
-        moved = tuple(predict(p.recording, p.layout, estimate.x, p.solved.q, force) for p, force in own)
+        moved = each(settled, estimate.predictions, rows_of(estimate), estimate.hyperparameters.noise)
         if not all_converged(moved):
             break
         estimate = replace(estimate, predictions=moved)
@@ -192,13 +194,14 @@ def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Arra
     """A trial a step (P,) on, from one whose residuals are r; each frame's own force is then, to first order, the most
     probable one."""
     x, layout = begin.x + step, here.problem.layout
-    moved = []
-    every = zip(here.problem.recordings, here.rows, r, begin.predictions, begin.hyperparameters.noise, strict=True)
-    for recording, rows, residual, now, noise in every:
-        left = residual - rows.slopes.times(step[layout.known_to(recording.number)])
+
+    def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
+        left = residual - rows.slopes.times(step[layout.known_to(now.recording.number)])
         own = split_off_force(rows, left, noise)[1]
-        moved.append(predict(recording, layout, x, now.solved.q, own))
-    return replace(begin, x=x, predictions=tuple(moved))
+        return predict(now.recording, layout, x, now.solved.q, own)
+
+    predictions = each(moved, here.rows, r, begin.predictions, begin.hyperparameters.noise)
+    return replace(begin, x=x, predictions=predictions)
 
 
 def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -19,6 +19,7 @@ from onebend.learning.inference.fit_problem import Prior
 from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.records import Array, IntArray
+from onebend.workers import each
 
 
 @dataclass(frozen=True)
@@ -141,20 +142,22 @@ class Solved:
     def covariance(self) -> JointCovariance:
         """Of the parameters."""
         half = _lower(self.factor, self.before.roots[0].dense().T)
-        shared, pairs = half.T @ half, []
-        for one in self.own:
+        shared = half.T @ half
+
+        def pair(one: Eliminated) -> Array:
             onto = -one.root.times(_upper(one.factor, one.across))
             own = _lower(one.factor, one.root.dense().T)
             across = onto @ shared
-            pairs.append(np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]]))
-        return JointCovariance(len(shared), tuple(pairs), self.before.parts)
+            return np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]])
+
+        return JointCovariance(len(shared), each(pair, self.own), self.before.parts)
 
 
 def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solved:
     """The posterior of the linearised model; `damping` is added to the precision of z."""
     shared, count = before.parts[0], before.parts[0].stop
-    every = zip(data.forms, before.parts[1:], before.roots[1:], strict=True)
-    own = tuple(eliminated(form, before.mean[part], root, count, damping) for form, part, root in every)
+    means = [before.mean[part] for part in before.parts[1:]]
+    own = each(partial(eliminated, kept=count, damping=damping), data.forms, means, before.roots[1:])
     left, root, mean = total([one.left for one in own]), before.roots[0], before.mean[shared]
     inside = root.around(left.matrix)
     inside[np.diag_indices(count)] += 1.0 + damping

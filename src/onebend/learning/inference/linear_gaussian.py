@@ -22,9 +22,11 @@ import numpy as np
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.inference.joint import JointInformation
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array
+from onebend.workers import each
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
 _REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
@@ -158,11 +160,12 @@ def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
 ) -> JointInformation:
     """Log likelihood of all tags and all rests."""
-    forms = []
-    for recording, r, noise in zip(problem.recordings, rows, hyperparameters.noise, strict=True):
-        number = recording.number
-        forms.append(total([tag_information(r, problem.layout, number, x, noise), rest_information(problem, number)]))
-    return JointInformation(tuple(forms), problem.layout.parts)
+
+    def of(recording: FitData, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
+        tags = tag_information(r, problem.layout, recording.number, x, noise)
+        return total([tags, rest_information(problem, recording.number)])
+
+    return JointInformation(each(of, problem.recordings, rows, hyperparameters.noise), problem.layout.parts)
 
 
 def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:

@@ -29,6 +29,7 @@ from onebend.learning.inference.linear_gaussian import (
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
 from onebend.records import Array
+from onebend.workers import each
 
 _HELD_SD = 1e-5  # of log k where it is held in its place
 _STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
@@ -69,7 +70,7 @@ def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | 
         LearningError: the beam has no equilibrium there under the measured forces.
     """
     warm: Sequence[Array | None] = [None] * len(problem.recordings) if shapes is None else shapes
-    predictions = tuple(predict(r, problem.layout, x, q) for r, q in zip(problem.recordings, warm, strict=True))
+    predictions = each(lambda recording, q: predict(recording, problem.layout, x, q), problem.recordings, warm)
     if not all_converged(predictions):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
@@ -104,6 +105,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
+    estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
     stiffness, covariance = averaged_posterior(evidence, hyperparameters)
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
@@ -138,8 +140,7 @@ def _at_mean_stiffness(
     p = problem.layout.spline.count
     follow = covariance.with_shared(slice(p))
     x = estimate.x + follow @ np.linalg.solve(follow[:p], log_k - estimate.x[:p])
-    pairs = zip(problem.recordings, estimate.predictions, strict=True)
-    moved = tuple(predict(r, problem.layout, x, now.solved.q, now.own) for r, now in pairs)
+    moved = each(lambda now: predict(now.recording, problem.layout, x, now.solved.q, now.own), estimate.predictions)
     if not all_converged(moved):
         return estimate.x, estimate.predictions
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
