@@ -8,12 +8,14 @@ from their posterior (`stiffness_prior.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
 
+from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.inference.block_root import BlockRoot
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
 from onebend.learning.inference.information_form import InformationForm
@@ -135,15 +137,16 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
 
 
 def averaged_posterior(
-    evidence: Evidence, hyperparameters: Hyperparameters
+    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
 ) -> tuple[StiffnessMixture, JointCovariance]:
-    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open."""
+    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open; `sizes`
+    of the allowances are equally probable."""
     nodes, weights = _cubature(evidence, hyperparameters)
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
     pairs, forms = [np.zeros((len(index), len(index))) for index in known], []
-    for weight, node in zip(weights.tolist(), nodes, strict=True):
-        posterior = evidence.posterior(node)
+    for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
+        posterior, weight = evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
         forms.append(evidence.stiffness_form(posterior, weight))
         away = posterior.mean - best
         for pair, one, index in zip(pairs, posterior.covariance.pairs, known, strict=True):

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.inference.allowance_sizes import choose_sizes
+from onebend.learning.allowances.allowance import Sizes
+from onebend.learning.allowances.mounting import BETWEEN
+from onebend.learning.inference.allowance_sizes import choose_sizes, likely_sizes
 from onebend.learning.inference.descent import MapEstimate, all_converged, descend, rows_of
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, prior
 from onebend.learning.inference.hyperparameters import (
@@ -33,6 +35,7 @@ from onebend.workers import each
 
 _HELD_SD = 1e-5  # of log k where it is held in its place
 _STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
+_FEW, _LIKELY = 10, 5  # recordings; values of what they leave open of the differences between them
 _STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
 
 
@@ -106,7 +109,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
     estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
-    stiffness, covariance = averaged_posterior(evidence, hyperparameters)
+    stiffness, covariance = averaged_posterior(evidence, hyperparameters, _likely(evidence, hyperparameters))
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
@@ -122,6 +125,15 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         if estimate.converged
         else f"{settings.most_steps} steps were not enough",
     )
+
+
+def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> list[Sizes]:
+    """Sizes of the allowances that are equally probable: two recordings hardly tell by how much mountings differ, many
+    do."""
+    sizes, few = hyperparameters.sizes, len(evidence.problem.recordings) <= _FEW
+    if BETWEEN not in sizes or not few:
+        return [dict(sizes)]
+    return [{**sizes, BETWEEN: float(f)} for f in likely_sizes(evidence, hyperparameters, BETWEEN, _LIKELY)]
 
 
 def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:

@@ -10,6 +10,7 @@ import numpy as np
 from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.allowances.mounting import BETWEEN, between_recordings
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import expected_recording_noise
@@ -81,7 +82,10 @@ def _data(
     def of(number: int, one: Observations) -> FitData:
         return fit_data(one, number, chosen_frames(one, most), spline, allowances)
 
-    return each(of, range(len(recordings)), recordings)
+    data = each(of, range(len(recordings)), recordings)
+    if len(data) == 1 or BETWEEN not in allowances:
+        return data
+    return tuple(replace(one, allowances=(*one.allowances, between_recordings(one.problem.grid.nodes))) for one in data)
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
