@@ -20,6 +20,7 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
 from onebend.learning.inference.fit_problem import FitProblem
@@ -150,6 +151,16 @@ class Posterior:
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) with its band."""
         return self.stiffness.band(s, level)
+
+    @cached_property
+    def mountings(self) -> tuple[float, float, float]:
+        """Between recordings, one sd of log k over the beam (root mean square): the likely one, and a range of about
+        80 %; NaN where it was not looked at, as of one recording."""
+        factors = sorted(one[BETWEEN] for one in self.optimum.sizes if BETWEEN in one)
+        if not factors:
+            return np.nan, np.nan, np.nan
+        one_sd = float(np.sqrt(np.sum(BETWEEN_SD**2 / (2.0 * np.arange(len(BETWEEN_SD)) + 1.0))))
+        return one_sd * float(np.median(factors)), one_sd * factors[0], one_sd * factors[-1]
 
     @property
     def load_error(self) -> tuple[float, float]:

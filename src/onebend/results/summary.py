@@ -114,6 +114,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "trusted": not uncertain.doubts,
         "grade": posterior.grade,
         "secant_shares": posterior.secant_shares,
+        "between_recordings": dict(zip(("sd", "low", "high"), posterior.mountings, strict=True)),
         "allowances": [asdict(share) | {"matters": share.matters} for share in posterior.attributions],
         "doubts": uncertain.doubts,
         "identified": identified_ranges(uncertain),

@@ -6,13 +6,15 @@ a section lies) cannot be seen in one recording. Where there are several, the ev
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from onebend.beam.modal import Modes
 from onebend.learning.allowances.allowance import Allowance
 from onebend.records import Array
 
-BETWEEN = "between recordings"
+BETWEEN: Literal["between recordings"] = "between recordings"
 # Of log k: level, slope and bow, before the evidence has chosen a factor on them. Five mountings of one cable gave
 # levels that scatter by 0.11; beams that stay clamped, next to nothing.
 BETWEEN_SD = np.array([0.05, 0.03, 0.03])

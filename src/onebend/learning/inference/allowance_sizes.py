@@ -102,4 +102,4 @@ def log_density_of(forms: Sequence[InformationForm], couple: int) -> Array:
         root = np.linalg.cholesky(left)
         white = np.linalg.solve(root, right[..., None])[..., 0]
         log_density += 0.5 * np.sum(white**2, axis=1) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
-    return log_density
+    return np.asarray(log_density)

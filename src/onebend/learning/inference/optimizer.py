@@ -59,6 +59,7 @@ class Optimum:
     jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
     shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
     hyperparameters: Hyperparameters
+    sizes: tuple[Sizes, ...]  # of the allowances, equally probable: those that the posterior is averaged over
     predictions: tuple[Prediction, ...]
     log_evidence: float
     steps: int
@@ -108,8 +109,9 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
+    sizes = _likely(evidence, hyperparameters)
     estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
-    stiffness, covariance = averaged_posterior(evidence, hyperparameters, _likely(evidence, hyperparameters))
+    stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
@@ -117,6 +119,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         jumps=stiffness.steps,
         shape=stiffness.shape,
         hyperparameters=hyperparameters,
+        sizes=sizes,
         predictions=predictions,
         log_evidence=evidence.posterior(hyperparameters).log_evidence,
         steps=estimate.steps,
@@ -127,13 +130,13 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     )
 
 
-def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> list[Sizes]:
+def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes, ...]:
     """Sizes of the allowances that are equally probable: two recordings hardly tell by how much mountings differ, many
     do."""
     sizes, few = hyperparameters.sizes, len(evidence.problem.recordings) <= _FEW
     if BETWEEN not in sizes or not few:
-        return [dict(sizes)]
-    return [{**sizes, BETWEEN: float(f)} for f in likely_sizes(evidence, hyperparameters, BETWEEN, _LIKELY)]
+        return (dict(sizes),)
+    return tuple({**sizes, BETWEEN: float(f)} for f in likely_sizes(evidence, hyperparameters, BETWEEN, _LIKELY))
 
 
 def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:

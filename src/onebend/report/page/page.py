@@ -13,6 +13,7 @@ from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations
+from onebend.report.allowance_words import mounting_words
 from onebend.report.confidence import (
     alarm_words,
     allowance_rows,
@@ -109,7 +110,13 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "alarm": alarm_words(posterior),
         "unseen": unseen_words(possible(posterior)),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
-        "gain": " ".join([scale_words(posterior.gain_sd, recordings), *load_error_words(posterior.load_error)]),
+        "gain": " ".join(
+            [
+                scale_words(posterior.gain_sd, recordings),
+                *load_error_words(posterior.load_error),
+                mounting_words(posterior),
+            ]
+        ),
         "stopped": stop_words(posterior),
         "nuisances": nuisance_rows(posterior.nuisances()),
         "tradeoffs": tradeoff_words(posterior),
