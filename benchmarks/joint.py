@@ -66,7 +66,8 @@ def main() -> None:
         print(json.dumps(one(arguments.one)))
         return
     print(
-        "| recordings | frames | processor [s] | wall [s] | MB (before) | k off [%] | in the 95 % band [%] | band +- [%] |"
+        "| recordings | frames | processor [s] | wall [s] | MB (before) | k off [%] | in the 95 % band [%] "
+        "| band +- [%] |"
     )
     print("| --- " * 8 + "|")
     times = []
