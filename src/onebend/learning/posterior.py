@@ -35,6 +35,7 @@ from onebend.learning.inference.optimizer import (
     find_maximum,
     laplace_posterior,
 )
+from onebend.learning.known_shape import KnownShape, known_shape
 from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData, fit_data
@@ -42,7 +43,7 @@ from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.frames import check_same_beam, chosen_frames
 from onebend.learning.model.mass import LearnedMass
 from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.model.spline import Spline
 from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
@@ -248,9 +249,9 @@ def _fit(
     near = find_maximum(problem, estimate_at(problem, x), early, progress)
     recordings, near = _with_mass_found(recordings, problem, near)
 
-    whole = replace(
-        problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline, settings.allowances)
-    )
+    layout = problem.layout
+    every = _data(recordings, settings.most_frames, layout.spline, settings.allowances, layout.known)
+    whole = replace(problem, recordings=every)
     estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
@@ -262,18 +263,22 @@ def _problem(
 ) -> tuple[FitProblem, Array]:
     """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
-    data = _data(recordings, settings.first_frames, spline, settings.allowances)
+    data = _data(recordings, settings.first_frames, spline, settings.allowances, known_shape(recordings))
     knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
     layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
-    return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
+    return FitProblem(data, layout, level, Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)), x
 
 
 def _data(
-    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
+    recordings: Sequence[Observations],
+    most: int,
+    spline: Spline,
+    allowances: frozenset[AllowanceName],
+    known: KnownShape | None,
 ) -> tuple[FitData, ...]:
-    return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances) for i, o in enumerate(recordings))
+    return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances, known) for i, o in enumerate(recordings))
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
@@ -283,8 +288,11 @@ def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
     if not np.all(k > 0.0):
         raise LearningError("the start stiffness must be positive everywhere")
     x = np.zeros(layout.size)
-    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
-    return x, float(np.mean(np.log(k)))
+    level = float(np.mean(np.log(k)))
+    # Where the shape of k is stated, its level alone is taken over.
+    own = np.log(k) if layout.known is None else np.full(len(s), level)
+    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), own, rcond=None)[0]
+    return x, level
 
 
 def _with_mass_found(

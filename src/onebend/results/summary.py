@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import section_as_dict
+from onebend.beam.profiles.measured_section import section_as_dict
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.modulus import modulus_along, stated_section
 from onebend.learning.outcome import Comparison, Learned

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.modulus import modulus_band, second_moment
+from onebend.beam.profiles.measured_section import second_moment
+from onebend.beam.profiles.modulus import modulus_band
 from onebend.beam.profiles.section import Circle, Material, Rectangle, SectionPart, along
 from onebend.beam.profiles.stiffness import Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness

@@ -69,7 +69,7 @@ def test_a_table_may_hold_all(tmp_path: Path) -> None:
 
 FILE = 'section_file = "section.csv"'
 REFUSED = {
-    "both shapes": ("diameter_m = 0.01\nwidth_m = 0.01", "", "Give either, not both"),
+    "both shapes": ("diameter_m = 0.01\nwidth_m = 0.01", "", "Give one of these, not several"),
     "twice": (f"{FILE}\nwidth_m = 0.01", "s,width_m,thickness_m\n0,1,1\n1,1,1\n", "width_m stands in [beam] and in"),
     "not whole": (FILE, "s,width_m\n0,0.01\n1,0.01\n", "thickness_m is missing"),
     "no size": (f"{FILE}\nwidth_m = 0.01\nthickness_m = 0.01", "s,note\n0,a\n1,b\n", "there is no column width_m"),

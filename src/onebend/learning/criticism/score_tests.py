@@ -119,6 +119,7 @@ class _Extended:
     """The information on the numbers of all alternatives, B together."""
 
     where: dict[Suspect, slice]
+    log_k: Array  # (p, B) what each number adds to log k's coefficients
     d: tuple[Array, ...]  # (F, R, B) of each recording, whitened
     information: Array  # (B,) of each number alone
     mixed: Array  # (B, P)
@@ -139,6 +140,9 @@ def _extended(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> 
         if one.suspect not in where:
             where[one.suspect] = slice(count, count + one.pattern.shape[-1])
             count += one.pattern.shape[-1]
+    log_k = np.zeros((fit.problem.layout.spline.count, count))
+    for one in (d for recording in patterns for d in recording if d.log_k is not None):
+        log_k[:, where[one.suspect]] = one.log_k
     bb, bx, g = np.zeros((count, count)), np.zeros((count, fit.problem.layout.size)), np.zeros(count)
     whole = []
     for i, (recording, rows, known) in enumerate(zip(fit.problem.recordings, fit.rows, fit.known, strict=True)):
@@ -154,7 +158,7 @@ def _extended(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> 
         g += weighted.T @ rows.r.ravel()
         whole.append(d)
     marginal = bb - bx @ fit.covariance @ bx.T
-    return _Extended(where, tuple(whole), np.diag(bb).copy(), bx, marginal, g - bx @ fit.step)
+    return _Extended(where, log_k, tuple(whole), np.diag(bb).copy(), bx, marginal, g - bx @ fit.step)
 
 
 def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
@@ -182,7 +186,7 @@ def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
         log10_p = float(_distributions().f.logsf(chi2 / count, count, freedom)) / np.log(10.0)
     moved = max(_moved(f, r, c) for f, r, c in zip(fit.problem.recordings, fit.rows, changes, strict=True))
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return Score(suspect, b, sd, chi2, log10_p, moved, step[:p], max(ratio, 1.0))
+    return Score(suspect, b, sd, chi2, log10_p, moved, step[:p] + every.log_k[:, part] @ b, max(ratio, 1.0))
 
 
 def _noise_left(fit: LinearisedFit, changes: Sequence[Array]) -> tuple[float, float]:

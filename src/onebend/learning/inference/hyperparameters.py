@@ -29,6 +29,7 @@ from onebend.learning.inference.stiffness_prior import (
     Draws,
     StiffnessMixture,
     mean_part_variances,
+    normal_mixture,
     stiffness_mixture,
 )
 from onebend.learning.model.fit_data import FitData
@@ -65,7 +66,7 @@ class Evidence:
         layout, before = self.problem.layout, prior(self.problem, hyperparameters)
         p = layout.spline.count
         log_k = marginal(self.data, before, np.arange(p), np.arange(p, layout.size))
-        return InformationForm(log_k.matrix + layout.differences.T @ layout.differences, log_k.vector, weight=weight)
+        return replace(log_k, weight=weight)
 
     def posterior(self, hyperparameters: Hyperparameters) -> LinearPosterior:
         """Of all parameters, at these hyperparameters."""
@@ -134,11 +135,14 @@ def _chosen(hyperparameters: Hyperparameters) -> Array:
 
 
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
-    """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
+    """Sizes of the force error of greatest evidence, and the mean prior of log k under them; where its shape is stated,
+    that prior stays as it is."""
     bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
     options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
+    if problem.layout.known is not None:
+        return chosen
     spline = problem.layout.spline
     variances, chains = mean_part_variances(
         spline, evidence.stiffness_form(chosen), problem.level, _ON_THE_WAY, start.chains
@@ -150,10 +154,13 @@ def averaged_posterior(evidence: Evidence, hyperparameters: Hyperparameters) -> 
     """log k and the covariance (P, P) of all parameters, averaged over the hyperparameters that the data leave open."""
     nodes, weights = _cubature(evidence, hyperparameters)
     best, problem = evidence.posterior(hyperparameters).mean, evidence.problem
-    covariance = np.zeros((len(best), len(best)))
+    covariance, mean = np.zeros((len(best), len(best))), np.zeros(len(best))
     for weight, node in zip(weights, nodes, strict=True):
         posterior = evidence.posterior(node)
+        mean += weight * posterior.mean
         covariance += weight * (posterior.covariance + np.outer(posterior.mean - best, posterior.mean - best))
+    if problem.layout.known is not None:
+        return normal_mixture(mean[: problem.layout.spline.count], covariance), 0.5 * (covariance + covariance.T)
     forms = [evidence.stiffness_form(node, weight) for weight, node in zip(weights, nodes, strict=True)]
     spline = problem.layout.spline
     stiffness = stiffness_mixture(spline, forms, problem.level, _AT_THE_END, hyperparameters.chains)

@@ -7,7 +7,7 @@ cone) `mu ~ k^(1/2)`. k(s) then carries the mass with it: `mu = (mass / L) k^p /
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,7 +77,10 @@ def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Pr
     s = np.linspace(0.0, 1.0, 2001)
     total = float(np.trapezoid(stiffness.profile(s) ** power, s))
     logs = power * stiffness.mean + np.log(mass / o.length / total)
-    return LogSpline(tuple(stiffness.knots.tolist()), tuple(logs.tolist()), stiffness.degree)
+    offset = stiffness.offset
+    if offset is not None:
+        offset = replace(offset, values=tuple(power * value for value in offset.values))
+    return LogSpline(tuple(stiffness.knots.tolist()), tuple(logs.tolist()), stiffness.degree, offset)
 
 
 def _beyond(problem: Problem, line: Array, gravity: Array) -> Array:
