@@ -7,6 +7,7 @@ import numpy as np
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.inference.fit_problem import FitProblem, log_k_map
 from onebend.learning.inference.optimizer import Optimum
+from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
 
@@ -21,9 +22,11 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     offset = None if known is None else known.offset
     nominal = None
     if offset is not None:
-        on_finer, (log_k, spread) = layout.spline.on_finer, _without_section_errors(problem, optimum)
+        p, on_finer, variances = layout.spline.count, layout.spline.on_finer, optimum.hyperparameters.part_variances
+        found = optimum.x[:p] - problem.level, optimum.covariance[:p, :p]
+        log_k, spread = without_section_errors(layout, variances, *found)
         of_modulus = _symmetric(on_finer @ spread @ on_finer.T)
-        nominal = UncertainStiffness(fine.knots, on_finer @ log_k, of_modulus, gain_sd, offset=offset)
+        nominal = UncertainStiffness(fine.knots, on_finer @ (problem.level + log_k), of_modulus, gain_sd, offset=offset)
     return UncertainStiffness(
         fine.knots,
         onto @ optimum.x[index],
@@ -35,20 +38,17 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     )
 
 
-def _without_section_errors(problem: FitProblem, optimum: Optimum) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of log k's coefficients less what the stated section is off by.
+def without_section_errors(layout: Layout, variances: Array, log_k: Array, covariance: Array) -> tuple[Array, Array]:
+    """Mean (p,) and covariance (p, p) of log k's coefficients less what the stated section is off by, from those of the
+    coefficients c, over the prior's mean; `variances` (n,) are of the prior's parts.
 
-    That is `e = P S^-1 (c - l) + noise`, c being the coefficients with prior mean l and covariance S, P the part of S
-    that comes from the section: what the data say of c is passed on to e, and what they leave open stays open.
+    Before the data c has covariance S, of which P comes from the section. So its share in c is `P S^-1 c`, give or take
+    `P - P S^-1 P`: what the data say of c is passed on, and what they leave open stays open.
     """
-    layout = problem.layout
-    p, off = layout.spline.count, layout.section_errors
-    root = layout.stiffness_root(optimum.hyperparameters.part_variances)
-    share = np.linalg.solve(root @ root.T, off).T  # P S^-1
-    kept = np.eye(p) - share
-    log_k, covariance = optimum.x[:p], optimum.covariance[:p, :p]
-    mean = log_k - share @ (log_k - problem.level)
-    return mean, kept @ covariance @ kept.T + off - share @ off
+    off, root = layout.section_errors, layout.stiffness_root(variances)
+    share = np.linalg.solve(root @ root.T, off).T
+    kept = np.eye(len(log_k)) - share
+    return kept @ log_k, kept @ covariance @ kept.T + off - share @ off
 
 
 def _symmetric(matrix: Array) -> Array:

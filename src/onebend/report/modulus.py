@@ -59,7 +59,8 @@ def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
 
 
 def one_modulus_words(measured: MeasuredBeam) -> str:
-    """E as one number with its band: "50.5 GPa (49.8 to 51.2)"; empty where k(s) was not stated to go with the section."""
+    """E as one number with its band: "50.5 GPa (49.8 to 51.2)"; empty where k(s) was not learned as the section's shape
+    times a modulus."""
     found = one_modulus(measured.uncertain or measured.beam.stiffness, measured.beam.length, measured.section)
     if found is None:
         return ""

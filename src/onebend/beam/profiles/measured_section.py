@@ -21,6 +21,7 @@ _SIDE = 1.0 / math.sqrt(3.0)  # of a hexagon that is one wide across its flats
 HEXAGON = ((0.5, -_SIDE / 2), (0.5, _SIDE / 2), (0.0, _SIDE), (-0.5, _SIDE / 2), (-0.5, -_SIDE / 2), (0.0, -_SIDE))
 _PLACES = np.linspace(0.0, 1.0, 401)
 _SHARP = 10.0  # change of the slope of log I, per unit of s, from which on a corner counts as a jump
+_FLAT = 1e-9  # of log I: a step that is smaller is none
 _MOST_JUMPS = 24
 
 
@@ -92,6 +93,7 @@ def _jumps(section: StatedSection, steps: Array, s: Array, logs: Array) -> tuple
     line = Polyline(tuple(s.tolist()), tuple(logs.tolist()))
     bend = np.abs(line(corners + width) - 2.0 * line(corners) + line(corners - width)) / width
     sharp = corners[bend > _SHARP][np.argsort(-bend[bend > _SHARP])]
+    steps = steps[np.abs(line(steps) - line(np.nextafter(steps, 0.0))) > _FLAT]
     return tuple(sorted([*steps.tolist(), *sharp[: max(_MOST_JUMPS - len(steps), 0)].tolist()]))
 
 

@@ -26,6 +26,8 @@ class Polyline:
         apart = np.diff(self.s)
         if np.any(apart < 0.0) or apart[0] == 0.0 or apart[-1] == 0.0 or np.any((apart[1:] + apart[:-1]) == 0.0):
             raise MechanicsError("a polyline's places must rise; one inside may stand twice, as a step")
+        if not np.all(np.isfinite([*self.s, *self.values])) or not all(0.0 < jump < 1.0 for jump in self.jumps):
+            raise MechanicsError("a polyline's numbers must be finite, and its jumps inside the beam")
 
     def __call__(self, s: Array | float) -> Array:
         places, values = np.asarray(self.s), np.asarray(self.values)

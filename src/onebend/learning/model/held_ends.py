@@ -177,6 +177,9 @@ def _of_shape(known: KnownShape) -> Remark:
     text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
     if known.section is not None:
         text = 'k is taken as one modulus times the section\'s I(s), as stiffness_along = "section" says'
+        if known.errors(np.zeros(1)).size == 0:
+            sd = "I_sd" if known.section.moment is not None else "section_sd_m"
+            text += f" (exact, as no {sd} is stated)"
     if known.varies > 0.0:
         text += f", and as free to vary slowly by {100.0 * known.varies:.2g} % (sd) beside that"
     return Remark("note", text)

@@ -91,7 +91,8 @@ class Layout:
         return np.asarray(parts @ parts.T)
 
     def stiffness_root(self, variances: Array) -> Array:
-        """(p, p) lower triangular factor of the coefficients' prior covariance, from the variances (n,) of its parts."""
+        """(p, p) lower triangular factor of the coefficients' prior covariance, from the variances (n,) of the
+        parts."""
         return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.stiffness_parts.T, mode="r")).T
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
