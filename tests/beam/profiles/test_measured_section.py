@@ -20,7 +20,7 @@ from onebend.beam.profiles.modulus import one_modulus
 from onebend.beam.profiles.section import polygon_moments
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.records import StatedSection
+from onebend.records import Array, StatedSection
 
 PLACES = np.array([0.0, 0.4, 0.4, 1.0])
 SIZE, OTHER = np.array([0.012, 0.009, 0.007, 0.004]), np.array([0.006, 0.005, 0.005, 0.002])
@@ -35,18 +35,19 @@ SECTIONS = {
 AT, HERE, THERE = np.array([0.2, 0.7]), np.array([0.0105, 0.0055]), np.array([0.0055, 0.0035])  # halfway
 
 
-def by_hand(name: str) -> np.ndarray:
+def by_hand(name: str) -> Array:
     """m^4, at AT."""
     if name == "hexagon":  # as the integral over its area, flats up
         turns = np.pi / 3.0 * np.arange(6)
         corners = [[(d / np.sqrt(3) * np.sin(t), d / np.sqrt(3) * np.cos(t)) for t in turns] for d in HERE]
         return np.array([polygon_moments(tuple(each))[2] for each in corners])
-    return {
+    moments: dict[str, Array] = {
         "rectangle": 2.0 * THERE * HERE**3 / 12.0,
         "circle": np.pi / 64.0 * HERE**4,
         "tube": np.pi / 64.0 * (HERE**4 - THERE**4),
         "second moment": HERE**4 / 12.0,
-    }[name]
+    }
+    return moments[name]
 
 
 @pytest.mark.parametrize("name", SECTIONS)
