@@ -14,8 +14,9 @@ from onebend.errors import LearningError
 from onebend.estimators import StiffnessDistribution, StiffnessRegression, regression_rows
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
-from onebend.records import Observations
+from onebend.records import Observations, StatedSection
 from tests.learning.bench import SOFT, forces, in_family, observed
+from tests.made_up import with_stated
 
 NOISE = (2e-5, 5e-4)
 
@@ -65,6 +66,19 @@ def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
     copy = clone(found)
     assert copy.get_params() == {"functions": 12, "most_frames": 500, "gain_sd": 0.0}
     assert not hasattr(copy, "posterior_")
+
+
+def test_the_modulus_of_a_beam_that_goes_with_its_section(pushes: list[Observations]) -> None:
+    size = np.full(2, 0.005)
+    section = StatedSection("circle", np.array([0.0, 1.0]), size, size)
+    stated = [with_stated(one, stiffness_along="section", section=section) for one in pushes[:1]]
+    found = StiffnessDistribution(functions=8).fit(stated)
+    assert found.modulus_ is not None
+    bending = np.pi / 64.0 * 0.005**4 / SOFT.length
+    e, low, high = (value * bending for value in found.modulus_)
+    assert low < e < high
+    assert low < float(np.mean(found.predict(np.linspace(0.0, 1.0, 21)))) < high
+    assert StiffnessDistribution(functions=8).fit(pushes[:1]).modulus_ is None
 
 
 def test_cross_validation_leaves_whole_recordings_out(pushes: list[Observations]) -> None:

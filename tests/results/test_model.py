@@ -227,9 +227,8 @@ def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
 
 
 def test_a_beam_that_goes_with_its_section_comes_back_with_its_modulus(tmp_path: Path) -> None:
-    section = StatedSection(
-        "circle", np.array([0.0, 0.4, 0.4, 1.0]), *2 * [np.array([0.01, 0.009, 0.006, 0.004])], 1e-4
-    )
+    size = np.array([0.01, 0.009, 0.006, 0.004])
+    section = StatedSection("circle", np.array([0.0, 0.4, 0.4, 1.0]), size, size, 1e-4)
     fit, shape = made_up.posterior(), relative_moment(section)
     plain = fit.stiffness
     nominal = replace(plain, mean=plain.mean + 0.01, shape=None, offset=shape)
