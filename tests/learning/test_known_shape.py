@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import runpy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -205,3 +207,11 @@ def test_what_was_stated_is_said(tmp_path: Path) -> None:
     assert "one modulus times the section's I(s)" in note
     assert "exact, as no section_sd_m is stated" in note
     assert "10 % (sd)" in note
+
+
+def test_the_example_finds_the_modulus_that_it_was_made_with(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(Path(__file__).parents[2] / "examples" / "learn_tapered_tube.py"))
+    words = capsys.readouterr().out.splitlines()[0]
+    e, _, low, high = (float(number) for number in re.findall(r"[0-9.]+", words))
+    assert low < 24.0 < high
+    assert e == pytest.approx(24.0, rel=0.02)
