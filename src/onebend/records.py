@@ -21,7 +21,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
-MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
+# What of the beam its mass follows.
+MassAlong = Literal["unknown", "even", "width", "thickness", "both", "section", "table"]
 StiffnessAlong = Literal["unknown", "even", "section"]
 SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second moment"]
 

@@ -181,6 +181,16 @@ def test_a_mass_that_follows_k_follows_the_section(tmp_path: Path) -> None:
     assert mass_per_length(found.recordings, found.layout, found.mean, found.stiffness)(AT).shape == AT.shape
 
 
+def test_a_mass_by_the_sections_area_is_that_by_the_root_of_k_of_a_round_rod(tmp_path: Path) -> None:
+    found = [
+        learned(read(tmp_path / along, rod(), f'{SECTION}mass_kg = 0.01\nmass_along = "{along}"\n'))
+        for along in ("both", "section")
+    ]
+    by_root, by_area = (one.beam.mass_per_length(AT) for one in found)
+    np.testing.assert_allclose(by_area, by_root, rtol=5e-3)
+    assert found[1].mass is None or found[1].mass.along == "section"
+
+
 def stating(**stated: object) -> Observations:
     return with_stated(observed(rod(), forces(3)), **stated)
 

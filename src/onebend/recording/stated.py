@@ -18,6 +18,7 @@ SHAPES = (("width_m", "thickness_m"), ("diameter_m", "inner_diameter_m"), ("acro
 ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a circle's A / I
 ROUND_SHAPES: tuple[tuple[str, SectionShapeName], ...] = (("diameter_m", "circle"), ("across_flats_m", "hexagon"))
 HEXAGONAL = math.sqrt(5.0 / 6.0)  # the same of a hexagon, over its width across flats
+_BETWEEN = 9  # places from one row of a section to the next, for its area
 FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
 
@@ -27,10 +28,10 @@ def stated_in(recording: Recording) -> Stated:
     Raises:
         RecordingError: what is stated of the mass or the section cannot be used.
     """
-    mass, line = _mass(recording)
     sizes = _sizes(recording)
     section = _section(recording, sizes)
     _check_known_shape(recording, section)
+    mass, line = _mass(recording) if recording.beam.mass_along != "section" else _mass_of_section(recording, section)
     beam, tags, force = recording.beam, recording.tags, recording.force
     return Stated(
         rest=beam.rest,
@@ -216,3 +217,31 @@ def _mass(rec: Recording) -> tuple[float, MassLine | None]:
     if math.isnan(rec.beam.mass):
         return total, MassLine(s, value)
     return rec.beam.mass, MassLine(s, value * rec.beam.mass / total)
+
+
+def _mass_of_section(rec: Recording, section: StatedSection | None) -> tuple[float, MassLine]:
+    """kg, and the mass per metre as the section's area: between its places by their sizes, beyond them as there.
+
+    Raises:
+        RecordingError: no mass, a table of the mass beside it, a section of which the area is not known.
+    """
+    if rec.beam.mass_file is not None:
+        raise RecordingError(
+            f'{rec.folder}: mass_file and mass_along = "section" both say how the mass is spread. Remove one.'
+        )
+    if section is None or section.moment is not None:
+        raise RecordingError(
+            f'{rec.folder}: mass_along = "section" needs the section\'s sizes. Give them in [beam] or section_file.'
+        )
+    if math.isnan(rec.beam.mass):
+        raise RecordingError(f'{rec.folder}: mass_along = "section" needs the mass. Give mass_kg in [beam].')
+    pairs = [(i, i + 1) for i in range(len(section.s) - 1) if section.s[i] < section.s[i + 1]]
+    share = np.linspace(0.0, 1.0, _BETWEEN)
+
+    def along(size: Array) -> Array:
+        return np.concatenate([size[i] + share * (size[j] - size[i]) for i, j in pairs])
+
+    inner = np.zeros(len(section.s)) if section.inner is None else section.inner
+    s, area = along(section.s), along(section.thickness) * along(section.width) - along(inner) ** 2
+    ends = np.trapezoid(area, s) + area[0] * s[0] + area[-1] * (1.0 - s[-1])
+    return rec.beam.mass, MassLine(s, area * rec.beam.mass / (rec.beam.length * float(ends)))

@@ -97,6 +97,21 @@ def test_k_may_be_stated_to_go_with_the_section(tmp_path: Path) -> None:
     assert (found.stiffness_along, found.modulus_varies) == ("section", 0.1)
 
 
+def test_the_mass_may_go_with_the_sections_area(tmp_path: Path) -> None:
+    rows = "s,diameter_m,inner_diameter_m\n0,0.010,0.008\n0.4,0.010,0.004\n0.4,0.006,0.004\n0.9,0.006,0.005\n"
+    found = stated(tmp_path, f'{FILE}\nmass_along = "section"', rows)
+    line = found.mass_line
+    assert line is not None
+    assert found.mass == 0.08
+    s = np.array([0.0, 0.2, 0.65, 0.9])
+    area = np.array([0.010, 0.010, 0.006, 0.006]) ** 2 - np.array([0.008, 0.006, 0.0045, 0.005]) ** 2
+    per_metre = np.interp(s, line.s, line.value)
+    np.testing.assert_allclose(per_metre / per_metre[0], area / area[0], rtol=1e-9)
+    length = read_recording(tmp_path).beam.length
+    whole = float(np.trapezoid(line.value, line.s) + 0.1 * line.value[-1])  # beyond 0.9 it stays as it is there
+    assert length * whole == pytest.approx(0.08, rel=1e-12)
+
+
 FILE = 'section_file = "section.csv"'
 WITH = f'{FILE}\nstiffness_along = "section"'
 REFUSED = {
@@ -105,6 +120,12 @@ REFUSED = {
     "not whole": (FILE, "s,width_m\n0,0.01\n1,0.01\n", "thickness_m is missing"),
     "no size": (f"{FILE}\nwidth_m = 0.01\nthickness_m = 0.01", "s,note\n0,a\n1,b\n", "there is no column width_m"),
     "another unit": (FILE, "s,width_mm,thickness_m\n0,9,0.01\n1,9,0.01\n", "did you mean width_m?"),
+    "no area": (f'{FILE}\nmass_along = "section"', "s,I_m4\n0,1e-9\n1,1e-9\n", "needs the section's sizes"),
+    "mass twice": (
+        'diameter_m = 0.01\nmass_along = "section"\nmass_file = "section.csv"',
+        "s,kg_per_m\n0,1\n1,1\n",
+        "both say how the mass is spread",
+    ),
     "three shapes": ("diameter_m = 0.01\nacross_flats_m = 0.01\nwidth_m = 0.01", "", "Give one of these, not several"),
     "no outside": ("inner_diameter_m = 0.01", "", "inner_diameter_m is of a tube. Give its diameter_m too"),
     "no wall": ("diameter_m = 0.01\ninner_diameter_m = 0.01", "", "inner_diameter_m must be less than diameter_m"),

@@ -62,7 +62,7 @@ class OwnWeight:
 def own_weight(o: Observations, problem: Problem, gravity: Array, even: Array, written: Profile) -> OwnWeight:
     """Of a recording whose mass is known or guessed; `even` (Q, 4) or (F, Q, 4): Legendre functions at the nodes."""
     modes = o.stated.mass / o.length * even
-    if o.stated.mass_along == "table":  # the whole table is heavier or lighter
+    if o.stated.mass_along in ("section", "table"):  # the whole of it is heavier or lighter
         modes = np.concatenate([np.asarray(written(problem.grid.nodes))[..., None], modes[..., 1:]], axis=-1)
     return OwnWeight(gravity, modes, problem.weights, POWERS.get(o.stated.mass_along))
 

@@ -48,9 +48,9 @@ class BeamEntry:
     )
     mass_along: MassAlong = key(
         "mass_along",
-        one_of("unknown", "even", "width", "thickness", "both", "table"),
+        one_of("unknown", "even", "width", "thickness", "both", "section", "table"),
         'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
-        '"table" in mass_file, or "unknown"',
+        'area of its "section" (with mass_kg), as the "table" in mass_file, or "unknown"',
         example='"even"',
         default="unknown",
     )
