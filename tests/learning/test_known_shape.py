@@ -209,6 +209,15 @@ def test_one_recording_speaks_for_all_and_two_must_not_contradict() -> None:
         known_shape([stating(stiffness_along="section")])
 
 
+def test_what_one_of_several_benches_states_counts_though_the_fit_begins_with_others(tmp_path: Path) -> None:
+    entries = ("", SECTION, "")
+    benches = [read(tmp_path / str(i), rod(), each, seed=i) for i, each in enumerate(entries)]
+    found = fit(benches, settings=replace(IDEAL, first_recordings=2))
+    one = one_modulus(found.stiffness, LENGTH, benches[1].stated.section)
+    assert one is not None
+    assert one[1] < MODULUS < one[2]
+
+
 def test_what_was_stated_is_said(tmp_path: Path) -> None:
     found = slow_rod(tmp_path / "slow", f"{SECTION}modulus_varies = 0.1\n")
     [remark] = stated_remarks([one.observations for one in found.recordings], found.stiffness)

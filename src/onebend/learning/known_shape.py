@@ -8,7 +8,7 @@ process of the stated sd with correlation exp(-d^2 / (2 C^2)) of places d apart,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from onebend.beam.profiles.measured_section import moment_errors, relative_momen
 from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.stiffness import LogSpline, Profile, Uniform
 from onebend.errors import LearningError
-from onebend.records import Array, Observations, StatedSection
+from onebend.records import Array, Observations, StatedSection, StiffnessAlong
 
 CORRELATION = 0.5  # C, of the length
 _LEAST = 1e-8  # of the largest: smaller parts of the slow variation are left out
@@ -59,6 +59,22 @@ class KnownShape:
         functions = self.varies * vectors[:, kept] * np.sqrt(values[kept])
         columns = [np.interp(s, _PLACES, function) for function in functions.T if self.varies > 0.0]
         return np.stack(columns, axis=1) if columns else np.zeros((len(s), 0))
+
+
+def with_shared_shape(recordings: Sequence[Observations]) -> Sequence[Observations]:
+    """The recordings of a beam, each with what one of them states of its shape.
+
+    Raises:
+        LearningError: as `known_shape`.
+    """
+    known = known_shape(recordings)
+    if known is None:
+        return recordings
+    along: StiffnessAlong = "even" if known.section is None else "section"
+    out = [replace(o.stated, stiffness_along=along, modulus_varies=known.varies) for o in recordings]
+    if known.section is not None:
+        out = [replace(stated, section=known.section) for stated in out]
+    return [replace(o, stated=stated) for o, stated in zip(recordings, out, strict=True)]
 
 
 def known_shape(recordings: Sequence[Observations]) -> KnownShape | None:

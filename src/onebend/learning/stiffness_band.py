@@ -16,14 +16,14 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     between two knots of the spline."""
     layout = problem.layout
     fine, (index, onto) = layout.spline.finer, log_k_map(problem)
-    covariance = onto @ optimum.covariance[np.ix_(index, index)] @ onto.T
+    covariance = onto @ optimum.covariance.of_shared[np.ix_(index, index)] @ onto.T
     covariance += np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
     known = layout.known
     offset = None if known is None else known.offset
     nominal = None
     if offset is not None:
         p, on_finer, variances = layout.spline.count, layout.spline.on_finer, optimum.hyperparameters.part_variances
-        found = optimum.x[:p] - problem.level, optimum.covariance[:p, :p]
+        found = optimum.x[:p] - problem.level, optimum.covariance.of_shared[:p, :p]
         log_k, spread = without_section_errors(layout, variances, *found)
         of_modulus = _symmetric(on_finer @ spread @ on_finer.T)
         nominal = UncertainStiffness(fine.knots, on_finer @ (problem.level + log_k), of_modulus, gain_sd, offset=offset)
