@@ -41,6 +41,7 @@ from onebend.learning.inference.stages import (
     whole_problem,
     with_mass_found,
 )
+from onebend.learning.known_shape import with_shared_shape
 from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData
@@ -247,6 +248,7 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
+    recordings = with_shared_shape(recordings)
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     near = find_maximum(problem, estimate_at(problem, x), early, progress)

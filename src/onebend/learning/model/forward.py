@@ -101,7 +101,9 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
     slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
     force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ _axes(layout, x, r).T + own
     force = force + allowed(recording, layout, x, "force")
-    k = np.exp(recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k"))
+    k = np.exp(
+        recording.offset + recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k")
+    )
     weight_beyond = recording.weight + allowed(recording, layout, x, "load")
     if recording.mass is not None:
         weight_beyond = weight_beyond + recording.mass.force(recording.problem, k, layout.get(x, "mass"))
