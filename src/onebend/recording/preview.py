@@ -27,7 +27,7 @@ from onebend.workers import available_cores
 
 LOOKS = 20  # frames that are searched for tags
 MOST_READ = 4000  # frames that are read at most, two minutes of a usual film
-SMALLEST = 20.0  # px, side of a tag: smaller ones are often missed
+SMALLEST = 20.0  # px, side of a tag: the corners of smaller ones are coarse, and below 16 px many are missed
 AGAIN = 0.05  # of the largest displacement: nearer to the first frame than this is at rest
 
 

@@ -23,10 +23,10 @@ def finder() -> Finder:
     return Finder("tag36h11")
 
 
-def noisy(clean: Array, *, noise: float = 2.0, seed: int = 0) -> Picture:
+def noisy(clean: np.ndarray, *, noise: float = 2.0, seed: int = 0) -> Picture:
     """As a camera with a lens would show it."""
     seen = gaussian_filter(clean, LENS) + noise * np.random.default_rng(seed).standard_normal(clean.shape)
-    return np.clip(np.rint(seen), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(seen), 0, 255), dtype=np.uint8)
 
 
 def small(side: float, count: int = 8) -> tuple[list[FilmFrame], Array]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from math import comb
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -60,7 +61,7 @@ class Finder:
     def __init__(self, family: str) -> None:
         self.cells = CELLS.get(family)
         self._detector = Detector(families=family, quad_decimate=1.0)
-        table = self._detector.tag_families[family].contents
+        table: Any = self._detector.tag_families[family].contents
         self._border = int(table.width_at_border)
         self._errors = most_errors(table.ncodes, table.nbits)
 
@@ -94,7 +95,8 @@ class Finder:
 
     def search(self, picture: Picture, how: Search) -> list[Sighting]:
         """Every tag that one search finds, the most certain first."""
-        settings = self._detector.tag_detector_ptr.contents
+        pointer: Any = self._detector.tag_detector_ptr
+        settings = pointer.contents
         settings.quad_sigma, settings.decode_sharpening = how.blur, how.sharpening
         width, height = picture.shape[1], picture.shape[0]
         if how.enlarged > 1.0:
@@ -118,7 +120,7 @@ class Finder:
 def most_errors(codes: int, bits: int) -> int:
     """The errors that a family bears: with them, one in 1 / `CHANCE` random squares reads as one of its tags."""
     chance = [4 * codes * sum(comb(bits, k) for k in range(errors + 1)) / 2**bits for errors in range(MOST_ERRORS + 1)]
-    return max(sum(one < CHANCE for one in chance) - 1, 0)
+    return max(int(np.sum(np.array(chance) < CHANCE)) - 1, 0)
 
 
 def side_of(corners: Array) -> float:
