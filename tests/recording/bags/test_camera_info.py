@@ -41,7 +41,7 @@ SOURCES = '[video]\nfile = "run.mcap"\ntopic = "/image"\n[camera]\ncamera_info =
 def info(**changed: Any) -> dict[str, Any]:
     """A message, as `sensor_msgs/CameraInfo`."""
     roi = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
-    said = {
+    said: dict[str, Any] = {
         "height": HEIGHT,
         "width": WIDTH,
         "distortion_model": "plumb_bob",
