@@ -13,8 +13,9 @@ import pytest
 
 from onebend.errors import ObservationError
 from onebend.recording.tags.detection import detect_tags, in_order
+from onebend.recording.tags.finder import Finder
 from onebend.recording.tags.pattern import CELLS, correct_still
-from onebend.recording.tags.tracking import Finder, track_block
+from onebend.recording.tags.tracking import track_block
 from onebend.recording.toml.entries import TagEntry, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import FilmFrame
@@ -71,7 +72,7 @@ def test_fast_tag_is_followed_and_a_jump_is_caught() -> None:
     frames = film(true, range(4), view())
     tracks = track_block(frames, range(4), Finder("tag36h11"))
     assert np.isfinite(tracks.corners).all()
-    assert np.abs(tracks.corners - corners_of(true, view())).max() < 0.4
+    assert np.abs(tracks.corners - corners_of(true, view())).max() < 0.5
     assert tracks.looks <= 3  # the whole picture is searched at the start and for the jump, not in every frame
 
 
