@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from onebend.learning.inference.fit_problem import FitProblem as FitProblem
     from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
     from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
-    from onebend.learning.inference.misfit import Miss as Miss
-    from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.joint_covariance import Conditioning as Conditioning
     from onebend.learning.inference.joint_covariance import JointCovariance as JointCovariance
+    from onebend.learning.inference.misfit import Miss as Miss
+    from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
     from onebend.learning.inference.stages import FitSettings as FitSettings
     from onebend.learning.known_shape import KnownShape as KnownShape
