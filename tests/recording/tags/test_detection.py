@@ -72,7 +72,7 @@ def test_fast_tag_is_followed_and_a_jump_is_caught() -> None:
     frames = film(true, range(4), view())
     tracks = track_block(frames, range(4), Finder("tag36h11"))
     assert np.isfinite(tracks.corners).all()
-    assert np.abs(tracks.corners - corners_of(true, view())).max() < 0.5
+    assert np.abs(tracks.corners - corners_of(true, view())).max() < 0.4
     assert tracks.looks <= 3  # the whole picture is searched at the start and for the jump, not in every frame
 
 

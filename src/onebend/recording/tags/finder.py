@@ -23,8 +23,8 @@ from onebend.recording.video import Picture
 from onebend.records import Array
 
 HALF_PIXEL = 0.5  # the detector puts pixel centres at halves, we at whole numbers
-SMALL, TINY = 5.0, 3.0  # px, a cell's side: below, tags are searched without blur, and in an enlarged picture
-LOST = 4.0  # px, a cell's side: where tags are larger, blur hides none
+SMALL, TINY = 3.5, 3.0  # px, a cell's side: below, tags are searched without blur, and in an enlarged picture
+LOST = 3.5  # px, a cell's side: where tags are larger, blur hides none
 LEAST_PART = 8  # px: smaller parts of a picture are not searched
 CHANCE = 1e-4  # that what is no tag reads as one: small tags of a whole picture are read with as many errors
 MOST_ERRORS = 2  # that the detector corrects
