@@ -108,6 +108,7 @@ SECTIONS: dict[str, str] = {
     "mass": "a-weight-bends-the-beam",
     "rest shape": "the-beam-is-bent-at-rest",
     "curvature": "the-beam-is-bent-at-rest",
+    "rest change": "the-beam-is-bent-at-rest",
     "swing": "the-swing-is-not-as-the-model-says",
     "no material": "youngs-modulus-is-that-of-no-material",
     # recording.toml

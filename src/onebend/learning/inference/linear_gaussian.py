@@ -24,6 +24,7 @@ from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, 
 from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.readings import whitened
 from onebend.records import Array, IntArray
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
@@ -71,7 +72,7 @@ def unweighted_rows(now: Prediction) -> ResidualRows:
     """Rows of one recording, whitened alone."""
     whiten, slopes, frames = now.recording.whiten, now.slopes, len(now.pose)
     known = np.any(whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
-    j, a = (np.asarray((whiten @ one).reshape(*known.shape, -1)) for one in (slopes.j, slopes.a))
+    j, a = (whitened(whiten, one) for one in (slopes.j, slopes.a))
     return ResidualRows(residuals(now) + explained_by(a, now.own), replace(slopes, j=j, a=a), known, known)
 
 
@@ -79,7 +80,7 @@ def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
     data = now.recording
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
-    return np.asarray(np.einsum("fmab,fmb->fma", data.whiten, difference).reshape(len(difference), -1))
+    return whitened(data.whiten, difference[..., None])[..., 0]
 
 
 def explained_by(a: Array, own: Array) -> Array:
