@@ -10,7 +10,7 @@ from onebend.errors import RecordingError
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.beam_entry import LONGEST
 from onebend.recording.toml.entries import Recording
-from onebend.records import Array, MassLine, Stated, StatedSection
+from onebend.records import Array, MassLine, PointMass, Stated, StatedSection
 
 SIZES = ("width_m", "thickness_m", "diameter_m")  # recording.toml's width lies in the plane of bending
 ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a circle's A / I
@@ -43,6 +43,8 @@ def stated_in(recording: Recording) -> Stated:
         tag_size=tags.size,
         load_error_sd=math.nan if force is None else force.bias_sd,
         section=_section(sizes, beam.section_sd),
+        rest_change_sd=beam.rest_change_sd,
+        masses=tuple(PointMass(one.s, one.mass) for one in beam.masses),
     )
 
 

@@ -155,7 +155,8 @@ def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
             f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?",
             about="unit",
         )
-    reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd
+    sd = np.sqrt(np.trace(points.covariance[..., :2, :2], axis1=-2, axis2=-1))
+    reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd + 3 * sd
     if np.any(distance > reach):
         pose, i = np.argwhere(distance > reach)[0].tolist()
         raise ObservationError(
