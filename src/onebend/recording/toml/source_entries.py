@@ -211,8 +211,8 @@ class PosesEntry:
     error_length: float = key(
         "error_length_m",
         number(least=0),
-        "the way along the beam over which the points' errors are alike (their correlation falls to 1/e), m; 0: each "
-        "point has its own",
+        "the way along the beam over which the points' errors are alike (half of their correlation is left), m; 0: "
+        "each point has its own",
         example="0.1",
         default=0.0,
     )
