@@ -20,7 +20,7 @@ from onebend.errors import ExportError, MechanicsError
 from onebend.export.chain import chain_of
 from onebend.export.function import function
 from onebend.export.pyelastica import pyelastica
-from onebend.records import PointMass
+from onebend.records import Array, PointMass
 
 BEAM = Beam(0.3, Steps((0.0, 0.5, 1.0), (0.05, 0.02)), Uniform(0.4), 0.2, Uniform(0.05))
 CLIPS = (PointMass(0.37, 0.004), PointMass(1.0, 0.002))
@@ -84,14 +84,14 @@ def test_a_chain_carries_it_and_other_exports_refuse_it() -> None:
     """Mass, and first and second moment about the clamp of the straight chain."""
     plain, laden = chain_of(BEAM, 5), chain_of(LADEN, 5)
     begins = np.concatenate([[0.0], np.cumsum(plain.link_length)[:-1]])
-    moments = []
+    moments: list[Array] = []
     for chain in (plain, laden):
         arm = begins + chain.link_centre
         second = np.sum(chain.link_inertia + chain.link_mass * arm**2)
-        moments.append([np.sum(chain.link_mass), np.sum(chain.link_mass * arm), second])
+        moments.append(np.array([np.sum(chain.link_mass), np.sum(chain.link_mass * arm), second]))
     lever = np.array([one.s for one in CLIPS]) * BEAM.length
     added = [np.sum(lever**i * [one.mass for one in CLIPS]) for i in range(3)]
-    np.testing.assert_allclose(np.subtract(*moments[::-1]), added, rtol=1e-12)
+    np.testing.assert_allclose(moments[1] - moments[0], added, rtol=1e-12)
     for export in (function, pyelastica):
         with pytest.raises(ExportError, match="2 masses ride on this beam"):
             export(LADEN)

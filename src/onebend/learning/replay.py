@@ -9,6 +9,7 @@ import numpy as np
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
+from onebend.errors import LearningError
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.force_error import ForceError, force_error, ramp

@@ -13,6 +13,7 @@ from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import make_problem
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.frames import whitening
@@ -26,7 +27,7 @@ from onebend.learning.model.readings import (
     whitened,
 )
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.records import Array, Observations, PointMass, Readings, Source, Stated
 
@@ -178,9 +179,10 @@ def test_a_curve_whose_errors_are_alike_tells_less_than_its_points() -> None:
     exact = bent().xy(s)
     root = np.linalg.cholesky(matern(LENGTH * np.abs(s[:, None] - s), 0.15) + 1e-9 * np.eye(40))
     away = 1e-3 * root @ np.random.default_rng(5).normal(size=(4, 40, 2))
-    stated = {"stiffness_along": "even", "placement_sd": 1e-4, "clamp_sd": 1e-3}
     alike, own = (
-        learned(made(exact + away, 1e-3, Readings(error_length=way), s, **stated)).band(np.array([0.5]))
+        learned(made(exact + away, 1e-3, Readings(error_length=way), s, stiffness_along="even", clamp_sd=1e-3)).band(
+            np.array([0.5])
+        )
         for way in (0.15, 0.0)
     )
     assert alike.low[0] < 0.2 < alike.high[0]

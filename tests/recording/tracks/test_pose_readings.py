@@ -14,7 +14,8 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import make_problem
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
 from onebend.pipeline import learn
