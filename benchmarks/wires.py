@@ -129,8 +129,8 @@ def wires(table: Path) -> dict[str, Posterior]:
             f"{interval(bending(learned(middle(curves), line, sd)))} | {interval(bending(learned(curves, line)))} | "
             f"{min(apart):.3g} to {max(apart):.3g} | {1000 * sd:.1f} | {way:.2f} |"
         )
-    print("\nWith that accuracy the three published values lie inside. The five of the white wire differ by 1.3 mm")
-    print("only, and with that as `sd_m` its published value is far outside (the black wire's just so); so are all")
-    print("three where the five count as five poses. What all curves of a wire have wrong alike no band holds that")
-    print("comes from them: it has to be stated.")
+    print("\nWith that accuracy the three published values lie inside. For the white wire it is generous: its five")
+    print("differ by 1.3 mm, and with that as `sd_m` its published value is far outside (the black wire's just so); so")
+    print("are all three where the five count as five poses. What all curves of a wire have wrong alike is in no band")
+    print("that comes from them: it has to be stated.")
     return found
