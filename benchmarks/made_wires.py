@@ -50,7 +50,7 @@ def made_wires(posteriors: dict[str, Posterior]) -> None:
     """One row a kind of error: how many bands hold the EI that the wires were made with."""
     s = LENGTH * np.arange(1, NODES + 1) / NODES
     print(f"\nWires made in their likeness, with errors of {1000 * SD:.0f} mm whose correlation falls to a half")
-    print(f"over {ERROR_LENGTH} m, EI drawn about the published one (sd {100 * SPREAD:.0f} %), clamps turned (5 deg):\n")
+    print(f"over {ERROR_LENGTH} m, EI drawn about the published one (sd {100 * SPREAD:.0f} %), clamps by 5 deg:\n")
     print("| errors | wires | inside 95 % band | inside 80 % | z, RMS | band +- [%] |")
     print("| --- | --- | --- | --- | --- | --- |")
     for kind, (count, alike) in KINDS.items():

@@ -130,6 +130,10 @@ def test_rulers_and_zeros_come_through_validation_and_back_from_disk(tmp_path: P
     folder = pose_folder(tmp_path, loads=LOADS, shown=zeroed(under_rulers(), (1,)), poses=poses, beam=BEAM)
     o = observe(folder)
     compared = validate(ROD, o)
+    assert [one.text[:32] for one in o.source.remarks[-2:]] == [
+        "The readings count from pose 0, ",
+        "The points are rulers that stand",
+    ]
     assert np.nanmax(compared.rms) < 1e-6
     np.testing.assert_allclose(compared.predicted, under_rulers(), atol=1e-6)
     save_observations(tmp_path / "o.parquet", o)

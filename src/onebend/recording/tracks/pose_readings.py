@@ -15,7 +15,7 @@ from onebend.recording.toml.schema import lines_of_keys
 from onebend.recording.toml.source_entries import PosesEntry
 from onebend.recording.tracks.chords import chord_angles
 from onebend.recording.tracks.pose_loads import PoseLoads
-from onebend.records import UNKNOWN_ANGLE_SD, Array, Readings
+from onebend.records import UNKNOWN_ANGLE_SD, Array, Readings, Remark
 from onebend.text_files import MOST_TOML, read_text
 
 GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
@@ -57,6 +57,16 @@ def readings_of(rec: Recording, loads: PoseLoads, table: Columns) -> Readings:
         name = "relative_to" if bare >= 0 else "read_at"
         _refuse(rec, name, "needs a free end: where an unknown load holds it, the points say where the beam is.")
     return Readings(entry.read_at, bare, entry.error_length)
+
+
+def reading_remarks(loads: PoseLoads, readings: Readings) -> tuple[Remark, ...]:
+    """Notes on what the points count from, where that is not the clamp, and on what stands still."""
+    notes = []
+    if readings.bare >= 0:
+        notes.append(f"The readings count from pose {loads.names[readings.bare]}, where each is 0.")
+    if readings.at == "x":
+        notes.append("The points are rulers that stand at their x_m: y is of what passes there.")
+    return tuple(Remark("note", text) for text in notes)
 
 
 def with_zero(readings: Readings, xy: Array, covariance: Array) -> tuple[Array, Array]:

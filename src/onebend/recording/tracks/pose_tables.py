@@ -11,7 +11,14 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tables import read_columns
 from onebend.recording.toml.entries import Recording
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads, turned
-from onebend.recording.tracks.pose_readings import SDS, check_rulers, point_covariances, readings_of, with_zero
+from onebend.recording.tracks.pose_readings import (
+    SDS,
+    check_rulers,
+    point_covariances,
+    reading_remarks,
+    readings_of,
+    with_zero,
+)
 from onebend.records import Array, Observations, Readings, Remark, Source, View
 
 NEAR = 0.02  # of the arc length: if every point is nearer to the clamp than this, the unit is wrong
@@ -121,7 +128,8 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     s = np.array([tag.s for tag in rec.tags.on_beam])
     covariance, sd_known = point_covariances(entry, rec.beam.length, s, xy, angle, grids)
     xy, covariance = with_zero(readings, xy, covariance)
-    remarks = () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
+    remarks = reading_remarks(loads, readings)
+    remarks += () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
     return PosePoints(xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
 
 
