@@ -67,7 +67,7 @@ def block(folder: Path) -> None:
     scale = length / (side**4 / 12)
     stated = {
         "one number, as stated": learned(block_folder(folder, "even")),
-        "the same, gauges zeroed under its own weight": learned([zeroed_block_folder(folder)]),
+        "the same and straight, gauges zeroed under its own weight": learned([zeroed_block_folder(folder)]),
     }
     free = learned(block_folder(folder, "unknown")).band(np.linspace(0.02, 0.98, 49))
     shear = 3.0 * 3.0 * side**4 / 12 / (5 / 6 * side**2 * length**2)  # 3 EI / (5/6 G A L^2), G = E / 3
