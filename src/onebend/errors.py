@@ -109,6 +109,7 @@ SECTIONS: dict[str, str] = {
     "rest shape": "the-beam-is-bent-at-rest",
     "curvature": "the-beam-is-bent-at-rest",
     "stiffness along": "ks-varies-otherwise-than-stated",
+    "rest change": "the-beam-is-bent-at-rest",
     "swing": "the-swing-is-not-as-the-model-says",
     "no material": "youngs-modulus-is-that-of-no-material",
     # recording.toml

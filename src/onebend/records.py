@@ -181,6 +181,23 @@ class KnownLoads:
 
 
 @dataclass(frozen=True)
+class Readings:
+    """How the points of static poses were read, where not each by itself, from the clamp and at a mark on the beam."""
+
+    at: Literal["mark", "x"] = "mark"  # "x": a ruler stands where `Observations.xy` says, and y is of what passes there
+    bare: int = -1  # the frame in which the readings were zeroed; -1: they count from the clamp
+    error_length: float = 0.0  # m along the beam, over which errors of a pose are alike; 0: each point has its own
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """Something small that rides on the beam: a clip, a sensor."""
+
+    s: float
+    mass: float  # kg
+
+
+@dataclass(frozen=True)
 class MassLine:
     """Mass per metre, where it is known along the beam."""
 
@@ -232,6 +249,8 @@ class Stated:
     tag_size: float = math.nan  # m, side of a tag's black square; NaN for markers that are no tags
     load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
     section: StatedSection | None = None  # None: not measured, or not whole
+    rest_change_sd: float = 0.0  # rad, one sd of the Legendre states of q0 from recording to recording of one beam
+    masses: tuple[PointMass, ...] = ()  # that ride on the beam, besides `mass`
 
 
 @dataclass(frozen=True)
@@ -275,6 +294,7 @@ class Observations:
     held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     known_loads: KnownLoads | None = None
     sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
+    readings: Readings = Readings()
     static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
     # (T, m, 3, n) m, m, rad: what one sd of each of n unknowns of the camera and of the tags' plane does to the poses
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.

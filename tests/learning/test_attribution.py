@@ -101,7 +101,7 @@ def test_widening_and_shift_are_those_of_the_conditional_gaussian(name: str) -> 
 def test_every_block_but_the_stiffness_is_in_one_group() -> None:
     named = [block for blocks in GROUPS.values() for block in blocks]
     assert len(named) == len(set(named))
-    assert {b.name for b in BLOCKS} - set(named) == {"stiffness", "end", "end turn"}
+    assert {b.name for b in BLOCKS} - set(named) == {"stiffness", "end", "end turn", "zero"}
 
 
 def test_the_largest_cause_comes_first_then_what_is_left_then_what_every_bench_has() -> None:

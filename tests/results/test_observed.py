@@ -13,7 +13,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated, StatedSection
+from onebend.records import (
+    ForceNoise,
+    KnownLoads,
+    MassLine,
+    Observations,
+    PointMass,
+    Readings,
+    Remark,
+    Stated,
+    StatedSection,
+)
 from onebend.results.observations_file import load_observations, observations_beside, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up
@@ -69,6 +79,8 @@ def full() -> Observations:
             moment=np.full(2, 1e-9),
             moment_sd=0.05,
         ),
+        rest_change_sd=1 / 30,
+        masses=(PointMass(0.3, 1 / 300), PointMass(1.0, 0.001)),
     )
     known = KnownLoads(
         rng.normal(size=(frames, 2, 2)), np.ones((frames, 2)), np.zeros((frames, 0)), np.ones((frames, 0))
@@ -82,6 +94,7 @@ def full() -> Observations:
         known_loads=known,
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
+        readings=Readings("x", 2, 1 / 7),
         static=True,
     )
 

@@ -36,7 +36,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "clamp that gives": ("clamp gives",),
         "posture-dependent bias": ("posture",),
         "length": ("length",),
-        "rest shape": ("curvature",),
+        "rest shape": ("curvature", "rest change"),
         "places of the tags": ("along", "across", "turn"),
         "clamp and origin": ("clamp", "origin"),
         "direction of the force": ("direction",),

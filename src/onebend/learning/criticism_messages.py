@@ -243,6 +243,10 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
         "Check mass_kg, [gravity], and that the log is in newtons (not kg or g)",
     ),
     "curvature": lambda _, __: ("the beam at rest is bent more than expected", "Check the tags' places and the rest"),
+    "rest change": lambda _, __: (
+        "the beam's shape at rest changed by more than rest_change_sd_deg says",
+        "Look whether it took a set between the recordings",
+    ),
 }
 _CHANGES: dict[str, Callable[[float, int], _Words]] = {
     "creep": lambda size, _: (

@@ -42,7 +42,7 @@ from onebend.learning.inference.stages import (
     with_mass_found,
 )
 from onebend.learning.known_shape import with_shared_shape
-from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
+from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length, riding_masses
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
@@ -198,6 +198,7 @@ class Posterior:
             self.stiffness.profile,
             rest_curvature=from_legendre(self.layout.get(self.mean, "curvature")),
             mass_per_length=mass_per_length(self.recordings, self.layout, self.mean, self.stiffness),
+            masses=riding_masses(self.recordings),
         )
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from onebend.learning.known_shape import known_shape
 from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
 from onebend.learning.model.held_ends import is_held, resolution_of, sets_no_scale, shapes_of
 from onebend.learning.model.mass import NEEDS_MASS, check_mass_can_be_learned, mass_is_open, shared_mass, weighs
+from onebend.learning.model.readings import from_the_clamp, points_of
 from onebend.learning.outcome import Learned
 from onebend.records import BoolArray, Observations
 
@@ -86,10 +88,12 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = shapes_of(o, some, make_problem(beam, loads_of(o, some), resolution_of(o)))
+        laden = replace(beam, masses=o.stated.masses)
+        solved = shapes_of(o, some, make_problem(laden, loads_of(o, some), resolution_of(o)))
         if not np.all(solved.converged):
             return float("inf")
-        squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2
+        predicted = points_of(o, some, solved)
+        squared = distances(from_the_clamp(o, some, predicted) - predicted) ** 2
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
     return float(np.sqrt(total / count))
 
@@ -101,7 +105,8 @@ def _largest_load(o: Observations, some: BoolArray) -> float:
         moment = np.sum(np.abs(o.known_loads.moment[some]), axis=1) / o.length
         loads = loads + np.sum(np.linalg.norm(o.known_loads.force[some], axis=-1), axis=1) + moment
     if weighs(o):
-        loads = loads + np.nan_to_num(o.stated.mass) * np.linalg.norm(o.gravity[some], axis=1)
+        mass = np.nan_to_num(o.stated.mass) + sum(one.mass for one in o.stated.masses)
+        loads = loads + mass * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
 
 

@@ -17,6 +17,7 @@ from onebend.learning.model.frames import loads_of, marker_rms, nothing_moves, p
 from onebend.learning.model.held_ends import RESOLUTION, is_held, resolution_of, shapes_of
 from onebend.learning.model.mass import NEEDS_MASS, weighs
 from onebend.learning.model.prediction_error import few_frames, variances
+from onebend.learning.model.readings import from_the_clamp, points_of
 from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison
 from onebend.records import Array, BoolArray, Observations, Remark
@@ -56,9 +57,9 @@ def validate(
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
     solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
-    predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
+    predicted = _predicted(solved, observations, frames, offset)
     stable = np.concatenate([one.stable for one in solved])
-    measured = observations.xy[frames]
+    measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = _sensor_rms(solved, observations, frames)
     return Comparison(
         name=observations.source.name,
@@ -94,6 +95,18 @@ def mounting(beam: Beam, observations: Observations) -> Array:
     cos, sin = np.cos(alpha), np.sin(alpha)
     offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
     return np.where(np.isfinite(offset).all(axis=1)[:, None], offset, 0.0)
+
+
+def _predicted(solved: list[Equilibrium], observations: Observations, frames: BoolArray, offset: Array) -> Array:
+    """(T, m, 2) where the tags of the simulated beam are, or what of it is under rulers."""
+    if observations.readings.at == "mark":
+        return np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
+    parts, used = [], np.flatnonzero(frames)
+    for i, one in enumerate(solved):
+        chunk = np.zeros_like(frames)
+        chunk[used[i * _CHUNK : (i + 1) * _CHUNK]] = True
+        parts.append(np.where(one.converged[:, None, None], points_of(observations, chunk, one), np.nan))
+    return np.concatenate(parts)
 
 
 def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:

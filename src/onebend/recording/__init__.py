@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from onebend.recording.tags.detection import detect_tags as detect_tags
     from onebend.recording.tags.printed_code import PrintedTag as PrintedTag
     from onebend.recording.toml.beam_entry import BeamEntry as BeamEntry
+    from onebend.recording.toml.beam_entry import MassEntry as MassEntry
     from onebend.recording.toml.entries import ForceEntry as ForceEntry
     from onebend.recording.toml.entries import GravityEntry as GravityEntry
     from onebend.recording.toml.entries import PushEntry as PushEntry
@@ -40,7 +41,7 @@ else:
             "onebend.recording.observe": "Detect ObserveSettings",
             "onebend.recording.tags.detection": "detect_tags",
             "onebend.recording.tags.printed_code": "PrintedTag",
-            "onebend.recording.toml.beam_entry": "BeamEntry",
+            "onebend.recording.toml.beam_entry": "BeamEntry MassEntry",
             "onebend.recording.toml.entries": "ForceEntry GravityEntry PushEntry Recording TagEntry TagsEntry",
             "onebend.recording.toml.source_entries": "CameraEntry MarkersEntry PhotosEntry PosesEntry VideoEntry",
         },

@@ -13,7 +13,7 @@ from onebend.errors import RecordingError
 from onebend.recording.bags.reader import is_bag
 from onebend.recording.bags.recorded_topics import check_bag, with_bags
 from onebend.recording.camera.bag_calibration import known_camera
-from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.beam_entry import BeamEntry, MassEntry
 from onebend.recording.toml.entries import (
     FAMILIES,
     FAMILY_SIZES,
@@ -63,6 +63,7 @@ SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
 EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
 TABLES = ("beam", "tags", *SECTIONS)
+LISTED: dict[str | int, type] = {"on_base": TagEntry, "on_beam": TagEntry, "masses": MassEntry}  # of [[...]]
 RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS}
 # Which tables know a key: what stands in the wrong one is told its place.
 HOMES: dict[str, tuple[str, ...]] = {
@@ -91,7 +92,7 @@ def read_recording(folder: Path | str) -> Recording:
     if mistakes.found:
         raise RecordingError(str(mistakes))
     tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
-    beam = read_table(BeamEntry, data["beam"], ("beam",), mistakes)
+    beam = read_beam(data["beam"], mistakes)
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in (SECTIONS | {"camera": camera_record(data)}).items()
@@ -148,7 +149,7 @@ def empty_values(content: str) -> list[tuple[int, str]]:
     found = []
     for place, line in lines_of_keys(content).items():
         if EMPTY.match(rows[line - 1]):
-            record = TagEntry if place[1:2] in (("on_base",), ("on_beam",)) else RECORDS.get(str(place[0]))
+            record = LISTED.get(place[1] if len(place) > 1 else "", RECORDS.get(str(place[0])))
             keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
             says = keys[str(place[-1])].says if place[-1] in keys else "a value, or a # before the line"
             found.append((line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
@@ -183,6 +184,19 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
         if name not in data:
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
+
+
+def read_beam(table: Any, mistakes: Mistakes) -> BeamEntry | None:
+    """[beam] with what rides on it."""
+    rows = table.get("masses", []) if isinstance(table, dict) else []
+    if not isinstance(rows, list):
+        mistakes.add(
+            ("beam", "masses"), "[beam] masses must be tables: `[[beam.masses]]` with s and mass_kg, one each."
+        )
+        rows = []
+    read = [read_table(MassEntry, row, ("beam", "masses", i), mistakes) for i, row in enumerate(rows)]
+    masses = tuple(one for one in read if one is not None)
+    return read_table(BeamEntry, table, ("beam",), mistakes, masses=masses)
 
 
 def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:

@@ -274,8 +274,8 @@ def _pose_rows(recording: Recording) -> list[tuple[str, str]]:
         return [("photos", recording.photos.folder.name), ("loads", said)]
     assert recording.poses is not None
     points, name = read_points(recording, loads), recording.poses.file.name
-    seen = int(np.isfinite(points.xy).any(axis=-1).sum())
-    both = int(np.isfinite(points.xy).all(axis=-1).sum())
+    known = np.isfinite(points.xy[np.arange(len(points.xy)) != points.readings.bare])  # of the zero nothing is read
+    seen, both = int(known.any(axis=-1).sum()), int(known.all(axis=-1).sum())
     return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
 
 

@@ -98,7 +98,7 @@ def body(
     """
     refuse_section(beam, "the equation of motion")
     profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
-    jumps = tuple(jump for profile in profiles for jump in profile.jumps)
+    jumps = tuple(jump for profile in profiles for jump in profile.jumps) + tuple(one.s for one in beam.masses)
     if grid is None:
         grid = make_grid(jumps, order=resolution.order, widest=resolution.widest)
     if modes is not None and modes.n > grid.order:
@@ -111,6 +111,8 @@ def body(
     _refuse(d >= 0.0, "damping", d, nodes, "N m s cannot be negative")
     phi = np.eye(len(nodes)) if modes is None else modes.curvature(nodes)
     integral = grid.integral_to_nodes
+    ways = beam.length * grid.integral_to(np.array([one.s for one in beam.masses]))  # to the masses that ride on it
+    riding = np.array([one.mass for one in beam.masses])
     return Body(
         length=beam.length,
         grid=grid,
@@ -119,10 +121,10 @@ def body(
         rest_curvature=q0,
         rest_angle=beam.clamp_angle + integral @ q0,
         clamp_angle=beam.clamp_angle,
-        carried=beam.length**3 * integral.T @ ((weights * mu)[:, None] * integral),
-        lever=beam.length**2 * integral.T @ (weights * mu),
+        carried=beam.length**3 * integral.T @ ((weights * mu)[:, None] * integral) + ways.T @ (riding[:, None] * ways),
+        lever=beam.length**2 * integral.T @ (weights * mu) + ways.T @ riding,
         rotary=beam.length * weights * iota,
-        mass=float(beam.length * np.sum(weights * mu)),
+        mass=float(beam.length * np.sum(weights * mu) + np.sum(riding)),
         stiffness=phi.T @ ((weights * k)[:, None] * phi),
         damping=phi.T @ ((weights * d)[:, None] * phi),
     )

@@ -25,6 +25,7 @@ from onebend.learning.inference.joint import JointInformation
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.readings import whitened
 from onebend.records import Array
 from onebend.workers import each
 
@@ -75,14 +76,15 @@ def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
 def unweighted_rows(now: Prediction) -> ResidualRows:
     """Rows of one recording, whitened alone."""
     known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
-    return ResidualRows(residuals(now) + explained_by(now.whitened.a, now.own), now.whitened, known, known)
+    slopes = now.whitened_slopes
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
 
 
 def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
     data = now.recording
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
-    return np.asarray(np.einsum("fmab,fmb->fma", data.whiten, difference).reshape(len(difference), -1))
+    return whitened(data.whiten, difference[..., None])[..., 0]
 
 
 def explained_by(a: Array, own: Array) -> Array:

@@ -57,7 +57,8 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
     o, xy = recording.observations, recording.measured[..., :2]
     motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
     if o.static:  # points near the clamp hardly move, and a ruler reads them no better
-        straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+        zeroed = o.readings.bare >= 0
+        straight = np.zeros(2) if zeroed else o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
     variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
     missing = np.where(rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)

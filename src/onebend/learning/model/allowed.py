@@ -16,7 +16,7 @@ from onebend.learning.allowances.allowance import Allowance, Entry
 from onebend.learning.allowances.relaxation import memory, rest_shift, secant_share, shift_derivatives
 from onebend.learning.allowances.section import section_at
 from onebend.learning.model.fit_data import FitData
-from onebend.learning.model.parameters import Layout
+from onebend.learning.model.parameters import Layout, rest_curvature
 from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
 from onebend.records import Array
 
@@ -133,7 +133,7 @@ def clamp_blocks(recording: FitData, by_clamp: Array) -> dict[str, Array]:
 
 def bending(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array:
     """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
-    return np.asarray(solved.q - recording.rest_on_nodes @ layout.get(x, "curvature"))
+    return np.asarray(solved.q - recording.rest_on_nodes @ rest_curvature(layout, x, recording.number))
 
 
 def _values(recording: FitData, layout: Layout, x: Array, allowance: Allowance) -> Array:

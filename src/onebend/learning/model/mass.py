@@ -105,7 +105,8 @@ def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
 
 def forced(observations: Observations) -> bool:
     """Whether something other than the beam's own weight acts on it."""
-    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0 or observations.known_loads is not None)
+    hung = observations.known_loads is not None or (weighs(observations) and bool(observations.stated.masses))
+    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0) or hung
 
 
 def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
