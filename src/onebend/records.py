@@ -180,6 +180,17 @@ class KnownLoads:
 
 
 @dataclass(frozen=True)
+class MeasuredFrequency:
+    """A natural frequency of the beam, clamped at its base and free otherwise, as it swings a little about rest."""
+
+    frequency: float  # Hz, undamped
+    sd: float  # Hz
+    mode: int  # 1 is the slowest; 0: not said
+    gravity: tuple[float, ...]  # (2,) m/s^2 in the beam's frame; zeros where it swings across gravity
+    tip_mass: float = 0.0  # kg, fixed to the tip
+
+
+@dataclass(frozen=True)
 class MassLine:
     """Mass per metre, where it is known along the beam."""
 
@@ -271,6 +282,7 @@ class Observations:
     # (T, m, 3, n) m, m, rad: what one sd of each of n unknowns of the camera and of the tags' plane does to the poses
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
     by_camera: Array | None = None
+    frequencies: tuple[MeasuredFrequency, ...] = ()
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

@@ -23,6 +23,9 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
+from onebend.learning.frequencies.frequency_data import FrequencyData, frequency_data
+from onebend.learning.frequencies.modes import with_modes
+from onebend.learning.frequencies.predicted import PredictedFrequencies
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
@@ -110,6 +113,11 @@ class Posterior:
         """The tags of every recording under the logged force less its slow error, each frame's own error left in."""
         pairs = zip(self.recordings, self.optimum.predictions, strict=True)
         return tuple(predict(recording, self.layout, self.mean, now.solved.q) for recording, now in pairs)
+
+    @cached_property
+    def frequencies(self) -> tuple[PredictedFrequencies, ...]:
+        """The natural frequencies of each recording that has measured ones, at the optimum."""
+        return self.problem.predicted_frequencies(self.mean)
 
     @cached_property
     def misses(self) -> tuple[Miss, ...]:
@@ -221,6 +229,7 @@ def fit(
             equations that rounding makes unsolvable.
     """
     check_same_beam(recordings)
+    recordings = with_modes(recordings)
     try:
         begin = start_of(recordings, None) if start is None else start
         return _fit(recordings, begin, settings, gain_sd, progress)
@@ -248,9 +257,9 @@ def _fit(
     near = find_maximum(problem, estimate_at(problem, x), early, progress)
     recordings, near = _with_mass_found(recordings, problem, near)
 
-    whole = replace(
-        problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline, settings.allowances)
-    )
+    spline = problem.layout.spline
+    data = _data(recordings, settings.most_frames, spline, settings.allowances)
+    whole = replace(problem, recordings=data, frequencies=_frequencies(recordings, spline))
     estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
@@ -263,17 +272,24 @@ def _problem(
     """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
     data = _data(recordings, settings.first_frames, spline, settings.allowances)
+    frequencies = _frequencies(recordings, spline)
     knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
     layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
-    return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
+    expected = Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)
+    return FitProblem(data, layout, level, expected, frequencies), x
 
 
 def _data(
     recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
 ) -> tuple[FitData, ...]:
     return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances) for i, o in enumerate(recordings))
+
+
+def _frequencies(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
+    found = [frequency_data(o, spline) for o in recordings]
+    return tuple(one for one in found if one is not None)
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:

@@ -37,6 +37,7 @@ from onebend.recording.toml.entries import Recording, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.marker_tracks import track_markers
+from onebend.recording.tracks.measured_frequencies import frequency_observations, with_frequencies
 from onebend.recording.tracks.pose_tables import pose_observations
 from onebend.records import (
     Array,
@@ -94,6 +95,15 @@ def observe(
         ObservationError: no tags, no overlap of film and log, or a force that contradicts the bending.
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
+    if rec.frequencies and rec.only_frequencies:
+        return frequency_observations(rec)
+    return with_frequencies(_shown(rec, settings, detections, detect, progress), rec)
+
+
+def _shown(
+    rec: Recording, settings: ObserveSettings, detections: Detections | None, detect: Detect, progress: Progress
+) -> Observations:
+    """What film, tracks, photos or poses show of the beam."""
     if rec.poses is not None:
         return pose_observations(rec)
     if rec.photos is not None:

@@ -62,6 +62,12 @@ class _Linearised:
     rows: Sequence[ResidualRows]
 
     @cached_property
+    def frequency_slopes(self) -> list[Array]:
+        """(N, P) of each recording with frequencies, over their sds."""
+        here = self.problem.predicted_frequencies(self.estimate.x)
+        return [one.slopes / one.data.sd[:, None] for one in here]
+
+    @cached_property
     def hessian(self) -> Array:
         """(P, P) of half the cost with z."""
         x, hyperparameters = self.estimate.x, self.estimate.hyperparameters
@@ -84,6 +90,9 @@ class _Linearised:
         every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
         for recording, rows, residual, noise in every:
             told = told + tag_score(rows, self.problem.layout, recording.number, residual, noise)
+        if self.problem.frequencies:
+            for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
+                told = told + slopes.T @ there.residuals
         return np.asarray(self.before.root.T @ told - self.before.whiten(x))
 
     def residuals_at(self, tried: MapEstimate) -> list[Array]:
@@ -96,10 +105,13 @@ class _Linearised:
         if not all_converged(estimate.predictions):
             return np.inf
         x = estimate.x
+        swings = sum(float(np.sum(one.residuals**2)) for one in self.problem.predicted_frequencies(x))
+        if not np.isfinite(swings):
+            return np.inf
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
-        return float(tags + z @ z + x @ self.rests.matrix @ x - 2.0 * self.rests.vector @ x)
+        return float(tags + swings + z @ z + x @ self.rests.matrix @ x - 2.0 * self.rests.vector @ x)
 
 
 def all_converged(predictions: Sequence[Prediction]) -> bool:

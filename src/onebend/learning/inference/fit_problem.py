@@ -10,6 +10,8 @@ from scipy.linalg import solve_triangular
 
 from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.allowances.patches import patch_functions
+from onebend.learning.frequencies.frequency_data import FrequencyData
+from onebend.learning.frequencies.predicted import PredictedFrequencies, predicted_frequencies
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, IntArray
@@ -45,6 +47,11 @@ class FitProblem:
     layout: Layout
     level: float  # prior mean of log k
     expected: Hyperparameters
+    frequencies: tuple[FrequencyData, ...] = ()  # of those recordings that have measured ones
+
+    def predicted_frequencies(self, x: Array) -> tuple[PredictedFrequencies, ...]:
+        """Those of each such recording, at parameters x."""
+        return tuple(predicted_frequencies(data, self.layout, x) for data in self.frequencies)
 
 
 @dataclass(frozen=True)

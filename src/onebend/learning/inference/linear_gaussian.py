@@ -158,13 +158,25 @@ def rest_information(problem: FitProblem) -> InformationForm:
     return InformationForm(information, b, c, log_noise)
 
 
+def frequency_information(problem: FitProblem, x: Array) -> InformationForm:
+    """Log likelihood of the measured natural frequencies, which depend on the beam alone."""
+    size = problem.layout.size
+    parts = [InformationForm(np.zeros((size, size)), np.zeros(size))]
+    for predicted in problem.predicted_frequencies(x):
+        j = predicted.slopes / predicted.data.sd[:, None]
+        y = predicted.residuals + j @ x
+        log_noise = float(np.sum(np.log(predicted.data.sd)))
+        parts.append(InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
+    return total(parts)
+
+
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
 ) -> InformationForm:
-    """Log likelihood of all tags and all rests."""
+    """Log likelihood of all tags, rests and frequencies."""
     every = zip(problem.recordings, rows, hyperparameters.noise, strict=True)
     tags = [tag_information(r, problem.layout, recording.number, x, noise) for recording, r, noise in every]
-    return total([*tags, rest_information(problem)])
+    return total([*tags, rest_information(problem), frequency_information(problem, x)])
 
 
 def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:

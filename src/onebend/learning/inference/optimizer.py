@@ -20,6 +20,7 @@ from onebend.learning.inference.hyperparameters import (
 from onebend.learning.inference.information_form import total
 from onebend.learning.inference.linear_gaussian import (
     data_information,
+    frequency_information,
     posterior_of,
     residuals,
     rest_information,
@@ -158,7 +159,7 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     rows = rows_of(estimate)
     every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
     tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    data = total([*tags, rest_information(problem)])
+    data = total([*tags, rest_information(problem), frequency_information(problem, estimate.x)])
     covariance = posterior_of(data, prior(problem, hyperparameters)).covariance
     spent = [float(np.sum(covariance * one.matrix)) for one in tags]  # parameters that each recording settled
     noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))

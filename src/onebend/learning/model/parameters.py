@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
-from onebend.learning.model.mass import weighs
+from onebend.learning.model.mass import needs_mass
 from onebend.learning.model.spline import Spline
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
@@ -113,7 +113,7 @@ def make_layout(
     placement = first.stated.placement_sd if priors.placement is None else priors.placement
     mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
     curvature = max(curvature_sd(r, priors) for r in recordings)
-    heavy = any(weighs(r) for r in recordings)
+    heavy = any(needs_mass(r) for r in recordings)
     mass = max((r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)), default=priors.mass)
     wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
