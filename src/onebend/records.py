@@ -220,7 +220,8 @@ class Stated:
     rest: Rest
     mass: float  # kg, NaN where unknown
     placement_sd: float  # m, tolerance of the tags' places
-    mass_sd: float = math.nan  # one sd of the mass over itself
+    mass_sd: float = math.nan  # one sd of a mass that was guessed, over itself
+    weighed_sd: float = math.nan  # one sd of the mass that is written, over itself
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number

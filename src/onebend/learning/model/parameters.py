@@ -15,6 +15,7 @@ from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
 _EVEN = 0.01  # of k: what is left of its variation where it is one number
+_EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
@@ -114,7 +115,8 @@ def make_layout(
     mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
     curvature = max(curvature_sd(r, priors) for r in recordings)
     heavy = any(needs_mass(r) for r in recordings)
-    mass = max((r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)), default=priors.mass)
+    guessed = [r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)]
+    mass = max(guessed, default=_weighed_sd(recordings, priors))
     wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
@@ -190,6 +192,12 @@ def _ends(one: Observations, *what: str) -> tuple[str, ...]:
     """Labels of the ends that an unknown wrench holds, pose by pose."""
     held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
     return tuple(f"{one.source.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
+
+
+def _weighed_sd(recordings: list[Observations], priors: Priors) -> float:
+    """Of a mass that is written down, over itself; its parts stay free where it is exact."""
+    stated = [r.stated.weighed_sd for r in recordings if np.isfinite(r.stated.weighed_sd)]
+    return max(min(stated), _EXACT) if stated else priors.mass
 
 
 def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
