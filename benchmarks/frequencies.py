@@ -8,8 +8,9 @@ limit of two chains), with errors drawn at random; so is the error of the writte
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,11 @@ from scipy.optimize import brentq
 from onebend.beam.model import Beam
 from onebend.beam.motion.dynamics import PointMass
 from onebend.beam.motion.frequencies import natural_frequencies
-from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
+from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Uniform
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 from tests.beam.slender import swinging_frequencies
 
 G = 9.81
@@ -51,8 +52,7 @@ class Case:
 def ruler(shape: Profile = Uniform(1.0)) -> Beam:
     """A steel ruler, or one whose k(s) is that times a shape; its mass is even."""
     k = STEEL * WIDE * THICK**3 / 12.0 / LENGTH
-    scaled = Uniform(k) if isinstance(shape, Uniform) else Powers(tuple(k * c for c in shape.coefficients))  # type: ignore[attr-defined]
-    return Beam(LENGTH, scaled, mass_per_length=Uniform(MASS / LENGTH))
+    return Beam(LENGTH, Scaled(k, shape), mass_per_length=Uniform(MASS / LENGTH))
 
 
 EVEN = 'mass_along = "even"\nstiffness_along = "even"\nrest = "straight"\n'
@@ -62,9 +62,7 @@ CASES = (
     Case("slowest, hangs, stands and lies", ruler(), THREE, EVEN),
     Case("three modes, lies", ruler(), tuple((mode, LIE, 0.0) for mode in (1, 2, 3)), EVEN),
     Case("poses under 50 g and three, mass unknown", ruler(), THREE, EVEN, poses=True, mass_written=False),
-    Case(
-        "bare and with 5 g at the tip, mass unknown", ruler(), ((1, LIE, 0.0), (1, LIE, 0.005)), EVEN, False, False
-    ),
+    Case("bare and with 5 g at the tip, mass unknown", ruler(), ((1, LIE, 0.0), (1, LIE, 0.005)), EVEN, False, False),
     Case(
         "k(s) falls by 57 %, five modes, hangs",
         UNEVEN,
@@ -119,7 +117,7 @@ def learned(folder: Path) -> Posterior:
     return fit(ready, start_of(ready, None))
 
 
-def trials(case: Case, seeds: int = SEEDS) -> list[tuple[Array, Array, Array, float]]:
+def trials(case: Case, seeds: int = SEEDS) -> list[tuple[Array, Array, BoolArray, float]]:
     """Of each seed: error of log k at nine places, its sd there, whether the 95 % band holds the truth; and the mass
     less the true one, over its sd."""
     exact, out = [frequency(case.beam, *row) for row in case.rows], []
@@ -144,8 +142,7 @@ def roots(ratio: float, count: int) -> list[float]:
         return float(np.cos(b) + 1.0 / np.cosh(b) + ratio * b * (np.cos(b) * np.tanh(b) - np.sin(b)))
 
     grid = np.linspace(1e-3, np.pi * (count + 1), 4001).tolist()
-    pairs = zip(grid[:-1], grid[1:], strict=True)
-    return [brentq(equation, a, b, xtol=1e-14) for a, b in pairs if equation(a) * equation(b) < 0.0][:count]
+    return [brentq(equation, a, b, xtol=1e-14) for a, b in pairwise(grid) if equation(a) * equation(b) < 0.0][:count]
 
 
 def closed_forms() -> list[tuple[str, str, str]]:
@@ -156,12 +153,13 @@ def closed_forms() -> list[tuple[str, str, str]]:
         exact = np.square(roots(ratio, 5)) / (2.0 * np.pi)
         found = natural_frequencies(unit, points=[PointMass(ratio)], count=5)
         name = f"tip mass of {ratio:g} times its own" if ratio else "uniform cantilever"
-        rows.append((name, f"five modes, {exact[0]:.6f} to {exact[-1]:.4f} Hz", f"{np.max(abs(found / exact - 1)):.0e}"))
-    chain: Callable[[float], float] = lambda base: frequency(ruler(), 1, base, 0.0)  # noqa: E731
+        rows.append(
+            (name, f"five modes, {exact[0]:.6f} to {exact[-1]:.4f} Hz", f"{np.max(abs(found / exact - 1)):.0e}")
+        )
     for name, base in (("ruler hangs", HANG), ("ruler stands", STAND), ("ruler lies", LIE)):
         gravity = G * np.array([-np.sin(np.radians(base)), -np.cos(np.radians(base))])
         own = natural_frequencies(ruler(), gravity=gravity, count=1)[0]
-        exact_one = chain(base)
+        exact_one = frequency(ruler(), 1, base, 0.0)
         rows.append((f"{name} (chain of bars)", f"{exact_one:.6f} Hz", f"{abs(own / exact_one - 1):.0e}"))
     loads = np.array([7.80, 7.83])
     squared = [natural_frequencies(unit, gravity=(-load, 0.0), count=1)[0] ** 2 for load in loads]

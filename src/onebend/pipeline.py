@@ -15,6 +15,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
+from onebend.learning.frequencies.compared import frequency_remarks
 from onebend.learning.model.frames import with_seen_tags
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
@@ -210,7 +211,8 @@ def _fit(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    remarks = fit_remarks(posterior) + mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
+    remarks = fit_remarks(posterior) + frequency_remarks(posterior.frequencies)
+    remarks += mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
     if len({one.stated.gain_sd for one in seen if one.source.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
         remarks += (Remark("note", text),)

@@ -21,8 +21,9 @@ def swinging_frequencies(
     first between the clamp and the middle of the first bar (half a bar long). The error falls with `bars`^-2.
     """
     h = 1.0 / bars
-    middle, joint = h * (np.arange(bars) + 0.5), h * np.arange(bars)
-    around = np.maximum(joint + 0.25 * h * np.array([[-1.0], [1.0]]), 0.0)
+    joint: Array = h * np.arange(bars, dtype=float)
+    middle: Array = joint + 0.5 * h
+    around: Array = np.maximum(joint + 0.25 * h * np.array([[-1.0], [1.0]]), 0.0)
     spring = 1.0 / (h * np.mean(1.0 / beam.stiffness(around), axis=0))
     spring[0] = 2.0 * float(beam.stiffness(np.array([0.25 * h]))[0]) / h
     rest = beam.rest_curvature(joint) * h

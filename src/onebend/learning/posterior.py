@@ -23,7 +23,8 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.frequencies.frequency_data import FrequencyData, frequency_data
+from onebend.learning.frequencies.compared import GROSS, worst_off
+from onebend.learning.frequencies.frequency_data import frequency_data
 from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import PredictedFrequencies
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
@@ -134,6 +135,8 @@ class Posterior:
         ideal = not any(recording.allowances for recording in self.recordings)
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
+        if worst_off(self.frequencies) > GROSS:
+            doubts.append("the frequencies contradict the fit")
         for o in (recording.observations for recording in self.recordings):
             if any(remark.doubt for remark in o.source.remarks):
                 doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
@@ -259,7 +262,7 @@ def _fit(
 
     spline = problem.layout.spline
     data = _data(recordings, settings.most_frames, spline, settings.allowances)
-    whole = replace(problem, recordings=data, frequencies=_frequencies(recordings, spline))
+    whole = replace(problem, recordings=data, frequencies=frequency_data(recordings, spline))
     estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
@@ -272,24 +275,18 @@ def _problem(
     """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
     data = _data(recordings, settings.first_frames, spline, settings.allowances)
-    frequencies = _frequencies(recordings, spline)
     knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
     layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
     expected = Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)
-    return FitProblem(data, layout, level, expected, frequencies), x
+    return FitProblem(data, layout, level, expected, frequency_data(recordings, spline)), x
 
 
 def _data(
     recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
 ) -> tuple[FitData, ...]:
     return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances) for i, o in enumerate(recordings))
-
-
-def _frequencies(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
-    found = [frequency_data(o, spline) for o in recordings]
-    return tuple(one for one in found if one is not None)
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -32,9 +33,8 @@ def roots(ratio: float, count: int) -> Array:
     def equation(b: float) -> float:
         return float(np.cos(b) + 1.0 / np.cosh(b) + ratio * b * (np.cos(b) * np.tanh(b) - np.sin(b)))
 
-    grid = np.linspace(1e-3, np.pi * (count + 1), 4001)
-    values = [equation(b) for b in grid]
-    found = [brentq(equation, a, b) for a, b, p, q in zip(grid, grid[1:], values, values[1:], strict=False) if p * q < 0]
+    grid = np.linspace(1e-3, np.pi * (count + 1), 4001).tolist()
+    found = [brentq(equation, a, b, xtol=1e-14) for a, b in pairwise(grid) if equation(a) * equation(b) < 0.0]
     return np.array(found[:count])
 
 
@@ -63,9 +63,7 @@ def test_hanging_raises_and_standing_lowers_to_first_order_as_rayleigh_says() ->
         w = np.cosh(b * s) - np.cos(b * s) - c * (np.sinh(b * s) - np.sin(b * s))
         slope = b * (np.sinh(b * s) + np.sin(b * s) - c * (np.cosh(b * s) - np.cos(b * s)))
         expected = weights @ (slope**2 * (1.0 - s)) / (weights @ w**2)
-        up, down = (
-            (2 * np.pi * natural_frequencies(UNIT, gravity=(sign * 1e-3, 0.0))[i]) ** 2 for sign in (1.0, -1.0)
-        )
+        up, down = ((2 * np.pi * natural_frequencies(UNIT, gravity=(sign * 1e-3, 0.0))[i]) ** 2 for sign in (1.0, -1.0))
         assert (up - down) / 2e-3 == pytest.approx(expected, rel=1e-5)
 
 

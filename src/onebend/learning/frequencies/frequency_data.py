@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,14 +50,16 @@ class FrequencyData:
     written: Array  # (Q,) kg/m that the parts of the mass come on top of
 
 
-def frequency_data(o: Observations, spline: Spline) -> FrequencyData | None:
-    """Prepare the frequencies of a recording whose modes and mass are known or guessed; None where there are none.
+def frequency_data(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
+    """Prepare the frequencies of those recordings that have some; modes and mass are known or guessed.
 
     Raises:
         LearningError: no mass.
     """
-    if not o.frequencies:
-        return None
+    return tuple(_prepared(o, spline) for o in recordings if o.frequencies)
+
+
+def _prepared(o: Observations, spline: Spline) -> FrequencyData:
     if not np.isfinite(o.stated.mass):
         raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
     grid = make_grid(order=_ORDER, widest=_WIDEST)

@@ -1,4 +1,3 @@
-# ruff: noqa: RUF009  (key() returns a dataclass field, which is what a default may be)
 """[[frequencies]] in `recording.toml`: natural frequencies that were measured."""
 
 from __future__ import annotations

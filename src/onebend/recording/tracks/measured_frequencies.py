@@ -30,7 +30,7 @@ def with_frequencies(seen: Observations, rec: Recording) -> Observations:
 
 
 def frequency_observations(rec: Recording) -> Observations:
-    """A recording of frequencies alone. What it shows of the beam is the clamp, in its place: that says nothing of k."""
+    """A recording of frequencies alone. All that it shows of the beam is the clamp in its place: nothing of k."""
     seen = Observations(
         source=Source(rec.name, remarks=rec.remarks),
         stated=replace(stated_in(rec), clamp_sd=0.0, placement_sd=0.0, turn_sd=0.0),
@@ -60,7 +60,9 @@ def _measured(one: FrequencyEntry, rec: Recording) -> MeasuredFrequency:
     base = _base_angle(one, rec)
     gravity = np.zeros(2)
     if math.isfinite(base):
-        direction, size = (-math.pi / 2.0, _G) if rec.gravity is None else (rec.gravity.direction, rec.gravity.magnitude)
+        direction, size = (
+            (-math.pi / 2.0, _G) if rec.gravity is None else (rec.gravity.direction, rec.gravity.magnitude)
+        )
         gravity = size * np.array([math.cos(direction - base), math.sin(direction - base)])
         gravity[np.abs(gravity) < 1e-12 * size] = 0.0
     return MeasuredFrequency(
