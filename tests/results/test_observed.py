@@ -13,7 +13,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.records import ForceNoise, KnownLoads, MassLine, MeasuredFrequency, Observations, Remark, Stated, StatedSection
+from onebend.records import (
+    ForceNoise,
+    KnownLoads,
+    MassLine,
+    MeasuredFrequency,
+    Observations,
+    Remark,
+    Stated,
+    StatedSection,
+)
 from onebend.results.observations_file import load_observations, observations_beside, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from onebend.errors import LearningError
-from onebend.learning.swing.swing_frequencies import swing_frequencies
+from onebend.learning.swing.free_swing import FilmPart
+from onebend.learning.swing.swing_frequencies import frequencies_of, swing_frequencies
 from onebend.records import Array
 
 RATE, SECONDS = 60.0, 6.0
@@ -26,7 +27,7 @@ def swing(seed: int, noise: float, alike: float = 0.0, time: Array = TIME) -> Ar
     white = rng.standard_normal(clean.shape)
     for i in range(1, len(white) if alike else 0):
         white[i] = alike * white[i - 1] + np.sqrt(1.0 - alike**2) * white[i]
-    return clean + np.array([3.0, -5.0, 0.1]) + noise * white
+    return np.asarray(clean + np.array([3.0, -5.0, 0.1]) + noise * white)
 
 
 @pytest.mark.parametrize(("noise", "alike"), [(0.05, 0.0), (0.05, 0.9)])
@@ -60,6 +61,17 @@ def test_a_multiple_of_a_mode_is_no_mode() -> None:
     assert double
     assert double[0].frequency == pytest.approx(4.6, rel=5e-3)
     assert any("no mode" in remark.text for remark in found.remarks)
+
+
+def test_a_part_is_found_and_slow_motion_is_sped_up() -> None:
+    """Bent, held and let go after a second: from then on it swings."""
+    held = np.full((60, 3), swing(0, 0.0)[0])
+    seen = np.concatenate([held, swing(0, 0.0)]) + 1e-3 * np.random.default_rng(0).standard_normal((420, 3))
+    found = frequencies_of(np.arange(420) / RATE, seen)
+    assert 1.0 < found.begin < 1.2
+    assert found.modes[0].frequency == pytest.approx(2.3, rel=1e-4)
+    assert found.sped_up(8.0).modes[0].frequency == pytest.approx(8.0 * found.modes[0].frequency)
+    assert frequencies_of(np.arange(420) / RATE, seen, FilmPart(2.0, 5.0)).begin == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(

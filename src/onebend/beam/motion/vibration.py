@@ -47,13 +47,10 @@ class Vibration:
         return np.stack([(-np.sin(alpha) * turning) @ rows.T, (np.cos(alpha) * turning) @ rows.T], axis=-1)
 
 
-def settle(
-    on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_steps: int = 20, start: Array | None = None
-) -> MotionState:
+def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_steps: int = 20) -> MotionState:
     """The state at rest under the actions as they stand at `time`: equilibrium within the coordinates (8).
 
-    Loads grow in equal steps, each solved by Newton's method from the one before. Near a known state, `start` (n,) from
-    there in one step.
+    Loads grow in equal steps, each solved by Newton's method from the one before.
 
     Raises:
         MechanicsError: no equilibrium found, or the one found is not stable.
@@ -61,8 +58,8 @@ def settle(
     now = acting(on, actions, np.array([time]))
     pull, couple = now.pull[:, :, 0], now.couple[:, 0]
     clamped = on.rest_angle + now.base[0, 2]
-    theta = np.zeros(on.n) if start is None else start
-    for factor in np.linspace(0.0, 1.0, load_steps + 1)[1:] if start is None else (1.0,):
+    theta = np.zeros(on.n)
+    for factor in np.linspace(0.0, 1.0, load_steps + 1)[1:]:
         for _ in range(30):
             alpha = clamped + on.to_angle @ theta
             across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]

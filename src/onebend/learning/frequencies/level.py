@@ -36,9 +36,17 @@ def uniform_stiffness(o: Observations, measured: MeasuredFrequency, mode: int, m
     light = measured.frequency**2 / by_k
     if not np.any(measured.gravity):
         return light
-    stiff = replace(beam, stiffness=Uniform(_STIFF * light))
-    found = float(natural_frequencies(stiff, gravity=measured.gravity, points=points, count=mode)[-1]) ** 2
-    return max(light - (found / by_k - _STIFF * light), _LEAST * light)
+    weight = float(np.linalg.norm(measured.gravity)) * (_total(beam) + measured.tip_mass)
+    stiff = _STIFF * max(light, weight * o.length)
+    straight = replace(beam, stiffness=Uniform(stiff))
+    found = float(natural_frequencies(straight, gravity=measured.gravity, points=points, count=mode)[-1]) ** 2
+    return max(light - (found / by_k - stiff), _LEAST * light)
+
+
+def _total(beam: Beam) -> float:
+    """kg."""
+    s = np.linspace(0.0, 1.0, 101)
+    return beam.length * float(np.trapezoid(beam.mass_per_length(s), s))
 
 
 def stiffness_level(recordings: Sequence[Observations]) -> float:

@@ -13,7 +13,7 @@ from onebend.learning.frequencies.frequency_data import MOST_MODES
 from onebend.learning.frequencies.level import uniform_stiffness
 from onebend.records import MeasuredFrequency, Observations
 
-_ALIKE = 0.35  # of log k, RMS: as far as the modes of one beam may disagree on the k of a uniform one
+_ALIKE = 0.25  # of log k, RMS: as far as the modes of one beam may disagree on the k of a uniform one
 _CLEARER = 0.25  # by which the second best numbering must disagree more
 _SAY = "Write `mode` in each [[frequencies]]: 1 is the slowest"
 
@@ -22,11 +22,10 @@ def with_modes(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
     """The recordings with the mode of every frequency.
 
     Each posture's are numbered, in rising order, so that a uniform beam with the mass as it is spread would come
-    nearest to all of them.
+    nearest to all of them; the slowest of all is taken to be mode 1.
 
     Raises:
-        LearningError: two rows for one mode of a posture that rise with falling mode, a frequency by itself, or several
-            numberings that are about as near.
+        LearningError: a frequency by itself, no numbering that comes near, or several that come about as near.
     """
     return tuple(_numbered(o) if any(one.mode == 0 for one in o.frequencies) else o for o in recordings)
 
@@ -42,7 +41,7 @@ def _numbered(o: Observations) -> Observations:
     tried: dict[tuple[int, ...], float] = {}
     for level in middle:
         modes = _nearest(o.frequencies, levels, level)
-        if modes is not None:
+        if modes is not None and min(modes) == 1:
             found = [levels[i][mode - 1] for i, mode in enumerate(modes)]
             tried[modes] = float(np.std(found))
     best = sorted(tried.items(), key=lambda pair: pair[1])

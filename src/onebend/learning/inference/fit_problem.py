@@ -53,6 +53,10 @@ class FitProblem:
         """Those of each such recording, at parameters x."""
         return tuple(predicted_frequencies(data, self.layout, x) for data in self.frequencies)
 
+    def swings(self, x: Array) -> bool:
+        """Whether the beam stands, and so swings, in every posture in which its frequencies were measured."""
+        return all(np.isfinite(one.log).all() for one in self.predicted_frequencies(x))
+
 
 @dataclass(frozen=True)
 class Prior:

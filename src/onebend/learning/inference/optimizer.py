@@ -66,10 +66,16 @@ def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array] | None = 
     """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
 
     Raises:
-        LearningError: the beam has no equilibrium there under the measured forces.
+        LearningError: the beam has no equilibrium there under the measured forces, or does not stand in a posture
+            in which its frequencies were measured.
     """
     warm: Sequence[Array | None] = [None] * len(problem.recordings) if shapes is None else shapes
     predictions = tuple(predict(r, problem.layout, x, q) for r, q in zip(problem.recordings, warm, strict=True))
+    if not problem.swings(x):
+        raise LearningError(
+            "with the mass as written, the beam would buckle under its weight in a posture in which it was seen to "
+            "swing. Check mass_kg, length_m and the base_angle_deg of each [[frequencies]]"
+        )
     if not all_converged(predictions):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
@@ -139,7 +145,7 @@ def _at_mean_stiffness(
     x = estimate.x + np.linalg.solve(covariance[:p, :p], covariance[:p]).T @ (log_k - estimate.x[:p])
     pairs = zip(problem.recordings, estimate.predictions, strict=True)
     moved = tuple(predict(r, problem.layout, x, now.solved.q, now.own) for r, now in pairs)
-    if not all_converged(moved):
+    if not (all_converged(moved) and problem.swings(x)):
         return estimate.x, estimate.predictions
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
     held = replace(estimate.hyperparameters, part_variances=variances)

@@ -14,6 +14,7 @@ from onebend.records import Array, Observations, covariance_with_camera
 _MARGIN = 0.1  # s after the last contact found: the tool leaves the beam within it
 _FEWEST = 12  # frames
 _VISIBLE = 10.0  # sd of a tag's noise that the swing must exceed
+_END = 0.25  # of a record, over which a swing is nearest to its middle
 _CLEAR = 5.0  # sd of a tag's place that half a swing must exceed
 _UNEVEN, _GROWS = 0.4, 1.2  # by which half swings may differ in time, and grow, as frames are few
 _HALF_SWINGS = 4  # that are a swing
@@ -166,6 +167,21 @@ def _swings_from(o: Observations, film_time: Array) -> float:
         along = np.linalg.svd(away, full_matrices=False)[2][0]
         found.append(_first_passage(film_time[seen], away @ along, _CLEAR * float(np.median(spread[seen, i]))))
     return float(np.nanmin(found)) if np.isfinite(found).any() else float("nan")
+
+
+def swinging_part(time: Array, signals: Array) -> tuple[float, float]:
+    """s, from the first passage through the middle of a regular swing that dies away, to the end; all of it where no
+    signal (N, C) shows one."""
+    found = []
+    for column in signals.T:
+        seen = np.isfinite(column)
+        if seen.sum() < _FEWEST:
+            continue
+        value = column[seen] - np.median(column[seen][-max(int(_END * seen.sum()), _FEWEST) :])
+        rough = float(np.median(np.abs(np.diff(value, n=2)))) / np.sqrt(6.0)
+        found.append(_first_passage(time[seen], value, _CLEAR * rough))
+    begin = float(np.nanmin(found)) if np.isfinite(found).any() else float(time[0])
+    return begin, float(time[-1])
 
 
 def _first_passage(time: Array, value: Array, least: float) -> float:

@@ -10,16 +10,19 @@ below what the size of the residuals alone would give.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import medfilt
 
+from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.swing.free_swing import FilmPart, swinging_part
 from onebend.records import Array, BoolArray, Remark
 
 _FEWEST = 30  # samples
+_FAST = 0.2  # of the sampling rate: a faster mode may be one that is faster still
 _NYQUIST = 0.45  # of the sampling rate: nearer to half of it nothing is looked for
 _CYCLES = 3.0  # of a mode in the record, at least
 _PADDED = 4  # times the record's length, of the Fourier transform
@@ -49,6 +52,7 @@ class SwingFrequency:
 class FoundFrequencies:
     """What signals of a free swing say."""
 
+    name: str  # of what was read
     modes: tuple[SwingFrequency, ...]  # the slowest first
     begin: float  # s, of the part that was used
     end: float  # s
@@ -57,6 +61,14 @@ class FoundFrequencies:
     left: float  # of the signals' own size, RMS: what no mode explains
     remarks: tuple[Remark, ...] = ()
 
+    def sped_up(self, times: float) -> FoundFrequencies:
+        """As it was, where the record plays so many times slower."""
+        modes = tuple(
+            replace(one, frequency=times * one.frequency, sd=times * one.sd, multiple_of=times * one.multiple_of)
+            for one in self.modes
+        )
+        return replace(self, modes=modes, rate=times * self.rate)
+
 
 @dataclass(frozen=True)
 class _Signals:
@@ -64,6 +76,21 @@ class _Signals:
     value: Array  # (N, C), each over its own size; 0 where it is not known
     known: BoolArray  # (N, C)
     rate: float
+
+
+@one_blas_thread
+def frequencies_of(
+    time: Array, signals: Array, part: FilmPart = FilmPart(), *, most: int = 4, name: str = "the signals"
+) -> FoundFrequencies:
+    """`swing_frequencies` of a part of the record; where none is asked for, from the release on, if one is seen.
+
+    Raises:
+        LearningError: as `swing_frequencies`.
+    """
+    ends = swinging_part(time, signals)
+    begin, end = (known if asked is None else asked for asked, known in zip((part.begin, part.end), ends, strict=True))
+    inside = (time >= begin) & (time <= end) & np.isfinite(signals).any(axis=1)
+    return swing_frequencies(time[inside], signals[inside], most=most, name=name)
 
 
 def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str = "the signals") -> FoundFrequencies:
@@ -98,7 +125,7 @@ def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str =
     modes = _modes(s, found, covariance)
     size = float(np.sqrt(np.sum(_left(s, found) ** 2) / np.sum(s.value**2)))
     ends = float(time[0]), float(time[-1])
-    return FoundFrequencies(modes, *ends, len(s.time), s.rate, size, _remarks(modes, s, name))
+    return FoundFrequencies(name, modes, *ends, len(s.time), s.rate, size, _remarks(modes, s))
 
 
 def _prepared(time: Array, signals: Array, name: str) -> _Signals:
@@ -114,7 +141,8 @@ def _prepared(time: Array, signals: Array, name: str) -> _Signals:
     if not np.any(size > 0.0):
         raise LearningError(f"{name}: nothing in it moves")
     moves = size > 1e-12 * size.max()
-    rate = 1.0 / float(np.median(np.diff(time)))
+    steps = np.diff(time)
+    rate = 1.0 / float(np.mean(steps[steps < 1.5 * np.median(steps)]))
     return _Signals(time - time[0], value[:, moves] / size.max(), known[:, moves], rate)
 
 
@@ -150,9 +178,7 @@ def _weights(s: _Signals, left: Array) -> Array:
     return np.asarray(np.maximum(variance.min(), 1e-12) / np.maximum(variance, 1e-12))
 
 
-def _fitted(
-    s: _Signals, modes: list[tuple[float, float]], weight: Array
-) -> tuple[list[tuple[float, float]], Array]:
+def _fitted(s: _Signals, modes: list[tuple[float, float]], weight: Array) -> tuple[list[tuple[float, float]], Array]:
     """Frequencies and decays by least squares, and their covariance (2 K, 2 K) in (rad/s, 1/s) pairs."""
     scale = np.array([value for omega, _ in modes for value in (1.0 / s.time[-1], 1.0 / s.time[-1])])
     root = np.sqrt(weight)
@@ -244,15 +270,15 @@ def _is_multiple(hz: float, base: float) -> bool:
     return any(abs(hz / (n * base) - 1.0) < _MULTIPLE for n in (2, 3))
 
 
-def _remarks(modes: tuple[SwingFrequency, ...], s: _Signals, name: str) -> tuple[Remark, ...]:
+def _remarks(modes: tuple[SwingFrequency, ...], s: _Signals) -> tuple[Remark, ...]:
     out = []
     fastest = modes[-1].frequency
-    if fastest > 0.2 * s.rate:
+    if fastest > _FAST * s.rate:
         text = (
-            f"{fastest:.4g} Hz is fast for {s.rate:.4g} samples a second: it may be the image of a faster mode. Film "
-            "faster, or check it with another frame rate"
+            f"{fastest:.4g} Hz is fast for {s.rate:.4g} samples a second, and may be the image of a faster mode: see "
+            "whether it stays where it is at another frame rate"
         )
-        out.append(Remark("warning", text, about="swing"))
+        out.append(Remark("note", text))
     for one in modes:
         if one.multiple_of:
             text = f"{one.frequency:.4g} Hz is a multiple of {one.multiple_of:.4g} Hz: the way the points move, no mode"
