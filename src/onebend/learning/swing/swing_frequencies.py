@@ -27,7 +27,7 @@ _NYQUIST = 0.45  # of the sampling rate: nearer to half of it nothing is looked 
 _CYCLES = 3.0  # of a mode in the record, at least
 _PADDED = 4  # times the record's length, of the Fourier transform
 _AROUND = 30  # Fourier steps to either side, over which the noise under a peak is judged
-_ABOVE = 20.0  # times the median power around it, of a peak that is no noise
+_ABOVE = 15.0  # times the median power around it, of a peak that is no noise
 _APART = 3.0  # Fourier steps, or decay rates, to the next mode
 _MULTIPLE = 0.01  # within which a frequency counts as twice or three times another
 _ROUNDS = 3  # of weights by what each signal leaves
@@ -225,14 +225,13 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
     """rad/s, of the highest peak of the spectrum that is no noise and no part of a mode already found."""
     count = round(s.time[-1] * s.rate) + 1
     even = np.linspace(0.0, s.time[-1], count)
-    columns = [np.interp(even, s.time[rows], left[rows, c]) for c, rows in enumerate(s.known.T)]
-    columns = [_without_memory(one) for one in columns]
+    columns = [_without_memory(_on_even_times(even, s.time[rows], left[rows, c])) for c, rows in enumerate(s.known.T)]
     taper = np.cos(0.5 * np.pi * even / even[-1]) ** 2  # whole where a swing is largest
     windowed = np.stack(columns, axis=1) * taper[:, None]
     power = np.sum(np.abs(np.fft.rfft(windowed, _PADDED * count, axis=0)) ** 2, axis=1)
     step = 2.0 * np.pi * s.rate / (_PADDED * count)
     omega = step * np.arange(len(power))
-    around = medfilt(power, 2 * _AROUND * _PADDED + 1)
+    around = medfilt(power, min(2 * _AROUND * _PADDED, 2 * ((len(power) - 1) // 2)) + 1)
     around = np.maximum(around, 1e-3 * np.median(around))
     allowed = (omega > _CYCLES * 2.0 * np.pi / s.time[-1]) & (omega < 2.0 * np.pi * _NYQUIST * s.rate)
     for other, decay in known:
@@ -242,6 +241,13 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
     if not allowed.any():
         return None
     return float(omega[np.argmax(np.where(allowed, power, 0.0))])
+
+
+def _on_even_times(even: Array, time: Array, value: Array) -> Array:
+    """Values at even times, straight between neighbours; 0 in gaps."""
+    after = np.clip(np.searchsorted(time, even), 1, len(time) - 1)
+    near = np.minimum(np.abs(even - time[after - 1]), np.abs(time[after] - even)) < 0.75 * (even[1] - even[0])
+    return np.where(near, np.interp(even, time, value), 0.0)
 
 
 def _without_memory(value: Array) -> Array:
