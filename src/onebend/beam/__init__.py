@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from onebend.beam.loads import push as push
     from onebend.beam.loads import twist as twist
     from onebend.beam.loads import weight as weight
+    from onebend.beam.motion.dynamics import Body as Body
     from onebend.beam.motion.dynamics import PointMass as PointMass
     from onebend.beam.motion.frequencies import natural_frequencies as natural_frequencies
+    from onebend.beam.motion.vibration import Vibration as Vibration
     from onebend.beam.profiles.modulus import ModulusBand as ModulusBand
     from onebend.beam.profiles.modulus import modulus_band as modulus_band
     from onebend.beam.profiles.piecewise import Pieces as Pieces
@@ -37,8 +39,9 @@ else:
         {
             "onebend.beam.grid": "Grid",
             "onebend.beam.loads": "Loads push twist weight",
-            "onebend.beam.motion.dynamics": "PointMass",
+            "onebend.beam.motion.dynamics": "Body PointMass",
             "onebend.beam.motion.frequencies": "natural_frequencies",
+            "onebend.beam.motion.vibration": "Vibration",
             "onebend.beam.profiles.modulus": "ModulusBand modulus_band",
             "onebend.beam.profiles.piecewise": "Pieces",
             "onebend.beam.profiles.rectangular": "RectangularSection",

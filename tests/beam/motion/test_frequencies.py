@@ -7,13 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from onebend.beam.grid import make_grid
 from onebend.beam.model import Beam
 from onebend.beam.motion.actions import Actions
 from onebend.beam.motion.dynamics import PointMass, body_of_nodes
-from onebend.beam.motion.frequencies import frequency_slopes, natural_frequencies
+from onebend.beam.motion.frequencies import frequency_slopes, natural_frequencies, shear_share
 from onebend.beam.motion.vibration import Vibration, settle, vibration_of
 from onebend.beam.profiles.stiffness import Powers, Steps, Table, Uniform
 from onebend.errors import MechanicsError
@@ -128,6 +129,29 @@ def test_slopes_are_those_of_central_differences(gravity: tuple[float, float]) -
         more, less = (np.log(vibrations({name: sign * h * way}).frequency) for sign in (1.0, -1.0))
         mine = getattr(slopes, name).reshape(3, -1) @ way
         np.testing.assert_allclose(mine, (more - less) / (2.0 * h), rtol=2e-5, atol=1e-7, err_msg=name)
+
+
+@pytest.mark.parametrize("slender", [0.02, 0.1])
+def test_shear_and_rotary_inertia_lower_the_frequencies_as_timoshenko_says(slender: float) -> None:
+    """The roots of his beam's determinant; what is left is of second order in what they lower."""
+    iota, weak = slender**2 / 12.0, slender**2 / 12.0 * 3.1  # rho I / (mu L^2), EI / (kGA L^2)
+
+    def determinant(hz: float) -> float:
+        square = (2.0 * np.pi * hz) ** 2
+        rates = np.array(
+            [[0.0, 1.0, 0.0, weak], [0.0, 0.0, 1.0, 0.0], [0.0, -iota * square, 0.0, -1.0], [-square, 0, 0, 0]]
+        )
+        return float(np.linalg.det(expm(rates)[2:, 2:]))
+
+    grid, k = make_grid(order=12, widest=0.25), np.ones(48)
+    on = body_of_nodes(grid, 1.0, k, k, np.zeros(48), rotary_inertia=iota)
+    found = vibration_of(on, settle(on), count=3)
+    lowered = found.frequency / np.sqrt(1.0 + shear_share(found, weak * k, (0, 1, 2)))
+    plain = natural_frequencies(UNIT)
+    for mine, free in zip(lowered, plain, strict=True):
+        exact = brentq(determinant, 0.7 * free, 1.05 * free)
+        assert mine == pytest.approx(exact, rel=0.1 * (1.0 - exact / free) + 1e-9)
+        assert exact < 0.9999 * free
 
 
 def test_what_cannot_swing_is_refused() -> None:

@@ -121,12 +121,12 @@ def body(
     _refuse(iota >= 0.0, "rotary inertia", iota, nodes, "kg m cannot be negative")
     _refuse(d >= 0.0, "damping", d, nodes, "N m s cannot be negative")
     phi = np.eye(len(nodes)) if modes is None else modes.curvature(nodes)
-    bare = body_of_nodes(grid, beam.length, k, mu, q0, clamp_angle=beam.clamp_angle, points=points)
+    turned = beam.clamp_angle
+    bare = body_of_nodes(grid, beam.length, k, mu, q0, clamp_angle=turned, rotary_inertia=iota, points=points)
     return replace(
         bare,
         curvature=phi,
         to_angle=bare.to_angle @ phi,
-        rotary=beam.length * weights * iota,
         stiffness=phi.T @ ((weights * k)[:, None] * phi),
         damping=phi.T @ ((weights * d)[:, None] * phi),
     )
@@ -140,9 +140,10 @@ def body_of_nodes(
     rest_curvature: Array,
     *,
     clamp_angle: float = 0.0,
+    rotary_inertia: Array | float = 0.0,
     points: Sequence[PointMass] = (),
 ) -> Body:
-    """Tables from values (Q,) at the nodes, with the curvature there as coordinates; without rotary inertia, undamped.
+    """Tables from values (Q,) at the nodes, with the curvature there as coordinates; undamped.
 
     Raises:
         MechanicsError: a point mass that is negative, or off the beam.
@@ -165,7 +166,7 @@ def body_of_nodes(
         clamp_angle=clamp_angle,
         carried=carried,
         lever=lever,
-        rotary=np.zeros(len(weights)),
+        rotary=length * weights * rotary_inertia,
         mass=float(length * np.sum(weights * mass_per_length)) + sum(point.mass for point in points),
         stiffness=np.diag(weights * k),
         damping=np.zeros((len(weights), len(weights))),

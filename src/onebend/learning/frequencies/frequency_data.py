@@ -9,6 +9,7 @@ import numpy as np
 
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.motion.dynamics import PointMass
+from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning.allowances.patches import patch_functions
@@ -48,6 +49,7 @@ class FrequencyData:
     rest_on_nodes: Array  # (Q, 3)
     mass: OwnWeight
     written: Array  # (Q,) kg/m that the parts of the mass come on top of
+    section: RectangularSection | None  # from which shear and rotary inertia follow; None where it is not stated
 
 
 def frequency_data(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
@@ -79,6 +81,7 @@ def _prepared(o: Observations, spline: Spline) -> FrequencyData:
         rest_on_nodes=REST_MODES.curvature(nodes),
         mass=own_weight(o, grid, np.zeros((1, 2)), MASS_MODES.curvature(nodes), line),
         written=np.asarray(written(nodes)),
+        section=RectangularSection(o.stated.thickness) if np.isfinite(o.stated.thickness) else None,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.beam.motion.actions import Actions
 from onebend.beam.motion.dynamics import Body, body_of_nodes
-from onebend.beam.motion.frequencies import frequency_slopes
+from onebend.beam.motion.frequencies import frequency_slopes, shear_share
 from onebend.beam.motion.vibration import Vibration, settle, vibration_of
 from onebend.errors import MechanicsError
 from onebend.learning.frequencies.frequency_data import FrequencyData, Posture
@@ -34,8 +34,17 @@ class PredictedFrequencies:
         out = np.full(len(self.data.measured), np.nan)
         for posture, found in zip(self.data.postures, self.vibrations, strict=True):
             if found is not None:
-                out[posture.rows] = np.log(found.frequency[posture.modes])
+                out[posture.rows] = np.log(found.frequency[posture.modes]) - 0.5 * np.log1p(self._shear(found, posture))
         return out
+
+    def _shear(self, found: Vibration, posture: Posture) -> Array:
+        """(n,) by which shear lowers the squares of the posture's frequencies."""
+        data = self.data
+        if data.section is None:
+            return np.zeros(len(posture.modes))
+        k = np.diag(found.body.stiffness) / data.grid.weights
+        compliance = data.section.compliance(k, data.grid.weights, np.array(found.body.length))[1]
+        return shear_share(found, compliance, posture.modes.tolist())
 
     @property
     def residuals(self) -> Array:
@@ -44,7 +53,8 @@ class PredictedFrequencies:
 
     @cached_property
     def slopes(self) -> Array:
-        """(N, P) derivatives of `log` with all parameters."""
+        """(N, P) derivatives of `log` with all parameters; those of shear and rotary inertia, which are small, left
+        out."""
         data, layout, x = self.data, self.layout, self.x
         out = np.zeros((len(data.measured), layout.size))
         k, parts = _stiffness(data, layout, x), layout.get(x, "mass")
@@ -77,8 +87,10 @@ def predicted_frequencies(data: FrequencyData, layout: Layout, x: Array) -> Pred
     log_length = float(layout.get(x, "length")[0]) if ("length", -1) in layout.index else 0.0
     rest = data.rest_on_nodes @ layout.get(x, "curvature")
     length = data.length * np.exp(log_length)
+    line, thick = np.exp(-log_length) * line, 0.0 if data.section is None else float(data.section.thickness)
+    iota = line * thick**2 / 12.0
     bodies = [
-        body_of_nodes(data.grid, length, k, np.exp(-log_length) * line, rest, points=posture.points)
+        body_of_nodes(data.grid, length, k, line, rest, rotary_inertia=iota, points=posture.points)
         for posture in data.postures
     ]
     return PredictedFrequencies(data, layout, x, tuple(map(_vibration, bodies, data.postures)))

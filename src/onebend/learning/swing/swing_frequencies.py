@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
-from scipy.signal import medfilt
 
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
@@ -231,7 +231,7 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
     power = np.sum(np.abs(np.fft.rfft(windowed, _PADDED * count, axis=0)) ** 2, axis=1)
     step = 2.0 * np.pi * s.rate / (_PADDED * count)
     omega = step * np.arange(len(power))
-    around = medfilt(power, min(2 * _AROUND * _PADDED, 2 * ((len(power) - 1) // 2)) + 1)
+    around = median_filter(power, 2 * _AROUND * _PADDED + 1)
     around = np.maximum(around, 1e-3 * np.median(around))
     allowed = (omega > _CYCLES * 2.0 * np.pi / s.time[-1]) & (omega < 2.0 * np.pi * _NYQUIST * s.rate)
     for other, decay in known:
