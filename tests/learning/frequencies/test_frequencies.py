@@ -14,9 +14,10 @@ from onebend.learning.frequencies.compared import frequency_remarks, validated_f
 from onebend.learning.frequencies.frequency_data import frequency_data
 from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import predicted_frequencies
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.records import MassAlong, MeasuredFrequency, Observations
 from tests import made_up

@@ -39,6 +39,7 @@ class FrequencyData:
     """N frequencies; Q nodes of a grid."""
 
     name: str  # of the recording
+    number: int  # of the same, among those that are fitted together
     measured: Array  # (N,) log of Hz
     sd: Array  # (N,) of the logs
     postures: tuple[Posture, ...]
@@ -58,10 +59,10 @@ def frequency_data(recordings: Sequence[Observations], spline: Spline) -> tuple[
     Raises:
         LearningError: no mass.
     """
-    return tuple(_prepared(o, spline) for o in recordings if o.frequencies)
+    return tuple(_prepared(o, i, spline) for i, o in enumerate(recordings) if o.frequencies)
 
 
-def _prepared(o: Observations, spline: Spline) -> FrequencyData:
+def _prepared(o: Observations, number: int, spline: Spline) -> FrequencyData:
     if not np.isfinite(o.stated.mass):
         raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
     grid = make_grid(order=_ORDER, widest=_WIDEST)
@@ -71,6 +72,7 @@ def _prepared(o: Observations, spline: Spline) -> FrequencyData:
     glued = not o.static and np.isfinite(o.stated.tag_size)
     return FrequencyData(
         name=o.source.name,
+        number=number,
         measured=np.log(measured),
         sd=np.array([one.sd for one in o.frequencies]) / measured,
         postures=postures_of(o.frequencies),
