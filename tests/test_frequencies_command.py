@@ -64,3 +64,14 @@ def test_the_example_gives_youngs_modulus(tmp_path: Path) -> None:
     assert "Natural frequencies of the beam as fitted" in report
     assert "RMS distance of each tag" not in report
     assert "frequencies; not validated" in report
+
+
+def test_frequencies_alone_validate_no_shape(tmp_path: Path) -> None:
+    """Beside them the beam's own frequencies stand; no tag counts as predicted."""
+    out = tmp_path / "out"
+    words = ["learn", str(RULER), "-o", str(out), "--quiet", "--json", "--validate", str(RULER)]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    said = CliRunner().invoke(app, ["validate", str(out), str(RULER), "--quiet", "--json"])
+    (compared,) = json.loads(said.stdout)["validation"]
+    assert compared["rms_m"] == [None]
+    assert any("mode 1 (hangs) 9.2428 Hz, the beam" in remark["text"] for remark in compared["remarks"])

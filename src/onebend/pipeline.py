@@ -136,7 +136,8 @@ def _not_learned_from(
 
 def _same_data(one: Observations, other: Observations) -> bool:
     (one,), (other,) = with_seen_tags([one]), with_seen_tags([other])
-    return np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
+    same = np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
+    return same and one.frequencies == other.frequencies
 
 
 def check_together(wanted: Sequence[Recording], fitting: FitSettings | None) -> None:
@@ -259,7 +260,8 @@ def compare(
 
 
 def _warned(found: Comparison, seen: Observations, learned_from: Sequence[Observations]) -> Comparison:
-    if not any(np.array_equal(one.xy, seen.xy, equal_nan=True) for one in learned_from):
+    pairs = ((one.xy, one.frequencies) for one in learned_from)
+    if not any(np.array_equal(xy, seen.xy, equal_nan=True) and swings == seen.frequencies for xy, swings in pairs):
         return found
     return replace(found, remarks=(_no_validation(found.name, "this is no validation"), *found.remarks))
 

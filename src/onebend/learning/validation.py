@@ -72,7 +72,7 @@ def validate(
         force=observations.force[frames],
         push_s=push_places(observations)[frames],
         stable=stable,
-        rms=marker_rms(measured - predicted),
+        rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
         remarks=_remarks(stable, np.concatenate([one.converged for one in solved]))

@@ -233,17 +233,13 @@ def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
     places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam)
     base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
     weight = "acts in the plane of bending" if recording.gravity is not None else "across the plane of bending"
+    swings = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in recording.frequencies]
     size = f"{tags.family}, {1000 * tags.size:.4g} mm; " if np.isfinite(tags.size) else ""
     return [
         ("beam", f"{1000 * beam.length:.4g} mm long, {mass}, at rest: {beam.rest}; gravity {weight}"),
         *([] if recording.only_frequencies else [("tags", f"{size}{base or 'none'} on the base; {places}")]),
-        *_frequency_rows(recording),
+        *([("swings", ", ".join(swings))] if swings else []),
     ]
-
-
-def _frequency_rows(recording: Recording) -> list[tuple[str, str]]:
-    each = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in recording.frequencies]
-    return [("swings", ", ".join(each))] if each else []
 
 
 def _film_rows(recording: Recording, film: FilmInfo | None) -> list[tuple[str, str]]:

@@ -160,8 +160,9 @@ def _stand_out(count: int) -> str:
 
 def _error(findings: Findings) -> _Error:
     """Of the validations, where there are any; else of the fit; else under the force as logged."""
-    if findings.validations:
-        return _worst("validation", findings.validations, [one.rms for one in findings.validations])
+    seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
+    if seen:
+        return _worst("validation", seen, [one.rms for one in seen])
     if findings.posterior is not None:
         return _worst("fit", findings.trainings, fitted_rms(findings.posterior))
     return _worst("as logged", findings.trainings, [one.rms for one in findings.trainings])

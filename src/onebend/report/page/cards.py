@@ -25,9 +25,10 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     if findings.posterior is not None:
         rows += [band_card(findings.posterior.stiffness), verdict_card(verdict_of(findings))]
     rows.append(_training_card(findings))
-    if findings.validations:
-        worst = max(findings.validations, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
-        others = len(findings.validations)
+    seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
+    if seen:
+        worst = max(seen, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
+        others = len(seen)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}{_noise_of(worst)}"
         rows.append({"what": "validation, worst tag", "value": worst_tag(worst), "note": note})
