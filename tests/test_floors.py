@@ -54,6 +54,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "learning": (
         ("outcome", "allowances", "modulus", "known_shape"),
         ("model",),
+        ("frequencies",),
         ("validation", "start", "inference", "swing"),
         ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),
         ("posterior",),

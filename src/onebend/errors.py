@@ -111,6 +111,7 @@ SECTIONS: dict[str, str] = {
     "stiffness along": "ks-varies-otherwise-than-stated",
     "rest change": "the-beam-is-bent-at-rest",
     "swing": "the-swing-is-not-as-the-model-says",
+    "frequencies": "a-frequency-is-not-as-the-fit-says",
     "no material": "youngs-modulus-is-that-of-no-material",
     # recording.toml
     "two sections": "the-recordings-state-different-sections",

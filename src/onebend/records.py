@@ -198,6 +198,17 @@ class PointMass:
 
 
 @dataclass(frozen=True)
+class MeasuredFrequency:
+    """A natural frequency of the beam, clamped at its base and free otherwise, as it swings a little about rest."""
+
+    frequency: float  # Hz, undamped
+    sd: float  # Hz
+    mode: int  # 1 is the slowest; 0: not said
+    gravity: tuple[float, ...]  # (2,) m/s^2 in the beam's frame; zeros where it swings across gravity
+    tip_mass: float = 0.0  # kg, fixed to the tip
+
+
+@dataclass(frozen=True)
 class MassLine:
     """Mass per metre, where it is known along the beam."""
 
@@ -232,7 +243,8 @@ class Stated:
     rest: Rest
     mass: float  # kg, NaN where unknown
     placement_sd: float  # m, tolerance of the tags' places
-    mass_sd: float = math.nan  # one sd of the mass over itself
+    mass_sd: float = math.nan  # one sd of a mass that was guessed, over itself
+    weighed_sd: float = math.nan  # one sd of the mass that is written, over itself
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     # "even": somebody knows that k is one number; "section": that it goes with the second moment of `section`
@@ -299,6 +311,7 @@ class Observations:
     # (T, m, 3, n) m, m, rad: what one sd of each of n unknowns of the camera and of the tags' plane does to the poses
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
     by_camera: Array | None = None
+    frequencies: tuple[MeasuredFrequency, ...] = ()
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from onebend.learning.criticism.criticism import Criticism as Criticism
     from onebend.learning.criticism.criticism import Finding as Finding
     from onebend.learning.criticism.score_tests import Score as Score
+    from onebend.learning.frequencies.frequency_data import FrequencyData as FrequencyData
+    from onebend.learning.frequencies.frequency_data import Posture as Posture
+    from onebend.learning.frequencies.predicted import PredictedFrequencies as PredictedFrequencies
     from onebend.learning.inference.fit_problem import FitProblem as FitProblem
     from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
     from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
@@ -48,6 +51,9 @@ if TYPE_CHECKING:
     from onebend.learning.swing.damping import SwingFit as SwingFit
     from onebend.learning.swing.free_swing import FilmPart as FilmPart
     from onebend.learning.swing.free_swing import Swing as Swing
+    from onebend.learning.swing.swing_frequencies import FoundFrequencies as FoundFrequencies
+    from onebend.learning.swing.swing_frequencies import SwingFrequency as SwingFrequency
+    from onebend.learning.swing.swing_frequencies import frequencies_of as frequencies_of
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -57,6 +63,8 @@ else:
             "onebend.learning.criticism.alternatives": "Suspect",
             "onebend.learning.criticism.criticism": "Criticism Finding",
             "onebend.learning.criticism.score_tests": "Score",
+            "onebend.learning.frequencies.frequency_data": "FrequencyData Posture",
+            "onebend.learning.frequencies.predicted": "PredictedFrequencies",
             "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
             "onebend.learning.inference.misfit": "Miss",
             "onebend.learning.inference.joint_covariance": "Conditioning JointCovariance",
@@ -79,5 +87,6 @@ else:
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",
             "onebend.learning.swing.free_swing": "FilmPart Swing",
+            "onebend.learning.swing.swing_frequencies": "FoundFrequencies SwingFrequency frequencies_of",
         },
     )

@@ -23,6 +23,9 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
+from onebend.learning.frequencies.compared import GROSS, worst_off
+from onebend.learning.frequencies.modes import with_modes
+from onebend.learning.frequencies.predicted import PredictedFrequencies
 from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.misfit import Miss, misses
@@ -105,6 +108,11 @@ class Posterior:
         return tuple(predict(recording, self.layout, self.mean, now.solved.q) for recording, now in pairs)
 
     @cached_property
+    def frequencies(self) -> tuple[PredictedFrequencies, ...]:
+        """The natural frequencies of each recording that has measured ones, at the optimum."""
+        return self.problem.predicted_frequencies(self.mean)
+
+    @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """The recordings that the fit cannot explain; empty as a rule."""
         return misses(self.recordings, self.slow)
@@ -119,6 +127,8 @@ class Posterior:
         ideal = not any(recording.allowances for recording in self.recordings)
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
+        if worst_off(self.frequencies) > GROSS:
+            doubts.append("the frequencies contradict the fit")
         for o in (recording.observations for recording in self.recordings):
             if any(remark.doubt for remark in o.source.remarks):
                 doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
@@ -225,6 +235,7 @@ def fit(
             equations that rounding makes unsolvable.
     """
     check_same_beam(recordings)
+    recordings = with_modes(recordings)
     try:
         some = [recordings[i] for i in first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start

@@ -13,6 +13,7 @@ from onebend.beam.statics.problem import has_mass, make_problem
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.frequencies.compared import validated_frequencies
 from onebend.learning.model.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
 from onebend.learning.model.held_ends import RESOLUTION, is_held, resolution_of, shapes_of
 from onebend.learning.model.mass import NEEDS_MASS, weighs
@@ -72,10 +73,11 @@ def validate(
         force=observations.force[frames],
         push_s=push_places(observations)[frames],
         stable=stable,
-        rms=marker_rms(measured - predicted),
+        rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
-        remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
+        remarks=_remarks(stable, np.concatenate([one.converged for one in solved]))
+        + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 

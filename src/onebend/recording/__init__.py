@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from onebend.recording.toml.entries import Recording as Recording
     from onebend.recording.toml.entries import TagEntry as TagEntry
     from onebend.recording.toml.entries import TagsEntry as TagsEntry
+    from onebend.recording.toml.frequency_entry import FrequencyEntry as FrequencyEntry
     from onebend.recording.toml.source_entries import CameraEntry as CameraEntry
     from onebend.recording.toml.source_entries import MarkersEntry as MarkersEntry
     from onebend.recording.toml.source_entries import PhotosEntry as PhotosEntry
@@ -42,6 +43,7 @@ else:
             "onebend.recording.tags.detection": "detect_tags",
             "onebend.recording.tags.printed_code": "PrintedTag",
             "onebend.recording.toml.beam_entry": "BeamEntry MassEntry",
+            "onebend.recording.toml.frequency_entry": "FrequencyEntry",
             "onebend.recording.toml.entries": "ForceEntry GravityEntry PushEntry Recording TagEntry TagsEntry",
             "onebend.recording.toml.source_entries": "CameraEntry MarkersEntry PhotosEntry PosesEntry VideoEntry",
         },

@@ -25,6 +25,7 @@ from onebend.recording.toml.entries import (
     TagEntry,
     TagsEntry,
 )
+from onebend.recording.toml.frequency_entry import FrequencyEntry, read_frequencies
 from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
 from onebend.recording.toml.schema import (
     LONGEST_KEY,
@@ -61,10 +62,11 @@ SECTIONS: dict[str, type] = {
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
+CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
 TABLES = ("beam", "tags", *SECTIONS)
 LISTED: dict[str | int, type] = {"on_base": TagEntry, "on_beam": TagEntry, "masses": MassEntry}  # of [[...]]
-RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS}
+RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS, "frequencies": FrequencyEntry}
 # Which tables know a key: what stands in the wrong one is told its place.
 HOMES: dict[str, tuple[str, ...]] = {
     name: tuple(table for table, one in RECORDS.items() if name in {key.name for key, _ in keys_of(one).values()})
@@ -91,7 +93,10 @@ def read_recording(folder: Path | str) -> Recording:
     check_top(data, mistakes)
     if mistakes.found:
         raise RecordingError(str(mistakes))
-    tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
+    swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
+    tags: TagsEntry | None = CLAMP_ALONE
+    if "tags" in data:
+        tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
     beam = read_beam(data["beam"], mistakes)
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
@@ -116,13 +121,14 @@ def read_recording(folder: Path | str) -> Recording:
         beam=beam,
         tags=tags,
         remarks=(
-            *remarks_on(tags, data),
+            *(remarks_on(tags, data) if "tags" in data else ()),
             *camera_remarks,
             *entry_remarks(beam, entries["camera"]),
             *spread_remarks(beam, entries, scale_sd),
             *unit_remarks(beam, tags, entries),
         ),
         scale_sd=scale_sd,
+        frequencies=swung,
         **entries,
     )
     return with_bags(rec, data)
@@ -165,14 +171,15 @@ def camera_record(data: dict[str, Any]) -> type:
 
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     """The tables and keys at the top of the file."""
-    report_unknown(data, ["format", "name", *TABLES], (), mistakes)
+    report_unknown(data, ["format", "name", *TABLES, "frequencies"], (), mistakes)
     if data.get("format") != FORMAT:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
     if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > LONGEST_KEY:
         text = f"name must be text in quotes of at most {LONGEST_KEY} characters, not {quoted(data['name'])}."
         mistakes.add(("name",), text)
     sources = [name for name in SOURCES if name in data]
-    if not sources:
+    alone = not sources and "frequencies" in data  # they need no tag, and no force
+    if not sources and not alone:
         mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
     if len(sources) > 1:
         names = " and ".join(f"[{name}]" for name in sources)
@@ -182,8 +189,11 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
         text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
         mistakes.add(("camera", "camera_info"), text)
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
-        if name not in data:
+        if name not in data and not (alone and name == "tags"):
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
+    for name in ("tags", "force", "push", "camera") if alone else ():
+        if name in data:
+            mistakes.add((name,), f"[{name}] goes with a film, tracks, poses or photos, and there is none. Remove it.")
 
 
 def read_beam(table: Any, mistakes: Mistakes) -> BeamEntry | None:

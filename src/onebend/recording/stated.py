@@ -38,6 +38,7 @@ def stated_in(recording: Recording) -> Stated:
         mass=mass,
         placement_sd=tags.placement_sd,
         mass_line=line,
+        weighed_sd=beam.mass_sd / mass,
         mass_along=beam.mass_along,
         stiffness_along=beam.stiffness_along,
         turn_sd=tags.turn_sd,

@@ -81,7 +81,8 @@ def overview(folder: Path | str) -> Overview:
         read_base_log(recording.gravity.base_angle_file)
     log = read_log(recording)
     preview = None if recording.video is None else look_at(recording)
-    seen = observe(recording) if recording.markers is not None or recording.poses is not None else None
+    shown = recording.markers is not None or recording.poses is not None or recording.only_frequencies
+    seen = observe(recording) if shown else None
     film = None if preview is None or recording.video is None else film_info(recording.video, preview)
     sizes = [] if section is None else [("section", ", ".join(size_words(section)))]
     rows = [
@@ -232,10 +233,12 @@ def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
     places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam)
     base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
     weight = "acts in the plane of bending" if recording.gravity is not None else "across the plane of bending"
+    swings = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in recording.frequencies]
     size = f"{tags.family}, {1000 * tags.size:.4g} mm; " if np.isfinite(tags.size) else ""
     return [
         ("beam", f"{1000 * beam.length:.4g} mm long, {mass}, at rest: {beam.rest}; gravity {weight}"),
-        ("tags", f"{size}{base or 'none'} on the base; {places}"),
+        *([] if recording.only_frequencies else [("tags", f"{size}{base or 'none'} on the base; {places}")]),
+        *([("swings", ", ".join(swings))] if swings else []),
     ]
 
 

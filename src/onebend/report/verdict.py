@@ -16,6 +16,7 @@ from onebend.beam.profiles.uncertain import half_width_words
 from onebend.errors import section
 from onebend.learning.criticism.alternatives import Suspect
 from onebend.learning.criticism_messages import cause_words
+from onebend.learning.frequencies.compared import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import fitted_rms, possible
@@ -23,6 +24,7 @@ from onebend.records import Array, Observations
 from onebend.report.allowance_words import narrower_words, share_words
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
+from onebend.report.kinds import only_frequencies
 from onebend.report.modulus import measured_beam, one_modulus_words
 from onebend.report.wording import millimetres, significant, tag_words
 
@@ -161,8 +163,9 @@ def _stand_out(count: int) -> str:
 
 def _error(findings: Findings) -> _Error:
     """Of the validations, where there are any; else of the fit; else under the force as logged."""
-    if findings.validations:
-        return _worst("validation", findings.validations, [one.rms for one in findings.validations])
+    seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
+    if seen:
+        return _worst("validation", seen, [one.rms for one in seen])
     if findings.posterior is not None:
         return _worst("fit", findings.trainings, fitted_rms(findings.posterior))
     return _worst("as logged", findings.trainings, [one.rms for one in findings.trainings])
@@ -189,6 +192,10 @@ def _use(findings: Findings, error: _Error) -> str:
     said = f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"
     if error.of == "fit" and (poor := _poor(findings.trainings)) != "":
         return f"the fit is off by {said}, but {poor}: no good prediction"
+    if findings.posterior is not None and only_frequencies(findings.recordings) and error.of != "validation":
+        rows = compared_frequencies(findings.posterior.frequencies)
+        off = significant(worst_off(findings.posterior.frequencies), 2)
+        return f"the beam as fitted is within {off} sd of its {len(rows)} frequencies; not validated"
     if error.of != "validation":
         how = "the fit is off by" if error.of == "fit" else "off by"
         another = "pose" if findings.recordings[0].static else "push"
@@ -255,6 +262,8 @@ def _mend(posterior: Posterior) -> str:
 
 
 def _validate_words(first: Observations) -> str:
+    if only_frequencies([first]):
+        return "measure it in another posture, or with a known tip_mass_kg, or hang a weight on it, and learn from both"
     if first.static:
         return "measure a pose under another load, and run `onebend validate` on it"
     return "film a second push (faster, elsewhere), and run `onebend validate`"

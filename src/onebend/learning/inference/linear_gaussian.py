@@ -159,14 +159,26 @@ def rest_information(problem: FitProblem, number: int) -> InformationForm:
     return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
 
 
+def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
+    """Log likelihood of what one recording says besides its tags, at parameters x (P,): its rests, and its natural
+    frequencies, which depend on the beam alone."""
+    known, out = problem.layout.known_to(number), [rest_information(problem, number)]
+    for predicted in problem.predicted_frequencies(x, number):
+        j = predicted.slopes[:, known] / predicted.data.sd[:, None]
+        y = predicted.residuals + j @ x[known]
+        log_noise = float(np.sum(np.log(predicted.data.sd)))
+        out.append(InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
+    return out
+
+
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
 ) -> JointInformation:
-    """Log likelihood of all tags and all rests."""
+    """Log likelihood of all tags, rests and frequencies."""
 
     def of(recording: FitData, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
         tags = tag_information(r, problem.layout, recording.number, x, noise)
-        return total([tags, rest_information(problem, recording.number)])
+        return total([tags, *own_information(problem, recording.number, x)])
 
     return JointInformation(each(of, problem.recordings, rows, hyperparameters.noise), problem.layout.parts)
 

@@ -61,7 +61,8 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
         straight = np.zeros(2) if zeroed else o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
     variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
-    missing = np.where(rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
+    off = rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance))
+    missing = np.divide(rms, motion, out=np.zeros_like(rms), where=off & (motion > 0.0))
     worst = int(np.argmax(missing))
     if not missing[worst] > MISS:
         return None

@@ -119,7 +119,7 @@ def fit_data(
         farther=_farther(problem, push_s),
         weight=problem.dead_force + inertia,
         ends=ends,
-        mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
+        mass=own_weight(o, problem.grid, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),

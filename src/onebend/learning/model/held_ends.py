@@ -21,7 +21,7 @@ from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Problem, Resolution
 from onebend.beam.statics.sensitivity import of_force, of_moment, respond
 from onebend.learning.known_shape import KnownShape, known_shape
-from onebend.learning.model.mass import forced, weighs
+from onebend.learning.model.mass import forced, needs_mass
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
@@ -56,7 +56,7 @@ def resolution_of(o: Observations) -> Resolution:
 
 def sets_no_scale(recordings: Sequence[Observations]) -> bool:
     """Whether nothing of known size acts: then only the shape of k(s) can be known."""
-    return not any(weighs(o) or forced(o) for o in recordings)
+    return not any(needs_mass(o) or forced(o) for o in recordings)
 
 
 def held_ends(o: Observations, frames: BoolArray, problem: Problem) -> HeldEnds | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.known_shape import KnownShape, known_shape
-from onebend.learning.model.mass import weighs
+from onebend.learning.model.mass import needs_mass
 from onebend.learning.model.readings import zeroed_coordinates
 from onebend.learning.model.spline import LEVEL_SD, RHO, TAU, Spline
 from onebend.recording.beam_frame import MOUNTING_SD
@@ -19,6 +19,7 @@ from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
 _REST = ("mean", "slope", "bow")  # of the curvature at rest
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
+_EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
@@ -152,8 +153,9 @@ def make_layout(
     placement = first.stated.placement_sd if priors.placement is None else priors.placement
     mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
     curvature = max(curvature_sd(r, priors) for r in recordings)
-    heavy = any(weighs(r) for r in recordings)
-    mass = max((r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)), default=priors.mass)
+    heavy = any(needs_mass(r) for r in recordings)
+    guessed = [r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)]
+    mass = max(guessed, default=_weighed_sd(recordings, priors))
     wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
         ("curvature", -1, "rad", curvature, tuple(f"q0 {i}" for i in _REST)),
@@ -247,6 +249,12 @@ def _ends(one: Observations, *what: str) -> tuple[str, ...]:
 def _zeros(one: Observations) -> tuple[str, ...]:
     """Labels of the readings that count from a zero of their own."""
     return tuple(f"{one.source.name}: zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
+
+
+def _weighed_sd(recordings: list[Observations], priors: Priors) -> float:
+    """Of a mass that is written down, over itself; its parts stay free where it is exact."""
+    stated = [r.stated.weighed_sd for r in recordings if np.isfinite(r.stated.weighed_sd)]
+    return max(min(stated), _EXACT) if stated else priors.mass
 
 
 def _mass_spread(recordings: list[Observations], priors: Priors) -> float:

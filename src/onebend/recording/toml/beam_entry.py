@@ -34,6 +34,13 @@ class BeamEntry:
     mass: float = key(
         "mass_kg", number(above=0, most=HEAVIEST), "the beam's mass, kg", example="0.075", default=math.nan
     )
+    mass_sd: float = key(
+        "mass_sd_kg",
+        number(least=0, most=HEAVIEST),
+        "how exactly that mass is known (one standard deviation), kg; 0: exact",
+        example="0.0001",
+        default=math.nan,
+    )
     mass_file: Path | None = key(
         "mass_file",
         text,

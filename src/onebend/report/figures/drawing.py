@@ -21,7 +21,7 @@ from onebend.report.figures.film import film_of, film_strip
 from onebend.report.figures.pictures import Draw, Pictures, draw, reason_of
 from onebend.report.figures.simulated import largest_push
 from onebend.report.findings import Findings
-from onebend.report.kinds import words_of
+from onebend.report.kinds import only_frequencies, words_of
 
 
 def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
@@ -34,6 +34,8 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     if posterior is not None:
         wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
+    if only_frequencies(findings.recordings):  # no tag moved
+        return draw(wanted, progress)
     wanted |= {
         "fit": partial(fit, beam, training, recording, fits[0]),
         "shapes": partial(recordings.shapes, beam, training, recording, fits[0]),
