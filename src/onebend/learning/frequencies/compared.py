@@ -61,7 +61,7 @@ def validated_frequencies(beam: Beam, o: Observations) -> tuple[Remark, ...]:
     if not known:
         return ()
     rows = []
-    for posture in postures_of(tuple(known)):
+    for posture in postures_of(tuple(known), () if beam.masses else o.stated.masses):
         count = int(np.max(posture.modes)) + 1
         own = natural_frequencies(beam, gravity=posture.gravity, points=posture.points, count=count)
         for row, mode in zip(posture.rows.tolist(), posture.modes.tolist(), strict=True):
