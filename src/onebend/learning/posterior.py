@@ -32,9 +32,9 @@ from onebend.learning.inference.optimizer import (
     OptimizerSettings,
     Optimum,
     estimate_at,
-    find_maximum,
     laplace_posterior,
 )
+from onebend.learning.inference.pose_branches import find_on_branches
 from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData, fit_data
@@ -46,7 +46,7 @@ from onebend.learning.model.spline import RHO, TAU, Spline
 from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
-from onebend.records import Array, Observations
+from onebend.records import Array, BoolArray, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 CONTRADICTED = "the force contradicts the bending"
@@ -245,13 +245,14 @@ def _fit(
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
     problem, x = _problem(recordings, start, settings)
-    near = find_maximum(problem, estimate_at(problem, x), early, progress)
+    def of(frames: Sequence[BoolArray]) -> tuple[FitData, ...]:
+        return _data(recordings, frames, problem.layout.spline, settings.allowances)
+
+    few, near = find_on_branches(problem, estimate_at(problem, x), of, early, progress)
     recordings, near = _with_mass_found(recordings, problem, near)
 
-    whole = replace(
-        problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline, settings.allowances)
-    )
-    estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
+    whole = replace(problem, recordings=of([chosen_frames(o, settings.most_frames) for o in recordings]))
+    whole, estimate = find_on_branches(whole, _carried_over(few, near, whole), of, late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
     return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
@@ -262,7 +263,8 @@ def _problem(
 ) -> tuple[FitProblem, Array]:
     """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
-    data = _data(recordings, settings.first_frames, spline, settings.allowances)
+    frames = [chosen_frames(o, settings.first_frames) for o in recordings]
+    data = _data(recordings, frames, spline, settings.allowances)
     knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
     layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
@@ -271,9 +273,13 @@ def _problem(
 
 
 def _data(
-    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
+    recordings: Sequence[Observations],
+    frames: Sequence[BoolArray],
+    spline: Spline,
+    allowances: frozenset[AllowanceName],
 ) -> tuple[FitData, ...]:
-    return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances) for i, o in enumerate(recordings))
+    every = enumerate(zip(recordings, frames, strict=True))
+    return tuple(fit_data(o, i, some, spline, allowances) for i, (o, some) in every)
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:

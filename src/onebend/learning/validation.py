@@ -80,9 +80,9 @@ def validate(
 
 
 def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
-    """Under the measured loads; an end held by an unknown one stands where it was seen."""
+    """Under the measured loads; static poses in the equilibria that their points show."""
     loads = loads_of(observations, frames)
-    if is_held(observations):
+    if observations.static:
         return [shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))]
     return simulate(beam, loads)
 

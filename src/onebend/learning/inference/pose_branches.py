@@ -1,0 +1,76 @@
+"""The maximum where static poses may be in one of several equilibria: each in that which its points show.
+
+While k(s) is far from what it will be, the equilibrium that a pose is in may not exist yet: no stable one is near its
+points. Such poses wait; what fits the others brings theirs about. At every maximum all poses choose anew, until none
+changes. A pose that is then still far from every stable equilibrium is left out of the fit, and named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.learning.inference.descent import MapEstimate
+from onebend.learning.inference.fit_problem import FitProblem
+from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at, find_maximum
+from onebend.learning.model.fit_data import FitData
+from onebend.learning.model.forward import Prediction
+from onebend.learning.model.frames import distances
+from onebend.learning.pose_equilibria import unexplained
+from onebend.progress import Progress, Silent
+from onebend.records import BoolArray
+
+_ROUNDS = 6  # of choosing, at most
+_SAME = 1e-3  # rad, curvature: shapes that differ by less are one equilibrium
+
+Chosen = Callable[[Sequence[BoolArray]], tuple[FitData, ...]]  # data of the frames (T,) of each recording
+
+
+def find_on_branches(
+    problem: FitProblem, estimate: MapEstimate, data: Chosen, settings: OptimizerSettings, progress: Progress
+) -> tuple[FitProblem, MapEstimate]:
+    """The maximum a posteriori from an estimate to begin with, and the problem without the poses that were left out."""
+    if all(recording.poses is None for recording in problem.recordings):
+        return problem, find_maximum(problem, estimate, settings, progress)
+    kept = [_explained(one) for one in estimate.predictions]
+    for _ in range(_ROUNDS):
+        some = _of(problem, kept, data)
+        begin = replace(estimate_at(some, estimate.x), hyperparameters=estimate.hyperparameters, steps=estimate.steps)
+        found = find_maximum(some, begin, settings, progress)
+        estimate = replace(estimate_at(problem, found.x), hyperparameters=found.hyperparameters, steps=found.steps)
+        before, kept = kept, [_explained(one) for one in estimate.predictions]
+        if all(map(_same, before, kept, found.predictions, estimate.predictions)):
+            break
+        progress = Silent()
+    return some, found
+
+
+def _of(problem: FitProblem, kept: Sequence[BoolArray], data: Chosen) -> FitProblem:
+    """With some of its frames (F,) alone."""
+    if all(np.all(one) for one in kept):
+        return problem
+    frames = []
+    for recording, one in zip(problem.recordings, kept, strict=True):
+        chosen = recording.frames.copy()
+        chosen[np.flatnonzero(chosen)[~one]] = False
+        frames.append(chosen if recording.poses is not None else recording.frames)
+    return replace(problem, recordings=data(frames))
+
+
+def _explained(prediction: Prediction) -> BoolArray:
+    """(F,) frames; of a film all."""
+    recording = prediction.recording
+    off = distances((recording.measured - prediction.pose)[..., :2])
+    if recording.poses is None:
+        return np.ones(len(off), dtype=bool)
+    rms = np.sqrt(np.nanmean(off**2, axis=1))
+    return ~unexplained(rms, recording.observations.length)
+
+
+def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Prediction) -> bool:
+    """Whether no pose of a recording has changed, nor its equilibrium."""
+    if not np.array_equal(before, now):
+        return False
+    return bool(np.max(np.abs(found.solved.q - again.solved.q[before]), initial=0.0) < _SAME)
