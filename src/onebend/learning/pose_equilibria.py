@@ -1,7 +1,7 @@
 """Which equilibrium a static pose of a free end is in: of all that are stable, the one that its points show.
 
-A soft beam on a turned base has several, and which of them it is in depends on how it came there; the points tell. Where
-they do not (too few, or on both equilibria alike), it is the one to which the stated history leads, if any.
+A soft beam on a turned base has several, and which of them it is in depends on how it came there; the points tell.
+Where they do not (too few, or alike in both), it is the one to which the stated history leads, if any.
 """
 
 from __future__ import annotations
@@ -79,9 +79,7 @@ def stay(problem: Problem, start: Array) -> Equilibrium:
     """The equilibria near known shapes (F, Q): Newton's method, and where a branch has ended, that to which the beam
     falls from it."""
     full = np.ones(problem.size)
-    q, near, _ = correct(
-        problem, start, full, trust=_SAME_BRANCH * full, remaining=1e-13 * full, max_iterations=12
-    )
+    q, near, _ = correct(problem, start, full, trust=_SAME_BRANCH * full, remaining=1e-13 * full, max_iterations=12)
     near[near] &= is_stable(problem.take(near), q[near])
     lost = np.flatnonzero(~near)
     if lost.size:

@@ -23,7 +23,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.inference.descent import MapEstimate, with_own_forces
+from onebend.learning.inference.beginning import carried_over, parameters_of, with_mass_found
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.misfit import Miss, misses
@@ -84,6 +84,7 @@ class Posterior:
     optimum: Optimum
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
+    left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -245,17 +246,21 @@ def _fit(
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
     problem, x = _problem(recordings, start, settings)
+
     def of(frames: Sequence[BoolArray]) -> tuple[FitData, ...]:
         return _data(recordings, frames, problem.layout.spline, settings.allowances)
 
     few, near = find_on_branches(problem, estimate_at(problem, x), of, early, progress)
-    recordings, near = _with_mass_found(recordings, problem, near)
+    recordings, near = with_mass_found(recordings, problem, near)
 
-    whole = replace(problem, recordings=of([chosen_frames(o, settings.most_frames) for o in recordings]))
-    whole, estimate = find_on_branches(whole, _carried_over(few, near, whole), of, late, progress)
+    chosen = [chosen_frames(o, settings.most_frames) for o in recordings]
+    whole = replace(problem, recordings=of(chosen))
+    whole, estimate = find_on_branches(whole, carried_over(few, near, whole), of, late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
-    return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
+    critic = criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd))
+    left_out = tuple(every & ~one.frames for every, one in zip(chosen, whole.recordings, strict=True))
+    return Posterior(whole, optimum, gain_sd, critic, left_out)
 
 
 def _problem(
@@ -268,7 +273,7 @@ def _problem(
     knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
     layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
-    x, level = _start(layout, start)
+    x, level = parameters_of(layout, start)
     return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
 
 
@@ -280,37 +285,3 @@ def _data(
 ) -> tuple[FitData, ...]:
     every = enumerate(zip(recordings, frames, strict=True))
     return tuple(fit_data(o, i, some, spline, allowances) for i, (o, some) in every)
-
-
-def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
-    """Parameters (P,) and the level of log k to begin with."""
-    s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
-    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
-    if not np.all(k > 0.0):
-        raise LearningError("the start stiffness must be positive everywhere")
-    x = np.zeros(layout.size)
-    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
-    return x, float(np.mean(np.log(k)))
-
-
-def _with_mass_found(
-    recordings: Sequence[Observations], problem: FitProblem, near: MapEstimate
-) -> tuple[Sequence[Observations], MapEstimate]:
-    """Recordings and estimate with a guessed mass replaced by what came out: the prior of its unevenness is relative to
-    the mass."""
-    if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
-        return recordings, near
-    mass, even = problem.layout.index["mass", -1].where, np.array([1.0, 0.0, 0.0, 0.0])
-    factor, x = 1.0 + max(float(near.x[mass.start]), -0.9), near.x.copy()
-    x[mass] = (x[mass] + even) / factor - even
-    heavier = [replace(o, stated=replace(o.stated, mass=factor * o.stated.mass)) for o in recordings]
-    return heavier, replace(near, x=x)
-
-
-def _carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem) -> MapEstimate:
-    """An estimate for all frames from that for a few."""
-    pairs = zip(problem.recordings, whole.recordings, strict=True)
-    same = all(np.array_equal(few.frames, every.frames) for few, every in pairs)
-    shapes = [p.solved.q for p in near.predictions] if same else None
-    begin = estimate_at(whole, near.x, shapes)
-    return with_own_forces(replace(begin, hyperparameters=near.hyperparameters, steps=near.steps))

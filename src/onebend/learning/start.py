@@ -21,6 +21,7 @@ _FRAMES = 40  # of each recording
 _FEW = 12  # of each recording, to guess a mass
 _MASSES = np.geomspace(0.02, 20.0, 10)  # masses to try, in units of (largest load) / g
 _TRIED_HELD = np.geomspace(1e-4, 20.0, 16)  # the same with both ends held: it may hang like a rope
+_ELSEWHERE = 0.1  # of the length
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
@@ -79,13 +80,18 @@ def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
 
 
 def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolArray]) -> float:
-    """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
+    """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium.
+
+    A static pose whose equilibrium this beam may not have counts as little more than `_ELSEWHERE`, however far off.
+    """
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
         solved = shapes_of(o, some, make_problem(beam, loads_of(o, some), resolution_of(o)))
         if not np.all(solved.converged):
             return float("inf")
         squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2
+        if o.static:
+            squared = squared / (1.0 + squared / (_ELSEWHERE * o.length) ** 2)
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
     return float(np.sqrt(total / count))
 

@@ -159,12 +159,8 @@ def _march(panels: _Panels, frame: IntArray, a: Array) -> _March:
         turned = solve_each(matrix, (by_alpha - h * ((by_inner / k) @ c.T))[..., None])[..., 0]
         by_work = stiff * turned
         by_q = (by_inner + h * (by_work @ c.T)) / k
-        alpha, by_alpha = (
-            x - h * (rate @ panels.whole)[:, None] for x, rate in ((alpha, q[:, p]), (by_alpha, by_q))
-        )
-        inner, by_inner = (
-            x + h * (rate @ panels.whole)[:, None] for x, rate in ((inner, work), (by_inner, by_work))
-        )
+        alpha, by_alpha = (x - h * (rate @ panels.whole)[:, None] for x, rate in ((alpha, q[:, p]), (by_alpha, by_q)))
+        inner, by_inner = (x + h * (rate @ panels.whole)[:, None] for x, rate in ((inner, work), (by_inner, by_work)))
         bent = q[:, p, :1]
     return _March(alpha[:, 0], by_alpha[:, 0], q.reshape(count, steps * n))
 

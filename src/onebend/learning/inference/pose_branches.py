@@ -16,7 +16,7 @@ from onebend.learning.inference.descent import MapEstimate
 from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at, find_maximum
 from onebend.learning.model.fit_data import FitData
-from onebend.learning.model.forward import Prediction
+from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.frames import distances
 from onebend.learning.pose_equilibria import unexplained
 from onebend.progress import Progress, Silent
@@ -39,9 +39,10 @@ def find_on_branches(
         some = _of(problem, kept, data)
         begin = replace(estimate_at(some, estimate.x), hyperparameters=estimate.hyperparameters, steps=estimate.steps)
         found = find_maximum(some, begin, settings, progress)
-        estimate = replace(estimate_at(problem, found.x), hyperparameters=found.hyperparameters, steps=found.steps)
-        before, kept = kept, [_explained(one) for one in estimate.predictions]
-        if all(map(_same, before, kept, found.predictions, estimate.predictions)):
+        again = tuple(map(_chosen_anew, problem.recordings, kept, found.predictions))
+        estimate = replace(found, predictions=again)
+        before, kept = kept, [_explained(one) for one in again]
+        if all(map(_same, before, kept, found.predictions, again)):
             break
         progress = Silent()
     return some, found
@@ -57,6 +58,15 @@ def _of(problem: FitProblem, kept: Sequence[BoolArray], data: Chosen) -> FitProb
         chosen[np.flatnonzero(chosen)[~one]] = False
         frames.append(chosen if recording.poses is not None else recording.frames)
     return replace(problem, recordings=data(frames))
+
+
+def _chosen_anew(recording: FitData, kept: BoolArray, now: Prediction) -> Prediction:
+    """Every pose in the equilibrium that its points show now; a film as it is."""
+    if recording.poses is None:
+        return now
+    own = np.zeros_like(recording.force)
+    own[kept] = now.own
+    return predict(recording, now.layout, now.x, None, own)
 
 
 def _explained(prediction: Prediction) -> BoolArray:

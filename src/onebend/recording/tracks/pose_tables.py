@@ -77,6 +77,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         sd_known=points.sd_known,
         known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
+        poses=loads.poses,
     )
 
 
