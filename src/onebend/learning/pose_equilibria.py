@@ -46,8 +46,8 @@ class SeenPoses:
 
 
 def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
-    """Those of some frames (T,); None where the recording is a film."""
-    if not o.static:
+    """Those of some frames (T,); None where the recording is a film, or no end is free."""
+    if not o.static or (o.held is not None and bool(np.all(o.held[frames]))):
         return None
     unknown = np.full(len(o.time), np.nan)
     told = (unknown, unknown, unknown) if o.poses is None else (o.poses.clamp, o.poses.turned_from, o.poses.order)
@@ -87,22 +87,26 @@ def stay(problem: Problem, start: Array) -> Equilibrium:
     return _solved(problem, q, near)
 
 
-def away(solved: Equilibrium, seen: SeenPoses) -> Array:
-    """(F,) m RMS of the points from the shapes, over the coordinates that were measured; NaN where none was."""
-    squared = (seen.xy - solved.xy(seen.s)) ** 2
-    count = np.sum(np.isfinite(squared).any(axis=2), axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.sqrt(np.nansum(squared, axis=(1, 2)) / count))
+def pose_names(o: Observations, frames: BoolArray) -> tuple[str, ...]:
+    """Those of some frames (T,); numbers where nobody named them."""
+    every = [str(i + 1) for i in range(len(frames))] if o.poses is None else o.poses.name
+    return tuple(name for name, wanted in zip(every, frames.tolist(), strict=True) if wanted)
+
+
+def pose_rms(off: Array) -> Array:
+    """(F,) m RMS over the points of each pose of how far off (F, m, 2) they are; 0 where none was measured."""
+    count = np.sum(np.isfinite(off).any(axis=2), axis=1)
+    return np.asarray(np.sqrt(np.nansum(off**2, axis=(1, 2)) / np.maximum(count, 1)))
 
 
 def unexplained(rms: Array, length: float) -> BoolArray:
-    """(P,) poses that are much farther from their equilibria than most others are, by their RMS (P,) [m].
+    """(P,) poses that are much farther from their equilibria than the others are, by their RMS (P,) [m].
 
     None where these are many: then what is wrong is no single pose.
     """
-    usual = float(np.median(rms)) if len(rms) else 0.0
+    usual = float(np.median(rms)) if len(rms) > 1 else 0.0
     out = rms > max(_FAR * length, _FARTHER * usual)
-    return np.asarray(out & (np.sum(out) <= _MOST_LEFT_OUT * len(rms)))
+    return np.asarray(out & (np.sum(out) <= max(_MOST_LEFT_OUT * len(rms), 1.0)))
 
 
 def elsewhere(solved: Equilibrium, seen: SeenPoses) -> tuple[Array, BoolArray]:
@@ -114,7 +118,7 @@ def elsewhere(solved: Equilibrium, seen: SeenPoses) -> tuple[Array, BoolArray]:
     part, some = problem.take(here), seen.take(here)
     least = _misfit(part, solved.q[here], some)
     out, other = np.full(problem.size, np.nan), np.zeros(problem.size, dtype=bool)
-    out[here] = away(_solved(part, shapes[here], np.ones(len(here), dtype=bool)), some)
+    out[here] = pose_rms(some.xy - _solved(part, shapes[here], np.ones(len(here), dtype=bool)).xy(some.s))
     other[here] = ~_as_near(_misfit(part, shapes[here], some), least, some)
     return out, other
 

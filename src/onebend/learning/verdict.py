@@ -10,6 +10,7 @@ from onebend.learning.criticism.criticism import Finding
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
+from onebend.learning.pose_equilibria import pose_names
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Observations, Remark
 
@@ -75,8 +76,21 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
     tests = _tests(posterior)
+    wrong += _left_out(posterior)
     odd = (*_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
     return (*wrong, *_search(posterior), *tests, *_hanging(posterior), *odd)
+
+
+def _left_out(posterior: Posterior) -> list[Remark]:
+    """The poses on which k(s) does not rest; why, the comparison with the recording says."""
+    out = []
+    for recording, left_out in zip(posterior.recordings, posterior.left_out, strict=True):
+        names = pose_names(recording.observations, left_out)
+        if names:
+            said = f"pose {names[0]} was" if len(names) == 1 else f"poses {', '.join(names)} were"
+            text = f"{_whose(posterior, recording.observations.source.name)}{said} left out of the fit: no stable "
+            out.append(Remark("note", text + "equilibrium of the beam that fits the others is near the points there"))
+    return out
 
 
 def _tests(posterior: Posterior) -> tuple[Remark, ...]:

@@ -17,8 +17,7 @@ from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at, find_maximum
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.frames import distances
-from onebend.learning.pose_equilibria import unexplained
+from onebend.learning.pose_equilibria import pose_rms, unexplained
 from onebend.progress import Progress, Silent
 from onebend.records import BoolArray
 
@@ -72,15 +71,23 @@ def _chosen_anew(recording: FitData, kept: BoolArray, now: Prediction) -> Predic
 def _explained(prediction: Prediction) -> BoolArray:
     """(F,) frames; of a film all."""
     recording = prediction.recording
-    off = distances((recording.measured - prediction.pose)[..., :2])
-    if recording.poses is None:
+    off = (recording.measured - prediction.pose)[..., :2]
+    if recording.poses is None or len(off) == 1:
         return np.ones(len(off), dtype=bool)
-    rms = np.sqrt(np.nanmean(off**2, axis=1))
-    return ~unexplained(rms, recording.observations.length)
+    return ~unexplained(np.where(_is_free(recording), pose_rms(off), 0.0), recording.observations.length)
 
 
 def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Prediction) -> bool:
     """Whether no pose of a recording has changed, nor its equilibrium."""
     if not np.array_equal(before, now):
         return False
-    return bool(np.max(np.abs(found.solved.q - again.solved.q[before]), initial=0.0) < _SAME)
+    change = np.abs(found.solved.q - again.solved.q[before])[_is_free(again.recording)[before]]
+    return bool(np.max(change, initial=0.0) < _SAME)
+
+
+def _is_free(recording: FitData) -> BoolArray:
+    """(F,) frames whose end nobody holds."""
+    free = np.ones(len(recording.measured), dtype=bool)
+    if recording.ends is not None:
+        free[recording.ends.frames] = False
+    return free
