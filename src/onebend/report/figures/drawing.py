@@ -32,13 +32,14 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
     if posterior is not None:
         fits = explained(posterior)
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
-    if posterior is not None:
-        wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
+    if posterior is not None and (rows_told := curves.told(posterior.nuisances())):
+        wanted["nuisances"] = partial(curves.nuisances, rows_told)
     wanted |= {
         "fit": partial(fit, beam, training, recording, fits[0]),
         "shapes": partial(recordings.shapes, beam, training, recording, fits[0]),
-        "markers": partial(recordings.markers, training, fits[0]),
     }
+    if not recording.static:  # poses have no time
+        wanted["markers"] = partial(recordings.markers, training, fits[0])
     rows = zip(findings.trainings, findings.recordings, fits, strict=True)
     for i, (comparison, observations, fitted) in enumerate(rows, start=1):
         before = "" if i == 1 else f"learned-{i}-"
@@ -51,7 +52,7 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
             wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, under)
     if learned is not None:
         wanted["selection"] = partial(recordings.selection, learned)
-    if not recording.static:  # poses have no time
+    if not recording.static:
         wanted["force"] = partial(recordings.force, recording, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
     own = [
