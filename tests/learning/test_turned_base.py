@@ -79,7 +79,8 @@ def test_the_points_choose_the_equilibrium(tmp_path: Path) -> None:
 @pytest.mark.parametrize("column", ["turned_from_deg", "order"])
 def test_what_is_said_of_the_way_leads_to_the_same(tmp_path: Path, column: str) -> None:
     way = {"turned_from_deg": [0.0] * 8 + [165.0] * 3, "order": [*(1 + np.array(MIXED)), 11, 10, 9]}
-    o = observe(folder(tmp_path / "cable", **{column: way[column]}))
+    told = turned_folder(tmp_path / "cable", CABLE, NAMES, ANGLES, noisy(), sd=SD, more={column: way[column]})
+    o = observe(told)
     problem, seen = true_poses(o)
     q, there = led(problem, seen)
     assert there.all()

@@ -12,7 +12,7 @@ nearly nothing of an effect moves it far.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -22,7 +22,7 @@ from onebend.learning.inference.fit_problem import FitProblem, log_k_map
 from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.parameters import Block
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 FORCE_SCALE, LEFT = "force's scale", "remaining discrepancy"
 # Blocks of the layout that say one thing about the bench, by the name under which a person knows it.
@@ -115,6 +115,32 @@ def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array
         sds = float(np.sqrt(max(float(away @ inverse @ away) - (len(away) - 1), 0.0)))
         out.append(_attribution(name, weights, variance, explained, change, sds))
     return tuple(sorted(out, key=_place))
+
+
+def hidden_by(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array) -> tuple[Array, dict[str, Array]]:
+    """(S,) sd of log k at places `s` (S,), were all but k known exactly; and the same with one thing left as it is, by
+    its name in `GROUPS`. Where several could each stand for another, knowing one of them alone would change nothing."""
+    layout, covariance = problem.layout, optimum.covariance
+    log_k, onto = log_k_map(problem)
+    basis = layout.spline.finer.basis(s) @ onto
+    stands = {name: _indices(layout.blocks, blocks) for name, blocks in GROUPS.items()}
+    stands = {name: index for name, index in stands.items() if len(index)}
+    others = np.setdiff1d(np.arange(len(covariance)), log_k)
+
+    def spread(known: IntArray) -> Array:
+        left = covariance[np.ix_(log_k, log_k)]
+        if len(known):
+            both = covariance[np.ix_(log_k, known)]
+            left = left - both @ _inverse(covariance[np.ix_(known, known)]) @ both.T
+        variance = np.einsum("si,ij,sj->s", basis, left, basis)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + gain_sd**2))
+
+    return spread(others), {name: spread(np.setdiff1d(others, index)) for name, index in stands.items()}
+
+
+def _indices(blocks: Sequence[Block], names: tuple[str, ...]) -> IntArray:
+    free = [np.arange(b.where.start, b.where.stop) for b in blocks if b.name in names and b.start >= 0]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *free])
 
 
 def _attribution(

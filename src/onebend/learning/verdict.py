@@ -117,7 +117,7 @@ def _search(posterior: Posterior) -> list[Remark]:
 def _first_check(posterior: Posterior) -> str:
     """What is most often wrong where the fit misses the tags."""
     if all(one.observations.static for one in posterior.recordings):
-        return "Check the loads and their unit, then the signs of x and y"
+        return "Check the loads and their unit, then the signs of x and y, and clamp_deg"
     if any(np.any(one.observations.force != 0.0) for one in posterior.recordings):
         return "Check the sign and the axes of [force], then the clocks"
     return "Check the tags' places and the direction of gravity"
