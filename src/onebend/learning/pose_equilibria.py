@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import Equilibrium, is_stable
+from onebend.beam.statics.equilibrium import Equilibrium, is_convex, is_stable
 from onebend.beam.statics.newton import correct
 from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.shooting import stable_equilibria
@@ -171,7 +171,11 @@ def shown_curvature(xy: Array, angle: Array, s: Array, nodes: Array) -> Array:
 
 def _every(problem: Problem, seen: SeenPoses) -> tuple[Array, IntArray]:
     """Shapes (E, Q) and frames (E,) of the equilibria to choose from."""
-    q, frame = stable_equilibria(problem)
+    grown = follow(problem)
+    one = is_convex(problem) & grown.converged
+    several = np.flatnonzero(~one)
+    q, frame = stable_equilibria(problem.take(several))
+    q, frame = np.concatenate([grown.q[one], q]), np.concatenate([np.flatnonzero(one), several[frame]])
     pull = np.linalg.norm(problem.dead_force, axis=-1)
     rope = np.sum(problem.weights * np.sqrt(problem.length * pull / problem.k), axis=-1) > _ROPE
     long = np.flatnonzero(rope | (np.bincount(frame, minlength=problem.size) == 0))
@@ -180,12 +184,8 @@ def _every(problem: Problem, seen: SeenPoses) -> tuple[Array, IntArray]:
     part, nodes = problem.take(long), np.broadcast_to(problem.grid.nodes, problem.dead_force.shape[:2])
     shown = [shown_curvature(seen.xy[i], seen.angle[i], seen.s, nodes[i]) for i in long.tolist()]
     fallen, landed = let_fall(part, np.stack(shown))
-    grown = follow(part)
-    well = grown.converged & grown.stable
-    return (
-        np.concatenate([q, fallen[landed], grown.q[well]]),
-        np.concatenate([frame, long[landed], long[well]]),
-    )
+    well = long[(grown.converged & grown.stable)[long]]
+    return np.concatenate([q, fallen[landed], grown.q[well]]), np.concatenate([frame, long[landed], well])
 
 
 def _led_on(problem: Problem, seen: SeenPoses, a: int, b: int, start: Array) -> tuple[Array, BoolArray, IntArray]:

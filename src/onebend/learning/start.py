@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Profile, Uniform
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
@@ -21,6 +22,8 @@ _FRAMES = 40  # of each recording
 _FEW = 12  # of each recording, to guess a mass
 _MASSES = np.geomspace(0.02, 20.0, 10)  # masses to try, in units of (largest load) / g
 _TRIED_HELD = np.geomspace(1e-4, 20.0, 16)  # the same with both ends held: it may hang like a rope
+_ROUGH = Resolution(order=6, widest=0.25)  # poses whose equilibria are sought
+_SOFTER, _HALF = 8, 0.5  # cables: so many times softer by this than the softest of those, while they come nearer
 _ELSEWHERE = 0.1  # of the length
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
@@ -40,9 +43,13 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
         return Uniform(1.0)  # as good as any
     tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
-    beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in tried]
+    mass = _mass(recordings)
+    beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=mass) for k in tried]
     beams += [] if learned is None else [learned.beam]
     away = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
+    while all(o.static for o in recordings) and away[0] == min(away) and len(away) < len(tried) + _SOFTER:
+        softer = replace(beams[0], stiffness=Scaled(_HALF, beams[0].stiffness))
+        beams, away = [softer, *beams], [_distance(softer, recordings, frames), *away]
     return beams[int(np.argmin(away))].stiffness  # the stiffest hardly bends: one at least is finite
 
 
@@ -86,7 +93,8 @@ def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolA
     """
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = shapes_of(o, some, make_problem(beam, loads_of(o, some), resolution_of(o)))
+        resolution = _ROUGH if o.static and not is_held(o) else resolution_of(o)
+        solved = shapes_of(o, some, make_problem(beam, loads_of(o, some), resolution))
         if not np.all(solved.converged):
             return float("inf")
         squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2

@@ -12,7 +12,7 @@ from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table, Uniform
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import gradient, is_stable
+from onebend.beam.statics.equilibrium import gradient, is_convex, is_stable
 from onebend.beam.statics.problem import Problem, Resolution, make_problem
 from onebend.beam.statics.shooting import stable_equilibria
 from onebend.errors import MechanicsError
@@ -119,3 +119,16 @@ def test_followers_are_refused() -> None:
     loads = Loads(follower=np.ones((1, 1, 2)), follower_s=np.ones((1, 1)))
     with pytest.raises(MechanicsError, match="follower"):
         stable_equilibria(make_problem(BEAM, loads))
+
+
+def test_where_the_energy_is_convex_there_is_one() -> None:
+    """The bound holds up to two of the 2.47 k / L that buckle a column, whichever way the force points."""
+    beam, ways = Beam(1.0, Uniform(1.0)), np.radians(np.arange(0.0, 360.0, 30.0))
+    unit = np.stack([np.cos(ways), np.sin(ways)], axis=-1)
+    below, above = (make_problem(beam, push(size * unit), FINE) for size in (1.99, 2.2))
+    assert is_convex(below).all()
+    assert not is_convex(above).any()
+    assert counts(below) == [1] * len(ways)
+    assert stable_equilibria(below.take(np.zeros(len(ways), dtype=bool)))[0].shape == (0, 48)
+    thick = make_problem(replace(beam, thickness=0.1), push(unit), FINE)
+    assert not is_convex(thick).any()

@@ -75,3 +75,14 @@ def test_no_way_is_said_of_a_held_end(tmp_path: Path) -> None:
     held = "pose,s,fx_N,fy_N,moment_N_m,clamp_deg,turned_from_deg\n0,1,unknown,unknown,unknown,0,10\n"
     with pytest.raises(RecordingError, match="holds its end"):
         read(tmp_path, held)
+
+
+def test_an_angle_that_is_read_without_full_turns_gets_them_from_the_points(tmp_path: Path) -> None:
+    """A beam rolled into an arc of 250 degrees, to its right; the protractor shows 110 at the tip."""
+    alpha = -np.radians(250.0) * ROD_S
+    arc = 0.5 * np.stack([np.sin(alpha), 1.0 - np.cos(alpha)], axis=-1) / -np.radians(250.0)
+    read_off = (np.degrees(alpha) + 180.0) % 360.0 - 180.0
+    shown = np.concatenate([arc, read_off[:, None]], axis=1)[None]
+    columns = ("x_m", "y_m", "angle_deg")
+    folder = pose_folder(tmp_path, loads="pose,s,fy_N\n0,1,-1\n", shown=shown, gravity="", poses="", columns=columns)
+    np.testing.assert_allclose(observe(folder).angle[0], alpha, atol=1e-9)

@@ -17,8 +17,10 @@ conjugate point and the equilibrium is stable (Jacobi); where A is level, a stab
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from onebend.beam.grid import Grid, solve_each
 from onebend.beam.statics.equilibrium import is_stable
@@ -32,6 +34,7 @@ _SAMPLES = 24  # of a full turn of the free end, to begin with
 _STEEP = 0.7  # rad: where the angle at the clamp changes by more between two samples, there is another between them,
 _BENT = 0.15  # rad, and where it leaves the straight line of either slope by more
 _CLOSEST = 1e-14  # rad, between two samples
+_WIDE = 0.03  # rad, of intervals that are halved even where no stable equilibrium is near
 _MOST = 500  # intervals of a frame that are halved at once
 _ITERATIONS = 8  # of Newton's method on the stages of one panel, at most
 _SETTLED = 1e-11  # rad, of its last update
@@ -61,6 +64,7 @@ class _March:
 
     base: Array  # (S,) rad, the angle
     slope: Array  # (S,) its derivative with the angle at the free end
+    conjugate: IntArray  # (S,) conjugate points on the way
     q: Array  # (S, Q) rad, curvature at the nodes
 
 
@@ -72,18 +76,21 @@ class _Intervals:
     a: Array  # (S, 2) rad, at the free end
     base: Array  # (S, 2) rad, at the clamp
     slope: Array  # (S, 2)
+    conjugate: IntArray  # (S, 2)
 
     def take(self, chosen: BoolArray) -> _Intervals:
-        return _Intervals(self.frame[chosen], self.a[chosen], self.base[chosen], self.slope[chosen])
+        return _Intervals(*(part[chosen] for part in astuple(self)))
 
     def split(self, at: Array, march: _March) -> _Intervals:
         """Each in two, at angles (S,)."""
 
-        def halves(ends: Array, middle: Array) -> Array:
-            return np.concatenate([np.stack([ends[:, 0], middle], 1), np.stack([middle, ends[:, 1]], 1)])
-
-        frame, places = np.concatenate([self.frame, self.frame]), halves(self.a, at)
-        return _Intervals(frame, places, halves(self.base, march.base), halves(self.slope, march.slope))
+        ends = (self.a, self.base, self.slope, self.conjugate)
+        middles = (at, march.base, march.slope, march.conjugate)
+        halves = (
+            np.concatenate([np.stack([two[:, 0], one], 1), np.stack([one, two[:, 1]], 1)])
+            for two, one in zip(ends, middles, strict=True)
+        )
+        return _Intervals(np.concatenate([self.frame, self.frame]), *halves)
 
 
 def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
@@ -97,6 +104,8 @@ def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
     """
     if problem.follower.shape[1]:
         raise MechanicsError("follower loads are not taken: give dead forces")
+    if problem.size == 0:
+        return np.zeros((0, problem.to_nodes.shape[-1])), np.zeros(0, dtype=np.int64)
     panels = _panels(problem)
     goal = np.ravel(problem.alpha0) + np.zeros(problem.size)
     frame, q = _roots(panels, _with_turning_points(panels, _sampled(panels), goal), goal)
@@ -143,6 +152,7 @@ def _march(panels: _Panels, frame: IntArray, a: Array) -> _March:
     q = np.empty((count, steps, n))
     alpha, inner = a[:, None], np.zeros((count, 1))  # angle and I at the end of the panel
     by_alpha, by_inner = np.ones((count, 1)), np.zeros((count, 1))  # their derivatives with a
+    turns = np.empty((count, steps, n))  # y
     bent = panels.free[frame, -1, -1:]
     for p in range(steps - 1, -1, -1):
         h, k, free = panels.width[frame, p, None], panels.k[frame, p], panels.free[frame, p]
@@ -156,13 +166,15 @@ def _march(panels: _Panels, frame: IntArray, a: Array) -> _March:
             stage = stage - update
             if not np.max(np.abs(update), initial=0.0) > _SETTLED:
                 break
-        turned = solve_each(matrix, (by_alpha - h * ((by_inner / k) @ c.T))[..., None])[..., 0]
-        by_work = stiff * turned
+        turns[:, p] = solve_each(matrix, (by_alpha - h * ((by_inner / k) @ c.T))[..., None])[..., 0]
+        by_work = stiff * turns[:, p]
         by_q = (by_inner + h * (by_work @ c.T)) / k
         alpha, by_alpha = (x - h * (rate @ panels.whole)[:, None] for x, rate in ((alpha, q[:, p]), (by_alpha, by_q)))
         inner, by_inner = (x + h * (rate @ panels.whole)[:, None] for x, rate in ((inner, work), (by_inner, by_work)))
         bent = q[:, p, :1]
-    return _March(alpha[:, 0], by_alpha[:, 0], q.reshape(count, steps * n))
+    positive = np.concatenate([by_alpha, turns.reshape(count, steps * n)], axis=1) > 0.0
+    conjugate = np.sum(positive[:, 1:] != positive[:, :-1], axis=1)
+    return _March(alpha[:, 0], by_alpha[:, 0], conjugate, q.reshape(count, steps * n))
 
 
 def _work(panels: _Panels, frame: IntArray, p: int, alpha: Array) -> tuple[Array, Array]:
@@ -174,16 +186,21 @@ def _work(panels: _Panels, frame: IntArray, p: int, alpha: Array) -> tuple[Array
 
 
 def _sampled(panels: _Panels) -> _Intervals:
-    """A full turn of the free end of every frame, finer where A changes fast."""
-    frames, places = np.arange(len(panels.k)), np.linspace(-np.pi, np.pi, _SAMPLES + 1)
-    march = _march(panels, np.repeat(frames, len(places)), np.tile(places, len(frames)))
+    """A full turn of the free end of every frame about the pull there, finer where A changes fast.
 
-    def between(values: Array) -> Array:
+    A rope's free end lies along that pull in all its stable equilibria, but for very little. Where a place is past two
+    conjugate points or more on both sides there are none, however fast A changes.
+    """
+    frames, pull = np.arange(len(panels.k)), panels.pull[:, -1, -1]
+    places = np.arctan2(pull[:, 1], pull[:, 0])[:, None] + np.linspace(-np.pi, np.pi, _SAMPLES + 1)
+    march = _march(panels, np.repeat(frames, places.shape[1]), np.ravel(places))
+
+    def ends(values: NDArray[Any]) -> NDArray[Any]:
         rows = values.reshape(len(frames), -1)
         return np.stack([rows[:, :-1], rows[:, 1:]], axis=-1).reshape(-1, 2)
 
     todo = _Intervals(
-        np.repeat(frames, _SAMPLES), between(np.tile(places, len(frames))), between(march.base), between(march.slope)
+        np.repeat(frames, _SAMPLES), ends(places), ends(march.base), ends(march.slope), ends(march.conjugate)
     )
     done: list[_Intervals] = []
     while len(todo.frame):
@@ -191,7 +208,8 @@ def _sampled(panels: _Panels) -> _Intervals:
         change = np.diff(todo.base, axis=1)[:, 0]
         off = np.max(np.abs(change[:, None] - wide[:, None] * todo.slope), axis=1)
         several = np.bincount(todo.frame, minlength=len(frames))[todo.frame] < _MOST
-        coarse = ((np.abs(change) > _STEEP) | ~(off < _BENT)) & (wide > _CLOSEST) & several
+        hopeful = (np.min(todo.conjugate, axis=1) < 2) | (wide > _WIDE)
+        coarse = ((np.abs(change) > _STEEP) | ~(off < _BENT)) & (wide > _CLOSEST) & several & hopeful
         done.append(todo.take(~coarse))
         todo = todo.take(coarse)
         middle = np.mean(todo.a, axis=1)
@@ -226,9 +244,10 @@ def _with_turning_points(panels: _Panels, intervals: _Intervals, goal: Array) ->
 
 
 def _roots(panels: _Panels, intervals: _Intervals, goal: Array) -> tuple[IntArray, Array]:
-    """Frames (E,) and curvatures (E, Q) where A rises through a goal: Newton's method between the ends of intervals."""
+    """Frames (E,) and curvatures (E, Q) where A rises through a goal, with no conjugate point before: Newton's method
+    between the ends of intervals."""
     levels = _level(intervals.base, goal[intervals.frame, None])
-    found = intervals.take(levels[:, 1] > levels[:, 0])
+    found = intervals.take((levels[:, 1] > levels[:, 0]) & (np.min(intervals.conjugate, axis=1) == 0))
     frame, (low, high) = found.frame, found.a.T.copy()
     to = goal[frame] + 2.0 * np.pi * _level(found.base[:, 1], goal[frame])
     share = (to - found.base[:, 0]) / np.maximum(np.diff(found.base, axis=1)[:, 0], 1e-300)
