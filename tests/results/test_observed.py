@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated, StatedSection
+from onebend.records import BenchPoses, ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated, StatedSection
 from onebend.results.observations_file import load_observations, observations_beside, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up
@@ -73,6 +73,12 @@ def full() -> Observations:
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
         static=True,
+        poses=BenchPoses(
+            tuple(f"pose {i}" for i in range(frames)),
+            rng.normal(size=frames),
+            np.where(np.arange(frames) > 2, np.nan, rng.normal(size=frames)),
+            np.arange(frames, dtype=float),
+        ),
     )
 
 
