@@ -14,10 +14,10 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table, Uniform
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import Problem, make_problem
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import loads_of
 from onebend.learning.model.held_ends import RESOLUTION
 from onebend.learning.pose_equilibria import SeenPoses, led, nearest, pose_rms, seen_poses, stay, unexplained
-from onebend.learning.posterior import FitSettings
 from onebend.learning.validation import validate
 from onebend.pipeline import Run, learn
 from onebend.recording.observe import observe

@@ -11,7 +11,8 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.learning.attribution import FORCE_SCALE, GROUPS, Attribution
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.recording.observe import observe
 from onebend.records import GAIN_SD, PLACE_SD, Observations

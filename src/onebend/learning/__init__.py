@@ -16,9 +16,12 @@ if TYPE_CHECKING:
     from onebend.learning.inference.fit_problem import FitProblem as FitProblem
     from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
     from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
+    from onebend.learning.inference.joint_covariance import Conditioning as Conditioning
+    from onebend.learning.inference.joint_covariance import JointCovariance as JointCovariance
     from onebend.learning.inference.misfit import Miss as Miss
     from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
+    from onebend.learning.inference.stages import FitSettings as FitSettings
     from onebend.learning.live.key_frame_posterior import LiveHyperparameters as LiveHyperparameters
     from onebend.learning.live.online_learner import Update as Update
     from onebend.learning.live.session import SmootherSettings as SmootherSettings
@@ -37,7 +40,6 @@ if TYPE_CHECKING:
     from onebend.learning.model.rest import AtRest as AtRest
     from onebend.learning.model.spline import Spline as Spline
     from onebend.learning.pose_equilibria import SeenPoses as SeenPoses
-    from onebend.learning.posterior import FitSettings as FitSettings
     from onebend.learning.posterior import Nuisance as Nuisance
     from onebend.learning.start import start_of as start_of
     from onebend.learning.start import with_mass as with_mass
@@ -56,6 +58,7 @@ else:
             "onebend.learning.criticism.criticism": "Criticism Finding",
             "onebend.learning.criticism.score_tests": "Score",
             "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
+            "onebend.learning.inference.joint_covariance": "Conditioning JointCovariance",
             "onebend.learning.inference.misfit": "Miss",
             "onebend.learning.inference.optimizer": "OptimizerSettings Optimum",
             "onebend.learning.live.key_frame_posterior": "LiveHyperparameters",

@@ -12,7 +12,7 @@ nearly nothing of an effect moves it far.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -63,7 +63,6 @@ _MUCH = float(
 )  # of the sd of log k: the change to be expected of what widens it by so much
 SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
 _LEAST_LEFT = 1e-4  # of the variance: what is left at least
-_MOST_TOLD = 1e-9  # of the largest eigenvalue of the correlations in C_bb: directions below are fixed
 
 
 @dataclass(frozen=True)
@@ -96,24 +95,20 @@ def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array
     `gain_sd` is of the force's common scale, 0 where it is exact.
     """
     layout, covariance = problem.layout, optimum.covariance
-    log_k, onto = log_k_map(problem)
-    basis = layout.spline.finer.basis(s) @ onto
-    of_k = basis @ covariance[log_k]  # (S, P)
-    variance = np.einsum("sp,sp->s", of_k[:, log_k], basis) + gain_sd**2
+    basis = _basis(problem, s)
+    variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True) + gain_sd**2
     weights = 1.0 / variance / np.sum(1.0 / variance)
     out = [_attribution(FORCE_SCALE, weights, variance, np.full(len(s), gain_sd**2))] if gain_sd > 0.0 else []
     for name, blocks in GROUPS.items():
         free = [b for b in layout.blocks if b.name in blocks and b.start >= 0]
         if not free:
             continue
-        index = np.concatenate([np.arange(b.where.start, b.where.stop) for b in free])
-        away = optimum.x[index] - np.concatenate([_ideal(problem, b) for b in free])
-        inverse = _inverse(covariance[np.ix_(index, index)])
-        regression = of_k[:, index] @ inverse
-        explained = np.einsum("si,si->s", regression, of_k[:, index])
-        change = np.hypot(regression @ away, _to_instantaneous(name, optimum))
-        sds = float(np.sqrt(max(float(away @ inverse @ away) - (len(away) - 1), 0.0)))
-        out.append(_attribution(name, weights, variance, explained, change, sds))
+        index, away = _away(problem, optimum, free)
+        known = covariance.conditioned(basis, index, away)
+        change = np.hypot(known.change, _to_instantaneous(name, optimum))
+        count = sum(len(one) for one in away)
+        sds = float(np.sqrt(max(known.chi_squared - (count - 1), 0.0)))
+        out.append(_attribution(name, weights, variance, known.explained, change, sds))
     return tuple(sorted(out, key=_place))
 
 
@@ -121,26 +116,28 @@ def hidden_by(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array) -
     """(S,) sd of log k at places `s` (S,), were all but k known exactly; and the same with one thing left as it is, by
     its name in `GROUPS`. Where several could each stand for another, knowing one of them alone would change nothing."""
     layout, covariance = problem.layout, optimum.covariance
+    basis = _basis(problem, s)
+    variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True)
+    log_k, _ = log_k_map(problem)
+
+    def spread(left: tuple[str, ...]) -> Array:
+        known = [b for b in layout.blocks if b.start >= 0 and b.name not in left]
+        index, away = _away(problem, optimum, known)
+        others = ~np.isin(index[0], log_k)
+        index[0], away[0] = index[0][others], away[0][others]
+        explained = covariance.conditioned(basis, index, away).explained
+        return np.asarray(np.sqrt(np.maximum(variance - explained, 0.0) + gain_sd**2))
+
+    free = {b.name for b in layout.blocks if b.start >= 0}
+    return spread(()), {name: spread(blocks) for name, blocks in GROUPS.items() if free & set(blocks)}
+
+
+def _basis(problem: FitProblem, s: Array) -> Array:
+    """(S, n) log k at places, by the shared parameters."""
     log_k, onto = log_k_map(problem)
-    basis = layout.spline.finer.basis(s) @ onto
-    stands = {name: _indices(layout.blocks, blocks) for name, blocks in GROUPS.items()}
-    stands = {name: index for name, index in stands.items() if len(index)}
-    others = np.setdiff1d(np.arange(len(covariance)), log_k)
-
-    def spread(known: IntArray) -> Array:
-        left = covariance[np.ix_(log_k, log_k)]
-        if len(known):
-            both = covariance[np.ix_(log_k, known)]
-            left = left - both @ _inverse(covariance[np.ix_(known, known)]) @ both.T
-        variance = np.einsum("si,ij,sj->s", basis, left, basis)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + gain_sd**2))
-
-    return spread(others), {name: spread(np.setdiff1d(others, index)) for name, index in stands.items()}
-
-
-def _indices(blocks: Sequence[Block], names: tuple[str, ...]) -> IntArray:
-    free = [np.arange(b.where.start, b.where.stop) for b in blocks if b.name in names and b.start >= 0]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *free])
+    basis = np.zeros((len(s), problem.layout.shared))
+    basis[:, log_k] = problem.layout.spline.finer.basis(s) @ onto
+    return basis
 
 
 def _attribution(
@@ -153,12 +150,16 @@ def _attribution(
     return Attribution(name, widening, float(np.sqrt(square)), sds, size, float(np.sqrt(whole)))
 
 
-def _inverse(covariance: Array) -> Array:
-    """(n, n) pseudo-inverse, whatever the units."""
-    sd = np.sqrt(np.diag(covariance))
-    return np.asarray(
-        np.linalg.pinv(covariance / np.outer(sd, sd), rcond=_MOST_TOLD, hermitian=True) / np.outer(sd, sd)
-    )
+def _away(problem: FitProblem, optimum: Optimum, blocks: list[Block]) -> tuple[list[IntArray], list[Array]]:
+    """Where blocks stand in the parts of the parameters, and how far they are from the ideal bench's."""
+    index: list[IntArray] = [np.zeros(0, dtype=np.int64) for _ in problem.layout.parts]
+    away = [np.zeros(0) for _ in problem.layout.parts]
+    for block in blocks:
+        part, where = 1 + block.recording, block.where
+        begin = problem.layout.parts[part].start
+        index[part] = np.append(index[part], np.arange(where.start - begin, where.stop - begin))
+        away[part] = np.append(away[part], optimum.x[where] - _ideal(problem, block))
+    return index, away
 
 
 def _place(one: Attribution) -> tuple[bool, bool, float]:

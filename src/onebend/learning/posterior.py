@@ -9,7 +9,7 @@ noise are chosen by evidence; the band comes from the curvature at the optimum (
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -20,29 +20,33 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.inference.beginning import carried_over, parameters_of, with_mass_found
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
-from onebend.learning.inference.hyperparameters import expected_recording_noise
+from onebend.learning.inference.fit_problem import FitProblem
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.misfit import Miss, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
-    OptimizerSettings,
     Optimum,
     estimate_at,
     laplace_posterior,
 )
 from onebend.learning.inference.pose_branches import find_on_branches
+from onebend.learning.inference.stages import (
+    FitSettings,
+    carried_over,
+    first_problem,
+    first_recordings,
+    whole_problem,
+    with_mass_found,
+)
 from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
 from onebend.learning.model.allowed import secant_of
-from onebend.learning.model.fit_data import FitData, fit_data
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.frames import check_same_beam, chosen_frames
+from onebend.learning.model.frames import check_same_beam
 from onebend.learning.model.mass import LearnedMass
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.model.parameters import Layout
 from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
@@ -50,19 +54,6 @@ from onebend.records import Array, BoolArray, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 CONTRADICTED = "the force contradicts the bending"
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """How the marker-space fit runs."""
-
-    functions: int = 45  # of the spline of log k
-    most_frames: int = 500  # of each recording, evenly chosen
-    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
-    priors: Priors = field(default_factory=Priors)
-    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
-    last_rounds: int = 6  # at most, with all frames
-    allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 
 
 @dataclass(frozen=True)
@@ -102,8 +93,8 @@ class Posterior:
         return self.optimum.x
 
     @property
-    def covariance(self) -> Array:
-        """(P, P) of the parameters (Laplace)."""
+    def covariance(self) -> JointCovariance:
+        """Of the parameters (Laplace)."""
         return self.optimum.covariance
 
     @cached_property
@@ -182,7 +173,7 @@ class Posterior:
             if block.start < 0 or block.name in left_out:
                 continue
             these, where = quantities(block, self.recordings), block.where
-            after = np.sqrt(np.diag(these.weights @ self.covariance[where, where] @ these.weights.T))
+            after = np.sqrt(np.diag(these.weights @ self.covariance.among(where) @ these.weights.T))
             value = these.weights @ self.mean[where]
             values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
             out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
@@ -223,7 +214,8 @@ def fit(
     """
     check_same_beam(recordings)
     try:
-        begin = start_of(recordings, None) if start is None else start
+        some = [recordings[i] for i in first_recordings(recordings, settings)]
+        begin = start_of(some, None) if start is None else start
         return _fit(recordings, begin, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
         names = ", ".join(one.source.name for one in recordings)
@@ -245,43 +237,15 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    problem, x = _problem(recordings, start, settings)
-
-    def of(frames: Sequence[BoolArray]) -> tuple[FitData, ...]:
-        return _data(recordings, frames, problem.layout.spline, settings.allowances)
-
-    few, near = find_on_branches(problem, estimate_at(problem, x), of, early, progress)
+    some = first_recordings(recordings, settings)
+    problem, x = first_problem([recordings[i] for i in some], start, settings)
+    few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
     recordings, near = with_mass_found(recordings, problem, near)
 
-    chosen = [chosen_frames(o, settings.most_frames) for o in recordings]
-    whole = replace(problem, recordings=of(chosen))
-    whole, estimate = find_on_branches(whole, carried_over(few, near, whole), of, late, progress)
+    every = whole_problem(recordings, problem, settings)
+    whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
     critic = criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd))
-    left_out = tuple(every & ~one.frames for every, one in zip(chosen, whole.recordings, strict=True))
+    left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
     return Posterior(whole, optimum, gain_sd, critic, left_out)
-
-
-def _problem(
-    recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
-) -> tuple[FitProblem, Array]:
-    """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
-    spline = Spline(settings.functions)
-    frames = [chosen_frames(o, settings.first_frames) for o in recordings]
-    data = _data(recordings, frames, spline, settings.allowances)
-    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
-    layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
-    noise = tuple(expected_recording_noise(d) for d in data)
-    x, level = parameters_of(layout, start)
-    return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
-
-
-def _data(
-    recordings: Sequence[Observations],
-    frames: Sequence[BoolArray],
-    spline: Spline,
-    allowances: frozenset[AllowanceName],
-) -> tuple[FitData, ...]:
-    every = enumerate(zip(recordings, frames, strict=True))
-    return tuple(fit_data(o, i, some, spline, allowances) for i, (o, some) in every)

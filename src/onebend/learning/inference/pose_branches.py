@@ -7,37 +7,34 @@ changes. A pose that is then still far from every stable equilibrium is left out
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from onebend.learning.inference.descent import MapEstimate
 from onebend.learning.inference.fit_problem import FitProblem
-from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at, find_maximum
-from onebend.learning.model.fit_data import FitData
+from onebend.learning.inference.optimizer import OptimizerSettings, find_maximum
+from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.pose_equilibria import pose_rms, unexplained
 from onebend.progress import Progress, Silent
 from onebend.records import BoolArray
 
 _ROUNDS = 6  # of choosing, at most
-_SAME = 1e-3  # rad, curvature: shapes that differ by less are one equilibrium
-
-Chosen = Callable[[Sequence[BoolArray]], tuple[FitData, ...]]  # data of the frames (T,) of each recording
+_SAME = 1e-3  # of the length: poses whose tags are nearer are in one equilibrium
 
 
 def find_on_branches(
-    problem: FitProblem, estimate: MapEstimate, data: Chosen, settings: OptimizerSettings, progress: Progress
+    problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
 ) -> tuple[FitProblem, MapEstimate]:
     """The maximum a posteriori from an estimate to begin with, and the problem without the poses that were left out."""
     if all(recording.poses is None for recording in problem.recordings):
         return problem, find_maximum(problem, estimate, settings, progress)
     kept = [_explained(one) for one in estimate.predictions]
     for _ in range(_ROUNDS):
-        some = _of(problem, kept, data)
-        begin = replace(estimate_at(some, estimate.x), hyperparameters=estimate.hyperparameters, steps=estimate.steps)
-        found = find_maximum(some, begin, settings, progress)
+        begin = tuple(map(_part, estimate.predictions, kept))
+        some = replace(problem, recordings=tuple(one.recording for one in begin))
+        found = find_maximum(some, replace(estimate, predictions=begin, converged=False), settings, progress)
         again = tuple(map(_chosen_anew, problem.recordings, kept, found.predictions))
         estimate = replace(found, predictions=again)
         before, kept = kept, [_explained(one) for one in again]
@@ -47,16 +44,14 @@ def find_on_branches(
     return some, found
 
 
-def _of(problem: FitProblem, kept: Sequence[BoolArray], data: Chosen) -> FitProblem:
-    """With some of its frames (F,) alone."""
-    if all(np.all(one) for one in kept):
-        return problem
-    frames = []
-    for recording, one in zip(problem.recordings, kept, strict=True):
-        chosen = recording.frames.copy()
-        chosen[np.flatnonzero(chosen)[~one]] = False
-        frames.append(chosen if recording.poses is not None else recording.frames)
-    return replace(problem, recordings=data(frames))
+def _part(every: Prediction, kept: BoolArray) -> Prediction:
+    """Some frames (F,) of a recording of poses."""
+    if np.all(kept):
+        return every
+    o, chosen = every.recording.observations, every.recording.frames.copy()
+    chosen[np.flatnonzero(chosen)[~kept]] = False
+    part = fit_data(o, every.recording.number, chosen, every.layout.spline)
+    return predict(part, every.layout, every.x, None, every.own[kept])
 
 
 def _chosen_anew(recording: FitData, kept: BoolArray, now: Prediction) -> Prediction:
@@ -81,8 +76,8 @@ def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Predictio
     """Whether no pose of a recording has changed, nor its equilibrium."""
     if not np.array_equal(before, now):
         return False
-    change = np.abs(found.solved.q - again.solved.q[before])[_is_free(again.recording)[before]]
-    return bool(np.max(change, initial=0.0) < _SAME)
+    change = np.abs(found.pose - again.pose[before])[_is_free(again.recording)[before], :, :2]
+    return bool(np.max(change, initial=0.0) < _SAME * again.recording.observations.length)
 
 
 def _is_free(recording: FitData) -> BoolArray:
