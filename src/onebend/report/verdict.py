@@ -207,7 +207,7 @@ def _use(findings: Findings, error: _Error) -> str:
 
 def _poor(trainings: Sequence[Comparison]) -> str:
     """By how much the beam misses what it was learned from, under the force as logged; empty as a rule."""
-    if not any(poor_fit(one) for one in trainings):
+    if not any(poor_fit(one) for one in trainings if not one.static):  # poses have no log; a wrong one is named apart
         return ""
     logged = _worst("as logged", trainings, [one.rms for one in trainings])
     moves = f"{logged.tag}, which moves by {significant(1e3 * logged.motion)}"
