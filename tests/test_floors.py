@@ -52,7 +52,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("observe",),
     ),
     "learning": (
-        ("outcome", "allowances", "modulus", "pose_equilibria"),
+        ("outcome", "allowances", "modulus", "known_shape", "pose_equilibria"),
         ("model",),
         ("validation", "start", "inference", "swing"),
         ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),

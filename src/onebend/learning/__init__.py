@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
     from onebend.learning.inference.stages import FitSettings as FitSettings
+    from onebend.learning.known_shape import KnownShape as KnownShape
     from onebend.learning.live.key_frame_posterior import LiveHyperparameters as LiveHyperparameters
     from onebend.learning.live.online_learner import Update as Update
     from onebend.learning.live.session import SmootherSettings as SmootherSettings
@@ -58,9 +59,10 @@ else:
             "onebend.learning.criticism.criticism": "Criticism Finding",
             "onebend.learning.criticism.score_tests": "Score",
             "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
-            "onebend.learning.inference.joint_covariance": "Conditioning JointCovariance",
             "onebend.learning.inference.misfit": "Miss",
+            "onebend.learning.inference.joint_covariance": "Conditioning JointCovariance",
             "onebend.learning.inference.optimizer": "OptimizerSettings Optimum",
+            "onebend.learning.known_shape": "KnownShape",
             "onebend.learning.live.key_frame_posterior": "LiveHyperparameters",
             "onebend.learning.live.online_learner": "Update",
             "onebend.learning.live.session": "SmootherSettings",
