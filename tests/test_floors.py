@@ -52,7 +52,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("observe",),
     ),
     "learning": (
-        ("outcome", "allowances", "modulus", "known_shape"),
+        ("outcome", "allowances", "modulus", "known_shape", "pose_equilibria"),
         ("model",),
         ("frequencies",),
         ("validation", "start", "inference", "swing"),

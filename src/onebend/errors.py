@@ -61,6 +61,8 @@ SECTIONS: dict[str, str] = {
     "tag missed": "the-simulated-beam-misses-a-tag",
     "another beam": "the-validation-misses-by-more-than-the-noise",
     "no validation": "a-recording-cannot-validate-itself",
+    "pose": "no-equilibrium-is-near-the-points-of-a-pose",
+    "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",
     "no equilibrium": "the-simulated-beam-snaps-or-buckles",
     "no regression": "the-papers-regression-found-no-beam",
     # the force

@@ -14,6 +14,7 @@ import pytest
 
 from onebend.errors import ResultsError
 from onebend.records import (
+    BenchPoses,
     ForceNoise,
     KnownLoads,
     MassLine,
@@ -99,6 +100,12 @@ def full() -> Observations:
         sd_known=False,
         readings=Readings("x", 2, 1 / 7),
         static=True,
+        poses=BenchPoses(
+            tuple(f"pose {i}" for i in range(frames)),
+            rng.normal(size=frames),
+            np.where(np.arange(frames) > 2, np.nan, rng.normal(size=frames)),
+            np.arange(frames, dtype=float),
+        ),
     )
 
 

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from onebend.learning.model.parameters import Priors as Priors
     from onebend.learning.model.rest import AtRest as AtRest
     from onebend.learning.model.spline import Spline as Spline
+    from onebend.learning.pose_equilibria import SeenPoses as SeenPoses
     from onebend.learning.posterior import Nuisance as Nuisance
     from onebend.learning.start import start_of as start_of
     from onebend.learning.start import with_mass as with_mass
@@ -83,6 +84,7 @@ else:
             "onebend.learning.model.parameters": "Block Layout Priors",
             "onebend.learning.model.rest": "AtRest",
             "onebend.learning.model.spline": "Spline",
+            "onebend.learning.pose_equilibria": "SeenPoses",
             "onebend.learning.posterior": "FitSettings Nuisance",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",

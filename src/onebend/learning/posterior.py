@@ -33,9 +33,9 @@ from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
     Optimum,
     estimate_at,
-    find_maximum,
     laplace_posterior,
 )
+from onebend.learning.inference.pose_branches import find_on_branches
 from onebend.learning.inference.stages import (
     FitSettings,
     carried_over,
@@ -55,7 +55,7 @@ from onebend.learning.model.parameters import Layout
 from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
-from onebend.records import Array, Observations
+from onebend.records import Array, BoolArray, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 CONTRADICTED = "the force contradicts the bending"
@@ -80,6 +80,7 @@ class Posterior:
     optimum: Optimum
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
+    left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -263,11 +264,13 @@ def _fit(
     recordings = with_shared_shape(recordings)
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
-    near = find_maximum(problem, estimate_at(problem, x), early, progress)
+    few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
     recordings, near = with_mass_found(recordings, problem, near)
 
-    whole = whole_problem(recordings, problem, settings)
-    estimate = find_maximum(whole, carried_over(problem, near, whole, some), late, progress)
+    every = whole_problem(recordings, problem, settings)
+    whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
-    return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
+    critic = criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd))
+    left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
+    return Posterior(whole, optimum, gain_sd, critic, left_out)

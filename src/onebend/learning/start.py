@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.frequencies.level import stiffness_level, swinging_mass
@@ -34,6 +34,9 @@ _FRAMES = 40  # of each recording
 _FEW = 12  # of each recording, to guess a mass
 _MASSES = np.geomspace(0.02, 20.0, 10)  # masses to try, in units of (largest load) / g
 _TRIED_HELD = np.geomspace(1e-4, 20.0, 16)  # the same with both ends held: it may hang like a rope
+_ROUGH = Resolution(order=6, widest=0.25)  # poses whose equilibria are sought
+_SOFTER, _HALF = 8, 0.5  # cables: so many times softer by this than the softest of those, while they come nearer
+_ELSEWHERE = 0.1  # of the length
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
@@ -63,6 +66,9 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     beams += [replace(beams[0], stiffness=k) for k in swung]
     beams += [] if learned is None else [learned.beam]
     away = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
+    while all(o.static for o in recordings) and away[0] == min(away) and len(away) < len(tried) + _SOFTER:
+        softer = replace(beams[0], stiffness=Scaled(_HALF, beams[0].stiffness))
+        beams, away = [softer, *beams], [_distance(softer, recordings, frames), *away]
     return beams[int(np.argmin(away))].stiffness  # the stiffest hardly bends: one at least is finite
 
 
@@ -112,15 +118,21 @@ def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
 
 
 def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolArray]) -> float:
-    """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
+    """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium.
+
+    A static pose whose equilibrium this beam may not have counts as little more than `_ELSEWHERE`, however far off.
+    """
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
         laden = replace(beam, masses=o.stated.masses)
-        solved = shapes_of(o, some, make_problem(laden, loads_of(o, some), resolution_of(o)))
+        resolution = _ROUGH if o.static and not is_held(o) else resolution_of(o)
+        solved = shapes_of(o, some, make_problem(laden, loads_of(o, some), resolution))
         if not np.all(solved.converged):
             return float("inf")
         predicted = points_of(o, some, solved)
         squared = distances(from_the_clamp(o, some, predicted) - predicted) ** 2
+        if o.static:
+            squared = squared / (1.0 + squared / (_ELSEWHERE * o.length) ** 2)
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
     return float(np.sqrt(total / count))
 

@@ -21,8 +21,10 @@ from onebend.learning.model.prediction_error import few_frames, variances
 from onebend.learning.model.readings import from_the_clamp, points_of
 from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison
+from onebend.learning.pose_equilibria import SeenPoses, elsewhere, pose_names, pose_rms, seen_poses, unexplained
 from onebend.records import Array, BoolArray, Observations, Remark
 
+_MOST_NAMED = 6  # poses
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -62,6 +64,10 @@ def validate(
     stable = np.concatenate([one.stable for one in solved])
     measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = _sensor_rms(solved, observations, frames)
+    remarks = _remarks(stable, np.concatenate([one.converged for one in solved]))
+    seen = seen_poses(observations, frames)
+    if seen is not None:
+        remarks += _pose_remarks(observations, frames, seen, solved[0], predicted)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -76,16 +82,15 @@ def validate(
         rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
-        remarks=_remarks(stable, np.concatenate([one.converged for one in solved]))
-        + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
+        remarks=remarks + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 
 
 def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
-    """Under the measured loads; an end held by an unknown one stands where it was seen."""
+    """Under the measured loads; static poses in the equilibria that their points show."""
     loads = loads_of(observations, frames)
-    if is_held(observations):
+    if observations.static:
         return [shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))]
     return simulate(beam, loads)
 
@@ -163,3 +168,37 @@ def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
         text += ": check the force's sign, and that it is this beam"
         out.append(Remark("warning", text, about="no equilibrium"))
     return tuple(out)
+
+
+def _pose_remarks(
+    o: Observations, frames: BoolArray, seen: SeenPoses, solved: Equilibrium, predicted: Array
+) -> tuple[Remark, ...]:
+    """Warnings on single poses: that no stable equilibrium is near the points, or another one than the stated history
+    leads to. Where most poses are far off, it is nothing of one pose."""
+    names, held = pose_names(o, frames), np.zeros(int(np.sum(frames)), dtype=bool) if o.held is None else o.held[frames]
+    rms = pose_rms(o.xy[frames] - predicted)
+    unlike = unexplained(rms, o.length) & ~held
+    out = []
+    if unlike.any():
+        text = (
+            f"no stable equilibrium of the beam under its loads is near the points: {_poses_off(names, rms, unlike)} "
+            "(RMS). Check the loads, clamp_deg, and the points there, and that nothing touched the beam"
+        )
+        out.append(Remark("warning", text, about="pose"))
+    off, other = elsewhere(solved, seen)
+    other &= ~unlike & ~held
+    if other.any():
+        text = (
+            "the points show another equilibrium than the base's turning leads to, and were followed: it would be off "
+            f"by {_poses_off(names, off, other)} (RMS). Check turned_from_deg and order, and that nobody touched the "
+            "beam"
+        )
+        out.append(Remark("warning", text, about="pose history"))
+    return tuple(out)
+
+
+def _poses_off(names: tuple[str, ...], rms: Array, which: BoolArray) -> str:
+    """Poses with their distances [m], the farthest first."""
+    order = [i for i in np.argsort(-rms).tolist() if which[i]]
+    said = ", ".join(f"pose {names[i]} by {1e3 * rms[i]:.3g} mm" for i in order[:_MOST_NAMED])
+    return said + (f" and {len(order) - _MOST_NAMED} more" if len(order) > _MOST_NAMED else "")

@@ -295,7 +295,13 @@ def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mist
         mistakes.add(("force",), "There is a [force] but no [push]: say where it acts. Add `[push]` with `at_s = 1.0`.")
     if "push" in data and "force" not in data:
         mistakes.add(("push",), "There is a [push] but no [force]: add the force log, or remove [push].")
-    if gravity is not None and math.isnan(gravity.base_angle) == (gravity.base_angle_file is None):
+    if gravity is None:
+        return
+    if "poses" in data or "photos" in data:  # the table of loads may say it in every pose
+        if gravity.base_angle_file is not None:
+            text = "[gravity] base_angle_file: poses have no clock. Give base_angle_deg, or clamp_deg with the loads."
+            mistakes.add(("gravity", "base_angle_file"), text)
+    elif math.isnan(gravity.base_angle) == (gravity.base_angle_file is None):
         mistakes.add(("gravity",), "[gravity] needs either base_angle_deg or base_angle_file, not both.")
 
 

@@ -246,11 +246,11 @@ def alarm_words(posterior: Posterior) -> str:
     """The threshold of the tests: among so many, some stand out by chance."""
     critic = possible(posterior).criticism
     written = max(critic.alarm, ALARM_WRITTEN)
+    pushed = f" ({_odds(written)} for place and direction of the push, which people write down)"
     return (
         f"Of {len(critic.findings)} tests some stand out by chance: one counts as standing out beyond "
-        f"{_odds(critic.alarm)} "
-        f"({_odds(written)} for place and direction of the push, which people write down), if k(s) would change by "
-        "more than half of its sd."
+        f"{_odds(critic.alarm)}{'' if only_static([one.observations for one in posterior.recordings]) else pushed}, if "
+        "k(s) would change by more than half of its sd."
     )
 
 

@@ -21,7 +21,7 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Array, Observations
-from onebend.report.allowance_words import narrower_words, share_words
+from onebend.report.allowance_words import narrower_words, share_words, why_words
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
 from onebend.report.kinds import only_frequencies
@@ -130,7 +130,7 @@ def _known(findings: Findings) -> str:
     uncertain = findings.posterior.stiffness
     ranges = identified_ranges(uncertain)
     if not ranges:
-        return f"{span}, not identified: at no place to a factor of 1.5 (95 %)"
+        return f"{span}, not identified: at no place to a factor of 1.5 (95 %); {why_words(findings.posterior)}"
     wide = half_width_words(typical_half_width(uncertain))
     one = one_modulus_words(measured_beam(findings))
     headline = f"E = {one}, 95 %, times the section's I(s); " if one else ""
@@ -217,7 +217,7 @@ def _use(findings: Findings, error: _Error) -> str:
 
 def _poor(trainings: Sequence[Comparison]) -> str:
     """By how much the beam misses what it was learned from, under the force as logged; empty as a rule."""
-    if not any(poor_fit(one) for one in trainings):
+    if not any(poor_fit(one) for one in trainings if not one.static):  # poses have no log; a wrong one is named apart
         return ""
     logged = _worst("as logged", trainings, [one.rms for one in trainings])
     moves = f"{logged.tag}, which moves by {significant(1e3 * logged.motion)}"
@@ -254,10 +254,11 @@ def _mend(posterior: Posterior) -> str:
         return remark.text.rstrip(".")
     if posterior.doubts:
         if all(one.static for one in whose):
-            return "check the loads and their unit, then the points' axes, first of all the sign of y"
+            return "check the loads and their unit, then the points' axes (first of all the sign of y) and clamp_deg"
         return "check the sign and the axes of [force], then the clocks: `onebend check` shows both"
     if not posterior.criticism.trusted:
-        return "look at the residuals in the report, and at the film: no single cause explains them"
+        film = "" if all(one.static for one in whose) else ", and at the film"
+        return f"look at the residuals in the report{film}: no single cause explains them"
     return ""
 
 

@@ -23,6 +23,7 @@ from onebend.learning.model.mass import NEEDS_MASS
 from onebend.learning.model.own_weight import POWERS, OwnWeight, own_weight
 from onebend.learning.model.readings import pose_whitening
 from onebend.learning.model.spline import Spline
+from onebend.learning.pose_equilibria import SeenPoses, seen_poses
 from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
@@ -51,6 +52,7 @@ class FitData:
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
+    poses: SeenPoses | None  # what tells in which equilibrium each is; None: in that which grows from rest
     mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
@@ -119,6 +121,7 @@ def fit_data(
         farther=_farther(problem, push_s),
         weight=problem.dead_force + inertia,
         ends=ends,
+        poses=seen_poses(o, frames),
         mass=own_weight(o, problem.grid, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),

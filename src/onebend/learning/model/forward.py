@@ -117,7 +117,7 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
         dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
     )
     if recording.ends is not None:
-        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start)
+        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start, recording.poses)
     else:
         solved = equilibria(recording, layout, x, problem, start)
     s, _ = tag_places(recording, layout, x, solved)

@@ -190,7 +190,8 @@ class PosesEntry:
     loads: Path = key(
         "loads",
         text,
-        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg; one row a load",
+        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg, "
+        "turned_from_deg, order; one row a load",
         example='"loads.csv"',
     )
     axes: Axes = key(

@@ -10,6 +10,7 @@ from onebend.errors import ObservationError
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import read_columns
 from onebend.recording.toml.entries import Recording
+from onebend.recording.tracks.chords import chord_angles
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads, turned
 from onebend.recording.tracks.pose_readings import (
     SDS,
@@ -57,6 +58,8 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     check_reach(rec, loads, points)
     _check_held(rec, loads, points)
     count, m = points.angle.shape
+    marker_s = np.array([tag.s for tag in rec.tags.on_beam])
+    turns = np.round((points.angle - chord_angles(points.xy, marker_s)) / (2.0 * np.pi))  # read without full turns
     nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
@@ -67,9 +70,9 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         time=np.arange(count, dtype=float),
         frame=np.arange(count, dtype=np.int64),
         tag_id=np.array([tag.id for tag in rec.tags.on_beam], dtype=np.int64),
-        marker_s=np.array([tag.s for tag in rec.tags.on_beam]),
+        marker_s=marker_s,
         xy=points.xy,
-        angle=points.angle,
+        angle=points.angle - 2.0 * np.pi * np.nan_to_num(turns),
         covariance=points.covariance,
         force=loads.force,
         force_sd=np.full(2, load_sd),
@@ -84,6 +87,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         sd_known=points.sd_known,
         known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
+        poses=loads.poses,
     )
 
 
