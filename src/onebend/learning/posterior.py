@@ -26,7 +26,7 @@ from onebend.learning.criticism.criticism import Criticism, criticise
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
 from onebend.learning.inference.hyperparameters import expected_recording_noise
-from onebend.learning.inference.misfit import Miss, misses
+from onebend.learning.inference.misfit import Miss, doubts_of, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
     OptimizerSettings,
@@ -49,7 +49,6 @@ from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
-CONTRADICTED = "the force contradicts the bending"
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,7 @@ class Posterior:
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
         for o in (recording.observations for recording in self.recordings):
-            if any(remark.doubt for remark in o.source.remarks):
-                doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
+            doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
         return tuple(doubts)
 
     @cached_property

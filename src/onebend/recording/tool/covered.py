@@ -1,7 +1,8 @@
-"""What lies beside the beam, in places along and across it: how often something other than the background is there."""
+"""What lies beside the beam, in places along and across it: where something other than the background is."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,15 +12,16 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import map_coordinates, uniform_filter
 
 from onebend.recording.camera.lens import project
-from onebend.records import Array, BoolArray, Markers, View
+from onebend.records import Array, Markers, View
 
 Pictures = NDArray[np.float32]  # (P, h, w)
 
-BEAM_PIXELS = 230.0  # about so long is the beam in the shrunk pictures: noise averages out, a tool stays some pixels wide
+BEAM_PIXELS = 230.0  # no longer is the beam in the shrunk pictures: noise averages out, a tool stays some pixels wide
 STEPS = 180  # of the grid, in a beam's length
-S_RANGE = (0.2, 1.25)  # nearer to the clamp the beam hardly moves; beyond the tip a tool's other half may be
+S_RANGE = (0.2, 1.4)  # nearer to the clamp the beam hardly moves; beyond the tip a tool's other half may be
 ACROSS = 0.24  # of the length, to each side
 DIFFERS = 5.0  # sds of the background's noise: a pixel that is farther off shows something else
+QUIETEST = 0.1  # of 255: no camera's noise is less, a film without any is a drawing
 THIN = 4  # of rows and columns, for a picture's brightness
 
 
@@ -47,7 +49,7 @@ def grid_of(length: float) -> Grid:
 def shrink_factor(view: View, length: float) -> int:
     """How many pixels of the film, each way, make one of the shrunk pictures."""
     ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
-    return max(1, round(float(np.linalg.norm(ends[1] - ends[0])) / BEAM_PIXELS))
+    return max(1, math.ceil(float(np.linalg.norm(ends[1] - ends[0])) / BEAM_PIXELS))
 
 
 def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
@@ -67,10 +69,11 @@ def deviations(pictures: Pictures) -> Pictures:
     background = np.median(pictures, axis=0)
     thin = (slice(None), slice(None, None, THIN), slice(None, None, THIN))
     ratio = pictures[thin] / np.maximum(background[thin[1:]], 1.0)
-    pictures = pictures / np.maximum(np.median(ratio, axis=(1, 2)), 1e-3)[:, None, None]
-    away = np.abs(pictures - np.median(pictures, axis=0))
+    brightness = np.maximum(np.median(ratio, axis=(1, 2)), 1e-3)[:, None, None].astype(np.float32)
+    even = pictures / brightness
+    away = np.abs(even - np.median(even, axis=0))
     noise = 1.4826 * np.median(away, axis=0)
-    floor = max(float(np.median(noise)), np.finfo(np.float32).tiny)
+    floor = max(float(np.median(noise)), QUIETEST)
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
 
 
@@ -97,30 +100,13 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: Grid) -> tuple[Array, A
 
 
 def beside_beam(
-    different: Pictures, factor: int, view: View, centre: Array, normal: Array, grid: Grid, flank: tuple[float, float]
+    different: Pictures, factor: int, view: View, centre: Array, normal: Array, grid: Grid
 ) -> NDArray[np.float32]:
-    """(P, S, D) the pictures `different` beside the beam; NaN outside the picture.
-
-    Across is along the beam's `normal` (P, S, 2) up to the flanks (`flank`: m, right and left; infinite: everywhere),
-    and beyond them along its mean over the pictures: that direction a tool keeps which does not turn with the beam.
-    """
-    mean = normal.mean(axis=0)
-    mean /= np.maximum(np.linalg.norm(mean, axis=-1, keepdims=True), 1e-12)
-    on_beam = np.clip(grid.across, -flank[0], flank[1])
-    beyond = (grid.across - on_beam)[:, None] * mean[:, None]
+    """(P, S, D) the shrunk pictures `different` beside the beam, whose axis is at `centre` (P, S, 2) [m] with normals
+    `normal` (P, S, 2); NaN outside the picture."""
     out = np.empty((len(different), len(grid.s), len(grid.across)), dtype=np.float32)
     for at, picture in enumerate(different):
-        points = centre[at][:, None] + on_beam[:, None] * normal[at][:, None] + beyond
+        points = centre[at][:, None] + grid.across[:, None] * normal[at][:, None]
         px = (project(view, points) + 0.5) / factor - 0.5
-        rows_columns = np.stack([px[..., 1], px[..., 0]])
-        out[at] = map_coordinates(picture, rows_columns, order=1, mode="constant", cval=np.nan)
+        out[at] = map_coordinates(picture, [px[..., 1], px[..., 0]], order=1, mode="constant", cval=np.nan)
     return out
-
-
-def share_covered(beside: NDArray[np.float32], frames: BoolArray) -> Array:
-    """(S, D) the share of the `frames` (P,) in which something else than the background is there; 0 where fewer than
-    half of them show the place."""
-    chosen = beside[frames]
-    shown = np.isfinite(chosen).sum(axis=0)
-    covered = (chosen > DIFFERS).sum(axis=0)
-    return np.where(shown >= 0.5 * max(len(chosen), 1), covered / np.maximum(shown, 1), 0.0)

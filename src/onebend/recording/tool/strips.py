@@ -3,80 +3,101 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
 from onebend.recording.signals import runs
 from onebend.recording.tool.covered import Grid
 from onebend.records import Array, BoolArray, IntArray
 
-MOSTLY = 0.5  # share of the frames: what pushes is there in most of them
-CLOSES = 3  # cells: holes as small as this are filled
+CLOSES = 3  # cells: holes smaller than this are filled
 WIDER = 1.6  # times its usual width: a strip that becomes so wide has run into the beam
-ROOM = 3  # cells of width more, for the same
+MORE = 3  # cells of width more, for the same
+USUAL = 9  # rows before, of which the usual width is taken
 NEAR = 0.08  # of the length: the strip's last part, which tells where it meets the beam
+LEAST = 0.04  # of the length: a strip that is shorter is no tool
+WIDEST = 0.25  # of the length: a wider strip does not say where it touches
+STEEPEST = 1.0  # along over across: a strip that lies nearer along the beam does not say where it touches
+FLANK_SD = 0.02  # of the length: the beam's shadow may hide its flank by so much
+SOLID = 0.5  # of the places between flank and axis: with fewer covered it is not the beam that a strip runs into
+TIP = 0.98  # s: beyond, it may run past the beam
 
 
 @dataclass(frozen=True)
 class Strip:
-    """A strip, row by row from outside to the flank."""
+    """A strip in one picture, row by row from outside to the flank."""
 
     rows: IntArray  # (R,) of the grid's `across`
     first: IntArray  # (R,) of the grid's `s`
     last: IntArray  # (R,) likewise, the first one beyond
     flank: int  # the row in which it has run into the beam
 
-    def near(self, grid: Grid) -> Strip:
-        """Its part by the beam."""
-        count = min(len(self.rows), max(2, round(NEAR * grid.length / grid.step)))
-        return Strip(self.rows[-count:], self.first[-count:], self.last[-count:], self.flank)
-
-    def meets(self, grid: Grid) -> tuple[float, float]:
-        """s at which its middle line, drawn on straight, meets the flank, and the sd of that."""
-        middle = 0.5 * (grid.s[self.first] + grid.s[self.last - 1])
-        out = grid.across[self.rows] - grid.across[self.flank]
-        slope, place = np.polyfit(out, middle, 1)
-        scatter = middle - (place + slope * out)
-        lever = 1.0 / len(out) + out.mean() ** 2 / max(float(np.sum((out - out.mean()) ** 2)), 1e-300)
-        # rows next to each other show the same pixels: about as many of them are independent as the strip is wide
-        together = max(1.0, float(np.median(self.last - self.first)))
-        return float(place), float(np.sqrt(np.mean(scatter**2) * lever * together))
-
-    def width(self, grid: Grid) -> float:
-        """m, along the beam."""
-        return float(np.median(self.last - self.first)) * grid.step
-
-    def cells(self, shape: tuple[int, int]) -> BoolArray:
-        """(S, D) where it is."""
-        mask = np.zeros(shape, dtype=bool)
-        for row, first, last in zip(self.rows, self.first, self.last, strict=True):
-            mask[first:last, row] = True
-        return mask
+    @property
+    def width(self) -> float:
+        """Cells along the beam, by the beam."""
+        return float(np.median(self.last - self.first))
 
 
-def strips_in(share: Array, *, left: bool) -> list[Strip]:
-    """The strips on one side of the beam that end on it, in what is covered in most frames: `share` (S, D)."""
-    mask = binary_closing(np.pad(share > MOSTLY, CLOSES), np.ones((CLOSES, CLOSES)))[CLOSES:-CLOSES, CLOSES:-CLOSES]
-    middle = share.shape[1] // 2
-    rows = range(share.shape[1] - 1, middle, -1) if left else range(middle)
+@dataclass(frozen=True)
+class Meeting:
+    """Where a strip meets the beam."""
+
+    s: float
+    sd: float  # of s: the place at which the tool touches may be anywhere on the strip's end
+    left: bool  # of the beam
+    width: float  # m, along the beam
+    line: Array  # (2, 2) s and m across: the strip's middle, from outside to the flank
+
+
+def meetings(covered: BoolArray, grid: Grid, reach: float) -> list[Meeting]:
+    """Where things lie against the beam that reach at least `reach` [m] out from its axis, in one picture of what is
+    `covered` (S, D)."""
+    holes = np.ones((CLOSES, CLOSES), dtype=bool)
+    closed = binary_closing(np.pad(covered, CLOSES), holes)[CLOSES:-CLOSES, CLOSES:-CLOSES]
+    out = []
+    for left in (False, True):
+        for strip in strips_in(closed, left=left):
+            far = float(np.max(np.abs(grid.across[strip.rows])))
+            if far < reach or len(strip.rows) * grid.step < LEAST * grid.length:
+                continue
+            found, slope = _meeting(strip, grid)
+            if found.width <= WIDEST * grid.length and slope <= STEEPEST and _on_beam(closed, found.s, strip, grid):
+                out.append(found)
+    return out
+
+
+def _on_beam(covered: BoolArray, s: float, strip: Strip, grid: Grid) -> bool:
+    """Whether there is a beam between the strip's end and the axis."""
+    at, middle = int(np.argmin(np.abs(grid.s - min(s, TIP)))), len(grid.across) // 2
+    inside = covered[at, min(strip.flank, middle) : max(strip.flank, middle) + 1]
+    return bool(np.mean(inside) >= SOLID)
+
+
+def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
+    """The strips on one side of the beam that end on it."""
+    middle, beyond = covered.shape[1] // 2, len(covered)
+    rows = range(covered.shape[1] - 1, middle, -1) if left else range(middle)
     live: list[list[tuple[int, int, int]]] = []
     ended: list[Strip] = []
     for row in rows:
-        here, taken, going = runs(mask[:, row]), set[int](), []
+        here = [(int(a), int(b)) for a, b in runs(covered[:, row])]
+        taken, going = set[int](), []
         for strip in live:
             _, first, last = strip[-1]
-            under = [i for i, (begin, end) in enumerate(here.tolist()) if begin < last and end > first]
+            under = [i for i, (begin, end) in enumerate(here) if begin < last and end > first]
+            taken.update(under)
             if not under:
                 continue
-            begin, end = int(here[under[0], 0]), int(here[under[-1], 1])
-            if end - begin > WIDER * np.median([b - a for _, a, b in strip[-CLOSES * CLOSES :]]) + ROOM:
+            begin, end = here[under[0]][0], here[under[-1]][1]
+            usual = float(np.median([b - a for _, a, b in strip[-USUAL:]]))
+            if end - begin > WIDER * usual + MORE:
                 ended.append(_strip(strip, row))
             else:
                 going.append([*strip, (row, begin, end)])
-            taken.update(under)
-        begun = [[(row, int(a), int(b))] for i, (a, b) in enumerate(here.tolist()) if i not in taken]
+        # what the edge cuts off has no middle
+        begun = [[(row, a, b)] for i, (a, b) in enumerate(here) if i not in taken and a > 0 and b < beyond]
         live = [*going, *begun]
     return ended
 
@@ -86,6 +107,22 @@ def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:
     return Strip(row, first, last, flank)
 
 
-def presence(beside: NDArray[np.bool_], cells: BoolArray) -> Array:
-    """(P,) the share of the `cells` (S, D) that is covered in each picture of `beside` (P, S, D)."""
-    return np.asarray(beside[:, cells].mean(axis=1))
+def _meeting(strip: Strip, grid: Grid) -> tuple[Meeting, float]:
+    """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
+    count = max(2, round(NEAR * grid.length / grid.step))
+    near = Strip(strip.rows[-count:], strip.first[-count:], strip.last[-count:], strip.flank)
+    middle = 0.5 * (grid.s[near.first] + grid.s[near.last - 1])
+    out = grid.across[near.rows] - grid.across[near.flank]
+    slope, place = (0.0, float(middle[-1])) if len(out) < 2 else np.polyfit(out, middle, 1)
+    scatter = float(np.std(middle - (place + slope * out)))
+    width = near.width * grid.step
+    steep = abs(float(slope)) * grid.length
+    touch = width / grid.length / sqrt(12.0)
+    meeting = Meeting(
+        s=float(place),
+        sd=float(np.linalg.norm([scatter, touch, steep * FLANK_SD])),
+        left=strip.flank > len(grid.across) // 2,
+        width=width,
+        line=np.array([[middle[0], grid.across[near.rows[0]]], [place, grid.across[near.flank]]]),
+    )
+    return meeting, steep
