@@ -7,6 +7,7 @@ Other films: `--recordings DIR`, a folder of recordings with their truth.
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.truth import read_truth, recordings_asked
+from benchmarks.truth import recordings_asked
 from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.recording.observe import observe
 from onebend.recording.preview import look_at
@@ -62,7 +63,7 @@ def row_of(folder: Path) -> Row | None:
     began = time.process_time()
     by_film = tool_in_film(rec, markers_of(seen), seen.loaded, seen.frame)
     seconds = time.process_time() - began
-    at = float(read_truth(folder).facts["s_a"])
+    at = float(json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))["s_a"])
     return Row(folder.name, at, rec, by_film, look_at(rec).tool, seconds)
 
 

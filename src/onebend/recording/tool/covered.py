@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import map_coordinates, uniform_filter
 
 from onebend.recording.camera.lens import project
-from onebend.records import Array, Markers, View
+from onebend.records import Array, BoolArray, Markers, View
 
 Pictures = NDArray[np.float32]  # (P, h, w)
 
@@ -59,20 +59,21 @@ def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
     return np.asarray(whole.mean(axis=(1, 3), dtype=np.float32))
 
 
-def deviations(pictures: Pictures) -> Pictures:
-    """How far every pixel is from its background, in sds of its noise.
+def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
+    """How far every pixel of `pictures` (P, h, w) is from its background, in sds of its noise.
 
-    The background is the median over the pictures, after each is brought to the same brightness. Noise is the median
-    deviation of the pixel, which a camera that shakes makes large at edges; it is nowhere taken to be smaller than the
-    pictures' typical one.
+    The background is the median over the pictures, after each is brought to the same brightness; of those `by` (P,)
+    alone where given. Noise is the median deviation of the pixel from it there, which a camera that shakes makes large
+    at edges; it is nowhere taken to be smaller than the pictures' typical one.
     """
-    background = np.median(pictures, axis=0)
+    by = np.ones(len(pictures), dtype=bool) if by is None else by
+    background = np.median(pictures[by], axis=0)
     thin = (slice(None), slice(None, None, THIN), slice(None, None, THIN))
     ratio = pictures[thin] / np.maximum(background[thin[1:]], 1.0)
     brightness = np.maximum(np.median(ratio, axis=(1, 2)), 1e-3)[:, None, None].astype(np.float32)
     even = pictures / brightness
-    away = np.abs(even - np.median(even, axis=0))
-    noise = 1.4826 * np.median(away, axis=0)
+    away = np.abs(even - np.median(even[by], axis=0))
+    noise = 1.4826 * np.median(away[by], axis=0)
     floor = max(float(np.median(noise)), QUIETEST)
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
 

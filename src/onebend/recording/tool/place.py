@@ -8,12 +8,13 @@ from math import nan, sqrt
 
 import numpy as np
 
-from onebend.recording.tool.covered import DIFFERS, Pictures, axes_of, beside_beam, deviations, grid_of
+from onebend.recording.tool.covered import DIFFERS, Grid, Pictures, axes_of, beside_beam, deviations, grid_of
 from onebend.recording.tool.strips import LEAST, Meeting, meetings
 from onebend.records import Array, BoolArray, Markers
 
 FEWEST_LOADED, FEWEST_AT_REST = 8, 3
 PAPER = 0.625 * sqrt(2.0)  # of a tag's side: half the diagonal of its paper, white margin included
+CORE = 0.02  # of the length: so near to its axis is certainly the beam
 TOGETHER = 0.05  # of s: so near to each other are meetings of one tool, which may slide a little
 LEAST_SHOWN = 0.25  # of the loaded frames: in so many something must be seen to lie against the beam
 AGREEING = 0.75  # of the loaded frames that show something so: in so many it is at one place
@@ -69,17 +70,44 @@ def tool_place(
         return not_seen("too few frames show the push, or the beam at rest")
     grid = grid_of(length)
     centre, normal = axes_of(markers, np.flatnonzero(good).tolist(), grid)
-    beside = beside_beam(deviations(pictures)[good], factor, markers.view, centre, normal, grid)
+    different = deviations(pictures[good])
+    different[~pushed] = deviations(pictures[good], far_ones(markers.xy[good, _outermost(markers)], pushed))[~pushed]
+    beside = beside_beam(different, factor, markers.view, centre, normal, grid)
     reach = PAPER * tag_size + LEAST * length
-    found = [meetings(np.asarray(one > DIFFERS), grid, reach) for one in beside]
-    return place_of(found, pushed)
+    covered = np.asarray(beside > DIFFERS)
+    found = place_of([meetings(one, grid, reach) for one in covered], pushed)
+    if found.seen and _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
+        return not_seen("the beam at rest is taken for the background")
+    return found
+
+
+def _shows_beam(covered: BoolArray, s: float, grid: Grid) -> BoolArray:
+    """(P,) the pictures (P, S, D) in which the beam itself stands out near s: if it does not at rest, nor would what is
+    fixed to it."""
+    here = covered[:, np.abs(grid.s - min(s, 1.0 - TOGETHER)) <= TOGETHER]
+    return np.asarray(here[..., np.abs(grid.across) <= CORE * grid.length].mean(axis=(1, 2)) >= 0.5)
 
 
 def enough_tags(markers: Markers) -> BoolArray:
-    """(P,) the pictures that show all tags, or all but one that is not the outermost."""
+    """(P,) the pictures that show all tags, or all but one that is not the outermost; a tag that none shows is none."""
     seen = np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle)
-    outermost = int(np.argmax(markers.s))
-    return np.asarray((seen.sum(axis=1) >= max(1, seen.shape[1] - 1)) & seen[:, outermost])
+    wanted = np.asarray(seen.any(axis=0))
+    if not wanted.any():
+        return np.zeros(len(seen), dtype=bool)
+    return np.asarray((seen.sum(axis=1) >= max(1, wanted.sum() - 1)) & seen[:, _outermost(markers)])
+
+
+def _outermost(markers: Markers) -> int:
+    """Of the tags that are ever seen, the one nearest to the tip."""
+    ever = (np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle)).any(axis=0)
+    return int(np.argmax(np.where(ever, markers.s, -np.inf)))
+
+
+def far_ones(xy: Array, pushed: BoolArray) -> BoolArray:
+    """(P,) the half of the loaded pictures in which a tag, at `xy` (P, 2) [m], is farthest from where it rests: these
+    show what the beam at rest, and what is fixed to it, lies upon."""
+    away = np.linalg.norm(xy - np.median(xy[~pushed], axis=0), axis=-1)
+    return np.asarray(pushed & (away >= np.median(away[pushed])))
 
 
 def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace:
@@ -98,8 +126,9 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace
     shown = len(own) / len(loaded)
     if shown < LEAST_SHOWN or len(own) < FEWEST_LOADED:
         return not_seen(f"too few frames show what lies against the beam ({shown:.0%} of those under load)")
-    if len(own) < AGREEING * telling:
-        return not_seen(f"things lie against the beam at several places (at s = {s:.2g} in {len(own)} of {telling})")
+    alone = len(own) - sum(_elsewhere(one, left, s) for one in loaded if _at([one], left, s))
+    if alone < AGREEING * telling:
+        return not_seen(f"things lie against the beam at several places (at s = {s:.2g} alone in {alone} of {telling})")
     resting = [one for one, now in zip(found, pushed, strict=True) if not now]
     if len(_at(resting, left, s)) > (1.0 - AWAY) * len(resting):
         return not_seen(f"what lies against the beam at s = {s:.2g} is there at rest too")
@@ -114,6 +143,11 @@ def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meetin
         if near:
             out.append(min(near, key=lambda meeting: abs(meeting.s - s)))
     return out
+
+
+def _elsewhere(one: Sequence[Meeting], left: bool, s: float) -> bool:
+    """Whether a picture shows a meeting far from a place."""
+    return any(meeting.left != left or abs(meeting.s - s) > 2.0 * TOGETHER for meeting in one)
 
 
 def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_closing
 
 from onebend.recording.signals import runs
 from onebend.recording.tool.covered import Grid
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import BoolArray, IntArray
 
 CLOSES = 3  # cells: holes smaller than this are filled
 WIDER = 1.6  # times its usual width: a strip that becomes so wide has run into the beam
@@ -48,7 +48,6 @@ class Meeting:
     sd: float  # of s: the place at which the tool touches may be anywhere on the strip's end
     left: bool  # of the beam
     width: float  # m, along the beam
-    line: Array  # (2, 2) s and m across: the strip's middle, from outside to the flank
 
 
 def meetings(covered: BoolArray, grid: Grid, reach: float) -> list[Meeting]:
@@ -123,6 +122,5 @@ def _meeting(strip: Strip, grid: Grid) -> tuple[Meeting, float]:
         sd=float(np.linalg.norm([scatter, touch, steep * FLANK_SD])),
         left=strip.flank > len(grid.across) // 2,
         width=width,
-        line=np.array([[middle[0], grid.across[near.rows[0]]], [place, grid.across[near.flank]]]),
     )
     return meeting, steep
