@@ -85,7 +85,7 @@ def test_films_that_do_not_tell() -> None:
     assert "too few frames" in replace(film, loaded=np.zeros(FRAMES, dtype=bool)).place().why
     assert "too few frames" in replace(film, loaded=np.ones(FRAMES, dtype=bool)).place().why
     hidden = film.markers.xy.copy()
-    hidden[:, 2] = nan
+    hidden[:] = nan
     assert "beam's tags" in replace(film, markers=replace(film.markers, xy=hidden)).place().why
     never = replace(film.markers, xy=film.markers.xy * np.array([1.0, nan, 1.0])[:, None])
     assert replace(film, markers=never).place().s == pytest.approx(film.place().s, abs=0.02)

@@ -26,7 +26,7 @@ THIN = 4  # of rows and columns, for a picture's brightness
 
 
 @dataclass(frozen=True)
-class Grid:
+class SideGrid:
     """Places beside the beam: along its axis, and across it (left is above zero)."""
 
     s: Array  # (S,)
@@ -39,11 +39,11 @@ class Grid:
         return self.length / STEPS
 
 
-def grid_of(length: float) -> Grid:
+def grid_of(length: float) -> SideGrid:
     """The places that are looked at beside a beam of this length [m]."""
     half = round(ACROSS * STEPS)
     count = round((S_RANGE[1] - S_RANGE[0]) * STEPS) + 1
-    return Grid(S_RANGE[0] + np.arange(count) / STEPS, np.arange(-half, half + 1) * length / STEPS, length)
+    return SideGrid(S_RANGE[0] + np.arange(count) / STEPS, np.arange(-half, half + 1) * length / STEPS, length)
 
 
 def shrink_factor(view: View, length: float) -> int:
@@ -78,7 +78,7 @@ def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
 
 
-def axes_of(markers: Markers, rows: Sequence[int], grid: Grid) -> tuple[Array, Array]:
+def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Array, Array]:
     """The beam's axis (P, S, 2) [m] and the unit normals to its left (P, S, 2) in frames `rows`, in the markers' frame.
 
     A cubic through clamp and tags that has their directions; straight on beyond the last.
@@ -101,7 +101,7 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: Grid) -> tuple[Array, A
 
 
 def beside_beam(
-    different: Pictures, factor: int, view: View, centre: Array, normal: Array, grid: Grid
+    different: Pictures, factor: int, view: View, centre: Array, normal: Array, grid: SideGrid
 ) -> NDArray[np.float32]:
     """(P, S, D) the shrunk pictures `different` beside the beam, whose axis is at `centre` (P, S, 2) [m] with normals
     `normal` (P, S, 2); NaN outside the picture."""

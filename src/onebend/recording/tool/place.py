@@ -8,7 +8,7 @@ from math import nan, sqrt
 
 import numpy as np
 
-from onebend.recording.tool.covered import DIFFERS, Grid, Pictures, axes_of, beside_beam, deviations, grid_of
+from onebend.recording.tool.covered import DIFFERS, Pictures, SideGrid, axes_of, beside_beam, deviations, grid_of
 from onebend.recording.tool.strips import LEAST, Meeting, meetings
 from onebend.records import Array, BoolArray, Markers
 
@@ -81,7 +81,7 @@ def tool_place(
     return found
 
 
-def _shows_beam(covered: BoolArray, s: float, grid: Grid) -> BoolArray:
+def _shows_beam(covered: BoolArray, s: float, grid: SideGrid) -> BoolArray:
     """(P,) the pictures (P, S, D) in which the beam itself stands out near s: if it does not at rest, nor would what is
     fixed to it."""
     here = covered[:, np.abs(grid.s - min(s, 1.0 - TOGETHER)) <= TOGETHER]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import binary_closing
 
 from onebend.recording.signals import runs
-from onebend.recording.tool.covered import Grid
+from onebend.recording.tool.covered import SideGrid
 from onebend.records import BoolArray, IntArray
 
 CLOSES = 3  # cells: holes smaller than this are filled
@@ -50,7 +50,7 @@ class Meeting:
     width: float  # m, along the beam
 
 
-def meetings(covered: BoolArray, grid: Grid, reach: float) -> list[Meeting]:
+def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
     """Where things lie against the beam that reach at least `reach` [m] out from its axis, in one picture of what is
     `covered` (S, D)."""
     holes = np.ones((CLOSES, CLOSES), dtype=bool)
@@ -67,7 +67,7 @@ def meetings(covered: BoolArray, grid: Grid, reach: float) -> list[Meeting]:
     return out
 
 
-def _on_beam(covered: BoolArray, s: float, strip: Strip, grid: Grid) -> bool:
+def _on_beam(covered: BoolArray, s: float, strip: Strip, grid: SideGrid) -> bool:
     """Whether there is a beam between the strip's end and the axis."""
     at, middle = int(np.argmin(np.abs(grid.s - min(s, TIP)))), len(grid.across) // 2
     inside = covered[at, min(strip.flank, middle) : max(strip.flank, middle) + 1]
@@ -106,7 +106,7 @@ def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:
     return Strip(row, first, last, flank)
 
 
-def _meeting(strip: Strip, grid: Grid) -> tuple[Meeting, float]:
+def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
     """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
     count = max(2, round(NEAR * grid.length / grid.step))
     near = Strip(strip.rows[-count:], strip.first[-count:], strip.last[-count:], strip.flank)
