@@ -32,7 +32,8 @@ from onebend.lab.filming.film import film
 from onebend.lab.filming.film_setup import Filming
 from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.lab.random_effects import LABORATORY
-from onebend.learning.posterior import FitSettings, Posterior
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import Posterior
 from onebend.pipeline import learn
 from onebend.progress import Progress, Silent
 from onebend.recording.camera.projection import measure_markers

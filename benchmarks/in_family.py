@@ -151,7 +151,7 @@ def spline_at(data: FitData, time: Array) -> Array:
 def rest_sd(problem: FitProblem) -> float:
     """N: the noise that the fit takes the log in the rests to have around its knots, from the weight it gives them."""
     where = problem.layout.index["force", 0].where
-    information = rest_information(problem).matrix[where, where]
+    information = rest_information(problem, 0).matrix[where, where]
     weights = np.kron(problem.recordings[0].error.rest_weights, np.eye(2))
     return float(np.sqrt(np.sum(weights**2) / np.trace(information)))
 
@@ -187,7 +187,8 @@ def least_variance(drawn: Drawn, *, prior_of_k: bool) -> Array:
     problem, spline = drawn.problem, drawn.problem.layout.spline
     now = predict(problem.recordings[0], problem.layout, drawn.x, None, drawn.own)
     data = data_information(problem, [unweighted_rows(now)], drawn.x, problem.expected)
-    form = Evidence(problem, data).stiffness_form(problem.expected)
+    evidence = Evidence(problem, data)
+    form = evidence.stiffness_form(evidence.posterior(problem.expected))
     covariance = np.linalg.pinv(form.matrix, hermitian=True)
     if prior_of_k:
         covariance = stiffness_mixture(spline, [form], LEVEL, Draws(30, 50, 150)).covariance

@@ -13,7 +13,8 @@ from itertools import product
 import numpy as np
 
 from benchmarks.truth import RECORDINGS
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe
 from onebend.records import MassAlong

@@ -24,12 +24,12 @@ from scipy.linalg import cho_factor, cho_solve
 from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.inference.fit_problem import prior
+from onebend.learning.inference.joint import solved
 from onebend.learning.inference.linear_gaussian import (
     data_information,
     explained_by,
     force_shrinkage,
     misfit,
-    posterior_of,
     residual_rows,
     residuals,
     rest_information,
@@ -94,9 +94,9 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
     problem, layout, best = posterior.problem, posterior.layout, posterior.optimum
     every = list(zip(problem.recordings, best.predictions, best.hyperparameters.noise, strict=True))
     rows = [residual_rows(now, noise) for _, now, noise in every]
-    before, rests = prior(problem, best.hyperparameters), rest_information(problem)
+    before, rests = prior(problem, best.hyperparameters), rest_information(problem, 0)
     data = data_information(problem, rows, best.x, best.hyperparameters)
-    precision = cho_solve((before.root, True), np.eye(len(best.x)))
+    precision = cho_solve((before.times(np.eye(len(best.x))), True), np.eye(len(best.x)))
 
     def target(x: Array) -> Here:
         away, curvature = x - before.mean, precision + rests.matrix
@@ -115,7 +115,7 @@ def target_of(posterior: Posterior) -> tuple[Callable[[Array], Here], Array]:
             curvature[np.ix_(mine, mine)] += unexplained.reshape(-1, len(mine)).T @ j.reshape(-1, len(mine))
         return Here(value, slope, curvature)
 
-    return target, posterior_of(data, before).covariance
+    return target, solved(data, before).covariance.pairs[0]
 
 
 def force_errors(found: Posterior) -> BoolArray:

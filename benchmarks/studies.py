@@ -29,8 +29,9 @@ from onebend.lab.virtual import (
     observe_virtual,
     virtual_recording,
 )
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.fit_data import REST_MODES
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD as HELD_SD
 from onebend.records import CURVATURE_SD, DIRECTION_SD, TURN_SD, Array, Observations

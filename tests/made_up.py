@@ -12,8 +12,9 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.outcome import Comparison, Learned, Trial
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, Source, Stated, View
 
 LENGTH = 0.15  # m

@@ -54,8 +54,8 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
     "learning": (
         ("outcome", "allowances", "modulus"),
         ("model",),
-        ("validation", "start", "inference", "swing", "learned_mass"),
-        ("criticism", "paper", "attribution", "stiffness_band"),
+        ("validation", "start", "inference", "swing"),
+        ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),
         ("posterior",),
         ("criticism_messages", "tradeoffs", "live", "design"),
         ("verdict", "replay"),

@@ -16,10 +16,11 @@ from scipy.optimize import nnls
 
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import usable_frames
 from onebend.learning.paper.inverse_kinematics import solve_states
 from onebend.learning.paper.regression import Family, assemble, basis, column_sizes, least_squares, literal_rows
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.records import Array, Observations

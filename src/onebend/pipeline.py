@@ -15,6 +15,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import with_seen_tags
 from onebend.learning.model.held_ends import stated_remarks
 from onebend.learning.model.mass import mass_remarks
@@ -23,7 +24,7 @@ from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.learning.paper.selection import pairs as trials
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks

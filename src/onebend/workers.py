@@ -4,11 +4,30 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Result = TypeVar("Result")
+_WORTH_THREADS = 4  # pieces of work: for fewer, threads are not worth their start
 
 
 def available_cores() -> int:
     """Cores that this process may use, 1 at least."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Result, ...]:
+    """`work` of each row of the arguments, which are equally long, in order; many rows on threads, one a core.
+
+    For work in large arrays, most of which leaves the interpreter free.
+    """
+    rows = list(zip(*arguments, strict=True))
+    cores = available_cores()
+    if len(rows) < _WORTH_THREADS or cores == 1:
+        return tuple(work(*row) for row in rows)
+    with ThreadPoolExecutor(cores) as pool:
+        return tuple(pool.map(lambda row: work(*row), rows))
 
 
 def leave_interrupts_to_parent() -> None:

@@ -9,7 +9,7 @@ from onebend.beam.modal import Modes, angles, places, positions
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, equidistant
 from onebend.beam.statics.problem import make_problem
-from onebend.learning.posterior import FitSettings
+from onebend.learning.inference.stages import FitSettings
 from onebend.records import Array, Observations, Source, Stated
 from tests.beam.modal import modal_equilibrium
 

@@ -9,10 +9,12 @@ import pytest
 
 from onebend.learning.attribution import FORCE_SCALE, GROUPS, LEFT, Attribution, attributions
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.optimizer import Optimum
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Block, Layout, Priors
 from onebend.learning.model.spline import RHO, TAU
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.records import Array, IntArray
 from tests.learning.allowances.allowed_bench import with_everything
 from tests.learning.bench import SOFT, forces, observed
@@ -33,7 +35,13 @@ def toy(seed: int) -> tuple[FitProblem, Optimum]:
     sd = np.concatenate([b.prior_sd for b in sorted(layout.blocks, key=_start) if b.start >= 0])
     covariance = sd[:, None] * (root @ root.T) * sd
     problem = FitProblem((one,), layout, 0.0, expected)
-    return problem, Optimum(x, covariance, np.zeros(0), np.zeros((0, 0)), expected, (), 0.0, 1, True, "")
+    return problem, Optimum(
+        x, joint(problem, covariance), np.zeros(0), np.zeros((0, 0)), expected, (), 0.0, 1, True, ""
+    )
+
+
+def joint(problem: FitProblem, covariance: Array) -> JointCovariance:
+    return JointCovariance(problem.layout.shared, (covariance,), problem.layout.parts)
 
 
 def _start(block: Block) -> int:
@@ -67,12 +75,13 @@ def test_widening_and_shift_are_those_of_the_conditional_gaussian(name: str) -> 
     found = {a.name: a for a in attributions(problem, optimum, GAIN_SD, S)}[name]
     known = columns(layout, name)
     rest = np.setdiff1d(np.arange(layout.size), known)
-    scale = np.sqrt(np.diag(optimum.covariance))
-    precision = np.linalg.inv(optimum.covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    (dense,) = optimum.covariance.pairs
+    scale = np.sqrt(np.diag(dense))
+    precision = np.linalg.inv(dense / np.outer(scale, scale)) / np.outer(scale, scale)
     left = np.linalg.inv(precision[np.ix_(rest, rest)] * np.outer(scale[rest], scale[rest]))
     left *= np.outer(scale[rest], scale[rest])
     basis = of_log_k(problem)
-    before = np.einsum("sp,pq,sq->s", basis, optimum.covariance, basis) + GAIN_SD**2
+    before = np.einsum("sp,pq,sq->s", basis, dense, basis) + GAIN_SD**2
     after = np.einsum("sp,pq,sq->s", basis[:, rest], left, basis[:, rest]) + GAIN_SD**2
     assert found.widening == pytest.approx(np.sqrt(mean(before, before) / mean(after, before)), rel=1e-6)
     away = optimum.x[known].copy()
@@ -84,7 +93,7 @@ def test_widening_and_shift_are_those_of_the_conditional_gaussian(name: str) -> 
     shift = basis[:, rest] @ moved - basis[:, known] @ away
     assert found.shift == pytest.approx(np.sqrt(mean(shift**2, before)), rel=1e-6)
     assert found.size == pytest.approx(np.sqrt(mean(shift**2 + before - after, before)), rel=1e-6)
-    inside = optimum.covariance[np.ix_(known, known)]
+    inside = dense[np.ix_(known, known)]
     chi_squared = float(away @ np.linalg.solve(inside, away))
     assert found.sds == pytest.approx(np.sqrt(max(chi_squared - (len(away) - 1), 0.0)), rel=1e-6)
 
@@ -111,7 +120,8 @@ def test_the_scale_of_the_force_is_one_cause_among_the_others() -> None:
     problem, optimum = toy(1)
     exact = {a.name: a for a in attributions(problem, optimum, 0.0, S)}
     basis = of_log_k(problem)
-    variance = np.einsum("sp,pq,sq->s", basis, optimum.covariance, basis)
+    (dense,) = optimum.covariance.pairs
+    variance = np.einsum("sp,pq,sq->s", basis, dense, basis)
     gain_sd = 0.5 * float(np.sqrt(np.mean(variance)))
     found = {a.name: a for a in attributions(problem, optimum, gain_sd, S)}
     assert set(found) - set(exact) == {FORCE_SCALE}
@@ -136,10 +146,10 @@ def test_of_two_effects_as_sure_the_open_one_counts_by_what_it_may_do() -> None:
 def test_what_has_nothing_to_do_with_k_neither_widens_nor_shifts() -> None:
     problem, optimum = toy(0)
     (clamp,) = columns(problem.layout, "clamp that gives")
-    alone = optimum.covariance.copy()
+    alone = optimum.covariance.pairs[0].copy()
     alone[clamp, :], alone[:, clamp] = 0.0, 0.0
     alone[clamp, clamp] = 1e-4
-    apart = Optimum(**{**vars(optimum), "covariance": alone})
+    apart = Optimum(**{**vars(optimum), "covariance": joint(problem, alone)})
     found = {a.name: a for a in attributions(problem, apart, GAIN_SD, S)}["clamp that gives"]
     assert found.widening == pytest.approx(1.0)
     assert found.shift == pytest.approx(0.0, abs=1e-12)

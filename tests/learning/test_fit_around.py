@@ -15,11 +15,12 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning import posterior
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import nothing_moves
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
-from onebend.learning.posterior import FitSettings, Posterior, fit
+from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
 from onebend.learning.validation import mounting, validate
@@ -78,7 +79,7 @@ def test_correlations_are_those_of_draws_from_the_posterior() -> None:
     one = fitted()
     names, found = correlations(one)
     np.testing.assert_allclose(np.diag(found), 1.0)
-    draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance, 40_000, method="cholesky")
+    draws = np.random.default_rng(1).multivariate_normal(one.mean, one.covariance.pairs[0], 40_000, method="cholesky")
     s = np.linspace(0, 1, 201)
     known = one.band(s).identified
     level = np.mean(draws[:, :8] @ one.layout.spline.basis(s[known]).T, axis=1)

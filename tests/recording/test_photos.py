@@ -18,7 +18,8 @@ from onebend.beam.profiles.stiffness import Table
 from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.problem import make_problem
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.recording.observe import observe
 from onebend.records import Array, View

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.posterior import FitSettings
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fitted_rms
 from onebend.pipeline import Run, learn

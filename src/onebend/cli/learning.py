@@ -26,9 +26,9 @@ from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.selection import RegressionSettings
-from onebend.learning.posterior import FitSettings
 from onebend.pipeline import compare, plan_next
 from onebend.pipeline import learn as learn_from
 from onebend.recording.folder import folder_of

@@ -18,7 +18,7 @@ from onebend.lab.pushes import PushProfile
 from onebend.lab.sensors import ForceSensor
 from onebend.lab.virtual import LOG_BEFORE
 from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
-from onebend.learning.posterior import FitSettings
+from onebend.learning.inference.stages import FitSettings
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD
 

@@ -30,7 +30,8 @@ from onebend.lab.virtual import (
     virtual_recording,
 )
 from onebend.learning.design.proposals import PLACES
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations

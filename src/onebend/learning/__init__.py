@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from onebend.learning.inference.misfit import Miss as Miss
     from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
+    from onebend.learning.inference.stages import FitSettings as FitSettings
     from onebend.learning.live.key_frame_posterior import LiveHyperparameters as LiveHyperparameters
     from onebend.learning.live.online_learner import Update as Update
     from onebend.learning.live.session import SmootherSettings as SmootherSettings
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from onebend.learning.model.parameters import Priors as Priors
     from onebend.learning.model.rest import AtRest as AtRest
     from onebend.learning.model.spline import Spline as Spline
-    from onebend.learning.posterior import FitSettings as FitSettings
     from onebend.learning.posterior import Nuisance as Nuisance
     from onebend.learning.start import start_of as start_of
     from onebend.learning.start import with_mass as with_mass

@@ -22,7 +22,7 @@ from onebend.learning.inference.fit_problem import FitProblem, log_k_map
 from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.parameters import Block
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 FORCE_SCALE, LEFT = "force's scale", "remaining discrepancy"
 # Blocks of the layout that say one thing about the bench, by the name under which a person knows it.
@@ -63,7 +63,6 @@ _MUCH = float(
 )  # of the sd of log k: the change to be expected of what widens it by so much
 SHIFTS, _SURE = 0.02, 2.0  # log k, at least, by something that is so many sd from nothing
 _LEAST_LEFT = 1e-4  # of the variance: what is left at least
-_MOST_TOLD = 1e-9  # of the largest eigenvalue of the correlations in C_bb: directions below are fixed
 
 
 @dataclass(frozen=True)
@@ -97,23 +96,21 @@ def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array
     """
     layout, covariance = problem.layout, optimum.covariance
     log_k, onto = log_k_map(problem)
-    basis = layout.spline.finer.basis(s) @ onto
-    of_k = basis @ covariance[log_k]  # (S, P)
-    variance = np.einsum("sp,sp->s", of_k[:, log_k], basis) + gain_sd**2
+    basis = np.zeros((len(s), layout.shared))
+    basis[:, log_k] = layout.spline.finer.basis(s) @ onto
+    variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True) + gain_sd**2
     weights = 1.0 / variance / np.sum(1.0 / variance)
     out = [_attribution(FORCE_SCALE, weights, variance, np.full(len(s), gain_sd**2))] if gain_sd > 0.0 else []
     for name, blocks in GROUPS.items():
         free = [b for b in layout.blocks if b.name in blocks and b.start >= 0]
         if not free:
             continue
-        index = np.concatenate([np.arange(b.where.start, b.where.stop) for b in free])
-        away = optimum.x[index] - np.concatenate([_ideal(problem, b) for b in free])
-        inverse = _inverse(covariance[np.ix_(index, index)])
-        regression = of_k[:, index] @ inverse
-        explained = np.einsum("si,si->s", regression, of_k[:, index])
-        change = np.hypot(regression @ away, _to_instantaneous(name, optimum))
-        sds = float(np.sqrt(max(float(away @ inverse @ away) - (len(away) - 1), 0.0)))
-        out.append(_attribution(name, weights, variance, explained, change, sds))
+        index, away = _away(problem, optimum, free)
+        known = covariance.conditioned(basis, index, away)
+        change = np.hypot(known.change, _to_instantaneous(name, optimum))
+        count = sum(len(one) for one in away)
+        sds = float(np.sqrt(max(known.chi_squared - (count - 1), 0.0)))
+        out.append(_attribution(name, weights, variance, known.explained, change, sds))
     return tuple(sorted(out, key=_place))
 
 
@@ -127,12 +124,16 @@ def _attribution(
     return Attribution(name, widening, float(np.sqrt(square)), sds, size, float(np.sqrt(whole)))
 
 
-def _inverse(covariance: Array) -> Array:
-    """(n, n) pseudo-inverse, whatever the units."""
-    sd = np.sqrt(np.diag(covariance))
-    return np.asarray(
-        np.linalg.pinv(covariance / np.outer(sd, sd), rcond=_MOST_TOLD, hermitian=True) / np.outer(sd, sd)
-    )
+def _away(problem: FitProblem, optimum: Optimum, blocks: list[Block]) -> tuple[list[IntArray], list[Array]]:
+    """Where blocks stand in the parts of the parameters, and how far they are from the ideal bench's."""
+    index: list[IntArray] = [np.zeros(0, dtype=np.int64) for _ in problem.layout.parts]
+    away = [np.zeros(0) for _ in problem.layout.parts]
+    for block in blocks:
+        part, where = 1 + block.recording, block.where
+        begin = problem.layout.parts[part].start
+        index[part] = np.append(index[part], np.arange(where.start - begin, where.stop - begin))
+        away[part] = np.append(away[part], optimum.x[where] - _ideal(problem, block))
+    return index, away
 
 
 def _place(one: Attribution) -> tuple[bool, bool, float]:

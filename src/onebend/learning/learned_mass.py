@@ -9,6 +9,7 @@ import numpy as np
 from onebend.beam.modal import Modes
 from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.frames import mass_profile
 from onebend.learning.model.mass import KNOWN, TOLD, LearnedMass
@@ -21,16 +22,16 @@ def learned_mass(
     recordings: Sequence[FitData],
     layout: Layout,
     mean: Array,
-    covariance: Array,
+    covariance: JointCovariance,
     stiffness: UncertainStiffness,
     gain_sd: float,
 ) -> LearnedMass | None:
-    """The mass after the fit, from mean (P,) and covariance (P, P) of its parameters; None where nothing weighs or the
+    """The mass after the fit, from mean (P,) and covariance of its parameters; None where nothing weighs or the
     mass was held as written."""
     block, weighed = layout.index["mass", -1], _weighed(recordings)
     if block.start < 0 or weighed is None:
         return None
-    change, spread = mean[block.where], covariance[block.where, block.where]
+    change, spread = mean[block.where], covariance.among(block.where)
     written = np.nan if np.isfinite(weighed.stated.mass_sd) else weighed.stated.mass
     lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
     value, s = weighed.stated.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)

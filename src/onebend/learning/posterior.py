@@ -9,7 +9,7 @@ noise are chosen by evidence; the band comes from the curvature at the optimum (
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -20,48 +20,39 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.inference.descent import MapEstimate, with_own_forces
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters
-from onebend.learning.inference.hyperparameters import expected_recording_noise
+from onebend.learning.inference.fit_problem import FitProblem
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.misfit import Miss, doubts_of, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
-    OptimizerSettings,
     Optimum,
     estimate_at,
     find_maximum,
     laplace_posterior,
 )
+from onebend.learning.inference.stages import (
+    FitSettings,
+    carried_over,
+    first_problem,
+    first_recordings,
+    whole_problem,
+    with_mass_found,
+)
 from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
 from onebend.learning.model.allowed import secant_of
-from onebend.learning.model.fit_data import FitData, fit_data
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.frames import check_same_beam, chosen_frames
+from onebend.learning.model.frames import check_same_beam
 from onebend.learning.model.mass import LearnedMass
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.model.parameters import Layout
 from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """How the marker-space fit runs."""
-
-    functions: int = 45  # of the spline of log k
-    most_frames: int = 500  # of each recording, evenly chosen
-    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
-    priors: Priors = field(default_factory=Priors)
-    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
-    last_rounds: int = 6  # at most, with all frames
-    allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 
 
 @dataclass(frozen=True)
@@ -100,8 +91,8 @@ class Posterior:
         return self.optimum.x
 
     @property
-    def covariance(self) -> Array:
-        """(P, P) of the parameters (Laplace)."""
+    def covariance(self) -> JointCovariance:
+        """Of the parameters (Laplace)."""
         return self.optimum.covariance
 
     @cached_property
@@ -179,7 +170,7 @@ class Posterior:
             if block.start < 0 or block.name in left_out:
                 continue
             these, where = quantities(block, self.recordings), block.where
-            after = np.sqrt(np.diag(these.weights @ self.covariance[where, where] @ these.weights.T))
+            after = np.sqrt(np.diag(these.weights @ self.covariance.among(where) @ these.weights.T))
             value = these.weights @ self.mean[where]
             values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
             out += [Nuisance(n, u, float(v), float(s), float(p)) for n, u, v, s, p in values]
@@ -220,7 +211,8 @@ def fit(
     """
     check_same_beam(recordings)
     try:
-        begin = start_of(recordings, None) if start is None else start
+        some = [recordings[i] for i in first_recordings(recordings, settings)]
+        begin = start_of(some, None) if start is None else start
         return _fit(recordings, begin, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
         names = ", ".join(one.source.name for one in recordings)
@@ -242,67 +234,13 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    problem, x = _problem(recordings, start, settings)
+    some = first_recordings(recordings, settings)
+    problem, x = first_problem([recordings[i] for i in some], start, settings)
     near = find_maximum(problem, estimate_at(problem, x), early, progress)
-    recordings, near = _with_mass_found(recordings, problem, near)
+    recordings, near = with_mass_found(recordings, problem, near)
 
-    whole = replace(
-        problem, recordings=_data(recordings, settings.most_frames, problem.layout.spline, settings.allowances)
-    )
-    estimate = find_maximum(whole, _carried_over(problem, near, whole), late, progress)
+    whole = whole_problem(recordings, problem, settings)
+    estimate = find_maximum(whole, carried_over(problem, near, whole, some), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
     return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
-
-
-def _problem(
-    recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
-) -> tuple[FitProblem, Array]:
-    """The problem with a few frames of each recording, and the parameters (P,) to begin with."""
-    spline = Spline(settings.functions)
-    data = _data(recordings, settings.first_frames, spline, settings.allowances)
-    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
-    layout = make_layout(spline, list(recordings), knots, settings.priors, allowances)
-    noise = tuple(expected_recording_noise(d) for d in data)
-    x, level = _start(layout, start)
-    return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
-
-
-def _data(
-    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
-) -> tuple[FitData, ...]:
-    return tuple(fit_data(o, i, chosen_frames(o, most), spline, allowances) for i, o in enumerate(recordings))
-
-
-def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
-    """Parameters (P,) and the level of log k to begin with."""
-    s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
-    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
-    if not np.all(k > 0.0):
-        raise LearningError("the start stiffness must be positive everywhere")
-    x = np.zeros(layout.size)
-    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
-    return x, float(np.mean(np.log(k)))
-
-
-def _with_mass_found(
-    recordings: Sequence[Observations], problem: FitProblem, near: MapEstimate
-) -> tuple[Sequence[Observations], MapEstimate]:
-    """Recordings and estimate with a guessed mass replaced by what came out: the prior of its unevenness is relative to
-    the mass."""
-    if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
-        return recordings, near
-    mass, even = problem.layout.index["mass", -1].where, np.array([1.0, 0.0, 0.0, 0.0])
-    factor, x = 1.0 + max(float(near.x[mass.start]), -0.9), near.x.copy()
-    x[mass] = (x[mass] + even) / factor - even
-    heavier = [replace(o, stated=replace(o.stated, mass=factor * o.stated.mass)) for o in recordings]
-    return heavier, replace(near, x=x)
-
-
-def _carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem) -> MapEstimate:
-    """An estimate for all frames from that for a few."""
-    pairs = zip(problem.recordings, whole.recordings, strict=True)
-    same = all(np.array_equal(few.frames, every.frames) for few, every in pairs)
-    shapes = [p.solved.q for p in near.predictions] if same else None
-    begin = estimate_at(whole, near.x, shapes)
-    return with_own_forces(replace(begin, hyperparameters=near.hyperparameters, steps=near.steps))

@@ -14,7 +14,7 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     between two knots of the spline."""
     layout = problem.layout
     fine, (index, onto) = layout.spline.finer, log_k_map(problem)
-    covariance = onto @ optimum.covariance[np.ix_(index, index)] @ onto.T
+    covariance = onto @ optimum.covariance.of_shared[np.ix_(index, index)] @ onto.T
     covariance += np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
     covariance = 0.5 * (covariance + covariance.T)
     return UncertainStiffness(fine.knots, onto @ optimum.x[index], covariance, gain_sd, shape=optimum.shape)

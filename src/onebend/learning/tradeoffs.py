@@ -13,7 +13,6 @@ import numpy as np
 
 from onebend.learning.inference.fit_problem import log_k_map
 from onebend.learning.inference.nuisances import quantities
-from onebend.learning.model.parameters import Block
 from onebend.learning.posterior import Posterior
 from onebend.records import Array
 
@@ -58,7 +57,7 @@ def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tu
 
 def correlations(posterior: Posterior) -> tuple[list[str], Array]:
     """Names (N,) and correlations (N, N) of the quantities; the mean of log k(s) comes first."""
-    names, rows = [LEVEL], [_level(posterior)]
+    names, rows = [LEVEL], [(slice(0, posterior.layout.shared), _level(posterior)[None])]
     left_out = {"stiffness"} | {
         a.name for one in posterior.recordings for a in one.allowances if a.enters == "poses" and a.sized
     }
@@ -67,26 +66,18 @@ def correlations(posterior: Posterior) -> tuple[list[str], Array]:
             continue
         these = quantities(block, posterior.recordings)
         names += these.labels
-        rows += list(_wide(these.weights, block, posterior.layout.size))
-    functionals = np.stack(rows)
-    covariance = functionals @ posterior.covariance @ functionals.T
+        rows.append((block.where, these.weights))
+    covariance = posterior.covariance.of_functionals(rows)
     sd = np.sqrt(np.diag(covariance))
     return names, np.asarray(covariance / np.outer(sd, sd))
 
 
 def _level(posterior: Posterior) -> Array:
-    """(P,) weights of the mean of log k, over the identified places if there are any."""
+    """(n,) weights of the shared parameters in the mean of log k, over the identified places if there are any."""
     s = np.linspace(0.0, 1.0, _PLACES)
     identified = posterior.band(s).identified
     index, onto = log_k_map(posterior.problem)
     basis = posterior.layout.spline.finer.basis(s[identified] if np.any(identified) else s) @ onto
-    out = np.zeros(posterior.layout.size)
+    out = np.zeros(posterior.layout.shared)
     out[index] = np.mean(basis, axis=0)
-    return out
-
-
-def _wide(weights: Array, block: Block, size: int) -> Array:
-    """Weights of a block's parameters among all."""
-    out = np.zeros((len(weights), size))
-    out[:, block.where] = weights
     return out

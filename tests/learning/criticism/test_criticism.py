@@ -111,14 +111,14 @@ def drawn(linear_fit: LinearisedFit, posterior: Posterior, rng: np.random.Genera
     """Residuals drawn from the linearised model: parameters, force errors of frames, noise of tags."""
     rows, noise = linear_fit.rows[0], linear_fit.optimum.hyperparameters.noise[0]
     known = linear_fit.known[0]
-    root = prior(posterior.problem, posterior.optimum.hyperparameters).root
-    x: Array = root @ rng.standard_normal(posterior.layout.size)
+    before = prior(posterior.problem, posterior.optimum.hyperparameters)
+    x: Array = before.times(rng.standard_normal(posterior.layout.size))
     r = rows.slopes.times(x[known])
     r = r + noise.force * np.einsum("frd,fd->fr", rows.a, rng.standard_normal((len(rows.r), 2)))
     r = r + noise.marker * rng.standard_normal(r.shape)
     slope = np.zeros(posterior.layout.size)
     slope[known] = np.einsum("frc,fr->c", rows.slopes.written, split_off_force(rows, r, noise)[0]) / noise.marker**2
-    return replace(linear_fit, rows=(replace(rows, r=r),), step=linear_fit.covariance @ slope)
+    return replace(linear_fit, rows=(replace(rows, r=r),), step=linear_fit.solved.times_covariance(slope))
 
 
 def test_a_score_is_chi_squared_where_the_model_is_right() -> None:

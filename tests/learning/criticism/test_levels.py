@@ -11,6 +11,7 @@ import pytest
 from onebend.learning.criticism.alternatives import Kind, Suspect
 from onebend.learning.criticism.criticism import Criticism, Finding, _finding
 from onebend.learning.criticism.score_tests import LinearisedFit, Score, _pull
+from onebend.learning.inference.joint_covariance import JointCovariance
 
 
 def found(
@@ -69,7 +70,7 @@ def test_a_pull_is_judged_by_what_the_data_removed_of_the_prior(left: float, jud
     x, sd = 0.03, 0.01
     fit = SimpleNamespace(
         optimum=SimpleNamespace(x=np.array([5.0, x])),
-        covariance=np.array([[0.04, 1e-4], [1e-4, left * sd**2]]),
+        covariance=JointCovariance(1, (np.array([[0.04, 1e-4], [1e-4, left * sd**2]]),), (slice(0, 1), slice(1, 2))),
         problem=SimpleNamespace(layout=SimpleNamespace(spline=SimpleNamespace(count=1))),
     )
     score = _pull(cast(LinearisedFit, fit), Suspect("prior", "clamp"), np.array([1]), np.array([sd]), "rad")

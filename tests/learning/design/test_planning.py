@@ -53,8 +53,8 @@ def test_the_bench_holds_what_the_fit_knows_of_tags_and_stiffness_together(middl
     rows = np.concatenate([np.arange(at.size)[at.index[name, -1].where] for name in ("along", "across", "turn")])
     joint, p, f = made.joint(middle.stiffness.covariance), at.spline.count, at.spline.finer.count
     np.testing.assert_allclose(joint[:f, :f], middle.stiffness.covariance, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(joint[f:, f:], middle.covariance[np.ix_(rows, rows)], rtol=1e-6, atol=1e-12)
-    across = middle.covariance[rows, :p] @ at.spline.on_finer.T
+    np.testing.assert_allclose(joint[f:, f:], middle.covariance.pairs[0][np.ix_(rows, rows)], rtol=1e-6, atol=1e-12)
+    across = middle.covariance.pairs[0][rows, :p] @ at.spline.on_finer.T
     np.testing.assert_allclose(joint[f:, :f], across, rtol=1e-4, atol=1e-6 * np.abs(across).max())
     assert made.pushes[0].at_s == 0.6
     assert made.pushes[0].direction == pytest.approx(1.9, abs=0.05)
@@ -68,7 +68,7 @@ def test_what_stiffens_the_beam_under_its_tags_is_planned_with() -> None:
     tags = np.concatenate([np.arange(where.start, where.stop) for where in shared])
     index, onto = log_k_map(one.problem)
     assert len(index) == one.layout.spline.count + len(WIDTHS)
-    across = one.covariance[np.ix_(tags, index)] @ onto.T
+    across = one.covariance.pairs[0][np.ix_(tags, index)] @ onto.T
     np.testing.assert_allclose(joint[f:, :f], across, rtol=1e-4, atol=1e-6 * np.abs(across).max())
 
 

@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 from onebend.learning.inference.allowance_sizes import FACTORS, choose_sizes, most_probable
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import Evidence
+from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.inference.linear_gaussian import data_information, residual_rows
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
@@ -27,7 +28,7 @@ def test_it_is_that_of_greatest_evidence(seed: int, size: float) -> None:
     y = size * x @ rng.standard_normal(6) + rng.standard_normal(25)
     log_evidence = [multivariate_normal.logpdf(y, cov=np.eye(25) + f**2 * x @ x.T) for f in FACTORS]
     log_prior = np.log(FACTORS / (1.0 + FACTORS**2))  # half-Cauchy, of the log of the factor
-    assert most_probable(x.T @ x, x.T @ y) == FACTORS[int(np.argmax(log_evidence + log_prior))]
+    assert most_probable([InformationForm(x.T @ x, x.T @ y)], 0) == FACTORS[int(np.argmax(log_evidence + log_prior))]
 
 
 @pytest.mark.parametrize("size", [0.1, 1.0, 8.0])
@@ -35,11 +36,11 @@ def test_a_size_comes_back(size: float) -> None:
     rng = np.random.default_rng(5)
     information = np.diag(rng.uniform(1e3, 1e5, 60))
     told = size * rng.standard_normal(60) + rng.standard_normal(60) / np.sqrt(np.diag(information))
-    assert abs(np.log(most_probable(information, information @ told) / size)) < np.log(1.5)
+    assert abs(np.log(most_probable([InformationForm(information, information @ told)], 0) / size)) < np.log(1.5)
 
 
 def test_where_nothing_shows_it_is_as_small_as_can_be_seen() -> None:
-    assert most_probable(1e6 * np.eye(40), np.zeros(40)) == FACTORS[0]
+    assert most_probable([InformationForm(1e6 * np.eye(40), np.zeros(40))], 0) == FACTORS[0]
 
 
 @pytest.mark.parametrize("size", [0.3, 3.0])

@@ -26,7 +26,7 @@ def far_off(marker: float = 1.3, k: float = 0.06) -> tuple[FitProblem, Hyperpara
 
 def linearised(problem: FitProblem, hyperparameters: Hyperparameters, estimate: MapEstimate) -> _Linearised:
     before = prior(problem, hyperparameters)
-    return _Linearised(problem, estimate, before, rest_information(problem), rows_of(estimate))
+    return _Linearised(problem, estimate, before, [rest_information(problem, 0)], rows_of(estimate))
 
 
 def test_each_frames_own_force_is_settled_with_all_else_held() -> None:
@@ -45,11 +45,11 @@ def test_the_slope_is_that_of_the_cost() -> None:
     problem, hyperparameters, estimate = far_off()
     here = linearised(problem, hyperparameters, estimate)
     data = data_information(problem, here.rows, estimate.x, hyperparameters)
-    whole = here.before.root.T @ (data.vector - data.matrix @ estimate.x) - here.before.whiten(estimate.x)
+    whole = here.before.transposed_times(data.vector - data.times(estimate.x)) - here.before.whiten(estimate.x)
     np.testing.assert_allclose(here.slope, whole, rtol=1e-8, atol=1e-8 * float(np.max(np.abs(whole))))
     (rows,), (noise,) = here.rows, hyperparameters.noise
-    twice = tag_score(rows, problem.layout, 0, 2.0 * rows.r, noise)
-    np.testing.assert_allclose(twice, 2.0 * tag_score(rows, problem.layout, 0, rows.r, noise))
+    twice = tag_score(rows, 2.0 * rows.r, noise)
+    np.testing.assert_allclose(twice, 2.0 * tag_score(rows, rows.r, noise))
 
 
 def test_a_trial_is_brought_back_to_its_valley(monkeypatch: pytest.MonkeyPatch) -> None:

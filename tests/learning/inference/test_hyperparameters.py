@@ -105,7 +105,7 @@ def test_the_log_in_the_rests_shows_the_slow_error_but_for_a_tenth_of_the_colour
     knots = len(recording.error.knots)
     weights, values = rng.random((6, knots)), 0.01 * rng.standard_normal((6, 2))
     error = replace(recording.error, rest_weights=weights, rest_values=values)
-    told = rest_information(replace(problem, recordings=(replace(recording, error=error),)))
+    told = rest_information(replace(problem, recordings=(replace(recording, error=error),)), 0)
     where = problem.layout.index["force", 0].where
 
     def minus_two_log(x: Array) -> float:

@@ -11,7 +11,8 @@ from scipy.stats import norm
 from onebend.learning.inference import optimizer
 from onebend.learning.inference.descent import MapEstimate, _misfit, descend
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
-from onebend.learning.inference.linear_gaussian import data_information, posterior_of, residual_rows, residuals
+from onebend.learning.inference.joint import solved
+from onebend.learning.inference.linear_gaussian import data_information, residual_rows, residuals
 from onebend.learning.inference.optimizer import (
     OptimizerSettings,
     _at_mean_stiffness,
@@ -100,8 +101,9 @@ def test_a_search_ends_where_a_step_further_gains_next_to_nothing() -> None:
     assert settled.steps < 15
     rows = [residual_rows(settled.predictions[0], expected.noise[0])]
     data = data_information(problem, rows, settled.x, expected)
-    step = before.whiten(posterior_of(data, before).mean) - before.whiten(settled.x)
-    gain = step @ (before.root.T @ data.matrix @ before.root + np.eye(len(step))) @ step
+    step = before.whiten(solved(data, before).mean) - before.whiten(settled.x)
+    moved = before.times(step)
+    gain = step @ step + moved @ data.times(moved)
     assert gain < 0.02**2
 
 

@@ -45,7 +45,7 @@ def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:
     """The fitted error at the frames (F, 2) and its sd."""
     where = found.layout.index["force", number].where
     weights = np.kron(found.recordings[number].error.weights, np.eye(2))
-    sd = np.sqrt(np.diag(weights @ found.covariance[where, where] @ weights.T))
+    sd = np.sqrt(np.diag(weights @ found.covariance.among(where) @ weights.T))
     return (weights @ found.mean[where]).reshape(-1, 2), sd.reshape(-1, 2)
 
 

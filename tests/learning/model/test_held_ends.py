@@ -115,7 +115,7 @@ def test_an_end_that_nobody_measured_is_found(tmp_path: Path) -> None:
     ends = posterior.recordings[0].ends
     assert ends is not None
     away = ends.end[:, :2] + posterior.mean[block].reshape(-1, 2) - ENDS[:, :2]
-    sd = np.sqrt(np.diag(posterior.covariance)[block]).reshape(-1, 2)
+    sd = np.sqrt(posterior.covariance.diagonal[block]).reshape(-1, 2)
     assert np.all(np.abs(away[2]) < 4 * sd[2])
     assert np.all(sd[2] > 3 * sd[0])
     assert np.all(sd[2] < 0.02)

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import fit
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.recording.toml.source_entries import MarkersEntry

@@ -15,13 +15,14 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import make_problem
 from onebend.errors import LearningError, ObservationError, RecordingError
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import predict
 from onebend.learning.model.frames import loads_of
 from onebend.learning.model.mass import mass_remarks
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import FitSettings, fit
+from onebend.learning.posterior import fit
 from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn
 from onebend.recording.observe import observe

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from onebend import cli
 from onebend.cli import learning as learning_commands
 from onebend.files.manifest import sha256_of
-from onebend.learning.posterior import FitSettings
+from onebend.learning.inference.stages import FitSettings
 from onebend.report.figures.pictures import Pictures
 from onebend.report.page.made_from import shown_made_from, size_words
 from onebend.report.page.page import page

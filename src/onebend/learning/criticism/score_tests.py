@@ -14,7 +14,7 @@ For a parameter that the model has under a prior, freeing it is the same as aski
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,11 +23,12 @@ import numpy as np
 from onebend.learning.criticism.alternatives import Alternative, Suspect
 from onebend.learning.inference.fit_problem import FitProblem, prior
 from onebend.learning.inference.hyperparameters import correlation_time
+from onebend.learning.inference.joint import Solved, solved
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
     ResidualRows,
     data_information,
     force_shrinkage,
-    posterior_of,
     residual_rows,
     split_off_force,
 )
@@ -62,7 +63,8 @@ class LinearisedFit:
     optimum: Optimum
     rows: tuple[ResidualRows, ...]  # of each recording
     known: tuple[IntArray, ...]  # indices of the parameters that each recording depends on
-    covariance: Array  # (P, P) at the optimum's hyperparameters
+    solved: Solved  # the posterior at the optimum's hyperparameters
+    covariance: JointCovariance  # the same
     step: Array  # (P,) to where the slope is zero
 
 
@@ -71,9 +73,9 @@ def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
     rows = tuple(residual_rows(now, n) for now, n in zip(optimum.predictions, noise, strict=True))
     data = data_information(problem, rows, x, optimum.hyperparameters)
-    posterior = posterior_of(data, prior(problem, optimum.hyperparameters))
+    posterior = solved(data, prior(problem, optimum.hyperparameters))
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
-    return LinearisedFit(problem, optimum, rows, known, posterior.covariance, posterior.mean - x)
+    return LinearisedFit(problem, optimum, rows, known, posterior, posterior.covariance, posterior.mean - x)
 
 
 def pulls(fit: LinearisedFit) -> list[Score]:
@@ -103,64 +105,78 @@ def pulls(fit: LinearisedFit) -> list[Score]:
 
 def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, unit: str) -> Score:
     x = fit.optimum.x[index]
-    removed = np.eye(len(index)) - fit.covariance[np.ix_(index, index)] / np.outer(before, before)
+    where = slice(int(index[0]), int(index[-1]) + 1)
+    after = fit.covariance.among(where)
+    removed = np.eye(len(index)) - after / np.outer(before, before)
     values, vectors = np.linalg.eigh(0.5 * (removed + removed.T))
     judged = values > _LEAST_REMOVED
     freed = vectors[:, judged] @ ((vectors[:, judged].T @ (x / before)) / values[judged])  # in prior sds
     gain, count = float(freed @ (x / before)), int(np.sum(judged))
     log10_p = float(_distributions().chi2.logsf(gain, count)) / np.log(10.0) if count else 0.0
-    shift = fit.covariance[: fit.problem.layout.spline.count, index] @ (freed / before)
+    shift = fit.covariance.shared_with(where)[: fit.problem.layout.spline.count] @ (freed / before)
     size = float(np.linalg.norm(x)) if unit == "m" else 0.0
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
 
 
 @dataclass(frozen=True)
-class _Extended:
-    """The information on the numbers of all alternatives, B together."""
+class _Freed:
+    """The numbers b of one suspect, freed: what they do to the recordings that show it."""
 
-    where: dict[Suspect, slice]
-    d: tuple[Array, ...]  # (F, R, B) of each recording, whitened
-    information: Array  # (B,) of each number alone
-    mixed: Array  # (B, P)
-    marginal: Array  # (B, B) with the parameters integrated out
-    score: Array  # (B,)
+    suspect: Suspect
+    numbers: tuple[int, ...]  # of these recordings
+    d: tuple[Array, ...]  # (F, R, n) of each, whitened
+    information: Array  # (n,) of each number alone
+    marginal: Array  # (n, n) information, with the parameters integrated out
+    score: Array  # (n,)
+    response: tuple[Array, ...]  # of each recording, (C, n): its parameters follow b by minus this
 
 
 def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
-    """The tests of the alternatives of each recording; those of one suspect belong together."""
-    every = _extended(fit, patterns)
-    return [_score(fit, every, suspect) for suspect in every.where]
+    """The tests of the alternatives of each recording. Those of one suspect belong together; what only one recording
+    shows is judged by that one."""
+    places: dict[Suspect, list[tuple[int, Array]]] = {}
+    for number, alternatives in enumerate(patterns):
+        for one in alternatives:
+            places.setdefault(one.suspect, []).append((number, one.pattern))
+    return [_score(fit, _freed(fit, suspect, shown)) for suspect, shown in places.items()]
 
 
-def _extended(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> _Extended:
-    where: dict[Suspect, slice] = {}
-    count = 0
-    for one in (d for recording in patterns for d in recording):
-        if one.suspect not in where:
-            where[one.suspect] = slice(count, count + one.pattern.shape[-1])
-            count += one.pattern.shape[-1]
-    bb, bx, g = np.zeros((count, count)), np.zeros((count, fit.problem.layout.size)), np.zeros(count)
-    whole = []
-    for i, (recording, rows, known) in enumerate(zip(fit.problem.recordings, fit.rows, fit.known, strict=True)):
-        noise = fit.optimum.hyperparameters.noise[i]
-        d = np.zeros((*rows.r.shape, count))
-        for one in patterns[i]:
-            flat = (recording.whiten @ one.pattern).reshape(*rows.r.shape, -1)
-            d[..., where[one.suspect]] = rows.root_weight[..., None] * flat
-        unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
-        weighted = unexplained.reshape(-1, count) / noise.marker**2
-        bb += weighted.T @ d.reshape(-1, count)
-        bx[:, known] += weighted.T @ rows.slopes.written.reshape(-1, len(known))
-        g += weighted.T @ rows.r.ravel()
-        whole.append(d)
-    marginal = bb - bx @ fit.covariance @ bx.T
-    return _Extended(where, tuple(whole), np.diag(bb).copy(), bx, marginal, g - bx @ fit.step)
+def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Array]]) -> _Freed:
+    each = [(number, *_mixed(fit, number, pattern)) for number, pattern in shown]
+    steps = [fit.step[fit.known[number]] for number, *_ in each]
+    bb = np.sum([one for *_, one, _, _ in each], axis=0)
+    g = np.sum([told - bx @ step for (*_, bx, told), step in zip(each, steps, strict=True)], axis=0)
+    if len(each) == 1:
+        (number, _, _, bx, _) = each[0]
+        response = [fit.covariance.pairs[number] @ bx.T]
+        marginal = bb - bx @ response[0]
+    else:
+        wide = np.zeros((fit.problem.layout.size, len(bb)))
+        for number, *_, bx, _ in each:
+            wide[fit.known[number]] += bx.T
+        whole = fit.solved.times_covariance(wide)
+        response = [whole[fit.known[number]] for number, *_ in each]
+        marginal = bb - wide.T @ whole
+    numbers, d = tuple(one[0] for one in each), tuple(one[1] for one in each)
+    return _Freed(suspect, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
 
 
-def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
-    part, p = every.where[suspect], fit.problem.layout.spline.count
-    size = np.sqrt(np.maximum(every.information[part], 1e-300))
-    scaled = every.marginal[part, part] / np.outer(size, size)
+def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Array, Array, Array]:
+    """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), the information on its numbers (n, n) and with the
+    recording's parameters (n, C), and the score (n,) at the optimum."""
+    recording, rows, noise = fit.problem.recordings[number], fit.rows[number], fit.optimum.hyperparameters.noise[number]
+    d = rows.root_weight[..., None] * (recording.whiten @ pattern).reshape(*rows.r.shape, -1)
+    unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
+    weighted = unexplained.reshape(-1, d.shape[-1]) / noise.marker**2
+    bb = weighted.T @ d.reshape(-1, d.shape[-1])
+    bx = weighted.T @ rows.slopes.written.reshape(-1, len(fit.known[number]))
+    return d, bb, bx, weighted.T @ rows.r.ravel()
+
+
+def _score(fit: LinearisedFit, freed: _Freed) -> Score:
+    suspect, p = freed.suspect, fit.problem.layout.spline.count
+    size = np.sqrt(np.maximum(freed.information, 1e-300))
+    scaled = freed.marginal / np.outer(size, size)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     visible = values > _BLIND
     count = int(np.sum(visible))
@@ -168,33 +184,34 @@ def _score(fit: LinearisedFit, every: _Extended, suspect: Suspect) -> Score:
         unknown = np.full(len(size), np.nan)
         return Score(suspect, unknown, unknown, 0.0, 0.0, 0.0, np.zeros(p))
     inverse = (vectors[:, visible] / values[visible]) @ vectors[:, visible].T / np.outer(size, size)
-    b = inverse @ every.score[part]
-    chi2 = float(every.score[part] @ b)
-    step = -fit.covariance @ (every.mixed[part].T @ b)
+    b = inverse @ freed.score
+    chi2 = float(freed.score @ b)
     log10_p = float(_distributions().chi2.logsf(chi2, count)) / np.log(10.0)
-    recordings = zip(every.d, fit.rows, fit.known, strict=True)
-    changes = [d[..., part] @ b + r.slopes.times(step[k]) for d, r, k in recordings]
+    steps = [-response @ b for response in freed.response]
+    every = zip(freed.numbers, freed.d, steps, strict=True)
+    changes = {number: d @ b + fit.rows[number].slopes.times(step) for number, d, step in every}
     ratio = 1.0
     if log10_p < _NEW_NOISE:
         ratio, numbers = _noise_left(fit, changes)
         chi2 *= ratio
         freedom = max(numbers - len(b), 5.0)
         log10_p = float(_distributions().f.logsf(chi2 / count, count, freedom)) / np.log(10.0)
-    moved = max(_moved(f, r, c) for f, r, c in zip(fit.problem.recordings, fit.rows, changes, strict=True))
+    moved = max(_moved(fit.problem.recordings[number], fit.rows[number], c) for number, c in changes.items())
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return Score(suspect, b, sd, chi2, log10_p, moved, step[:p], max(ratio, 1.0))
+    return Score(suspect, b, sd, chi2, log10_p, moved, steps[0][:p], max(ratio, 1.0))
 
 
-def _noise_left(fit: LinearisedFit, changes: Sequence[Array]) -> tuple[float, float]:
-    """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals,
-    correlation in time included; and how many independent numbers are left.
+def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float, float]:
+    """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals of
+    some recordings, correlation in time included; and how many independent numbers are left.
 
     Afterwards the coordinate with the longest correlation counts: otherwise an alternative that is smooth in time would
     pass for signal where the noise of one tag is slow and that of the others is not.
     """
     before, after, numbers = 0.0, 0.0, 0.0
-    for rows, known, change, noise in zip(fit.rows, fit.known, changes, fit.optimum.hyperparameters.noise, strict=True):
-        plain = rows.r - rows.slopes.times(fit.step[known])
+    for number, change in changes.items():
+        rows, noise = fit.rows[number], fit.optimum.hyperparameters.noise[number]
+        plain = rows.r - rows.slopes.times(fit.step[fit.known[number]])
         old, new = (split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
         time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)

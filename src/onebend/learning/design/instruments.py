@@ -195,9 +195,10 @@ def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[A
     first, onto = log_k_map(posterior.problem)
     rest = [np.arange(posterior.layout.size)[index[name, -1].where] for name in names]
     others = np.concatenate([np.zeros(0, dtype=np.int64), *rest])
-    across = posterior.covariance[np.ix_(others, first)] @ onto.T
+    covariance = posterior.covariance.of_shared
+    across = covariance[np.ix_(others, first)] @ onto.T
     slope = across @ np.linalg.pinv(posterior.stiffness.covariance, rcond=1e-11, hermitian=True)
-    left = posterior.covariance[np.ix_(others, others)] - slope @ across.T
+    left = covariance[np.ix_(others, others)] - slope @ across.T
     return slope, np.asarray(0.5 * (left + left.T))
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from onebend.learning.allowances.allowance import Sizes
+from onebend.learning.inference.block_root import BlockRoot, beside
 from onebend.learning.inference.fit_problem import Hyperparameters, prior
 from onebend.learning.inference.hyperparameters import Evidence
-from onebend.learning.inference.linear_gaussian import marginal
-from onebend.records import Array
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.joint import coupled, marginal, solved
+from onebend.learning.model.parameters import Block
+from onebend.records import Array, IntArray
 
 FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
 
@@ -21,23 +25,70 @@ def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
     layout, sizes = evidence.problem.layout, dict(start.sizes)
     names = {a.name for recording in evidence.problem.recordings for a in recording.allowances if a.sized}
     for name in sorted(names):
-        blocks = [b for b in layout.blocks if b.name == name and b.start >= 0]
-        mine = np.concatenate([np.arange(b.where.start, b.where.stop) for b in blocks])
-        sd = np.concatenate([b.prior_sd for b in blocks])
-        others = np.setdiff1d(np.arange(layout.size), mine)
-        told = marginal(evidence.data, prior(evidence.problem, replace(start, sizes=sizes)), mine, others)
-        sizes[name] = most_probable(sd[:, None] * told.matrix * sd, sd * told.vector)
+        before = prior(evidence.problem, replace(start, sizes=sizes))
+        where = [
+            _stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)
+        ]
+        sd = [before.roots[i].sd[index] / sizes.get(name, 1.0) for i, index in enumerate(where)]
+        if len(where[0]):
+            told = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
+            sizes[name] = most_probable([_scaled(told, 0, sd[0])], 0)
+        else:
+            data, some = coupled(evidence.data, before, where[1:])
+            couple, root = some.parts[0].stop, some.roots[0]
+            forms = [
+                _scaled(_whitened(f, some.mean[:couple], root), couple, s)
+                for f, s in zip(data.forms, sd[1:], strict=True)
+            ]
+            sizes[name] = most_probable(forms, couple)
     return sizes
 
 
-def most_probable(information: Array, b: Array) -> float:
-    """The factor f of greatest posterior density of its log, for coefficients of covariance `f^2 I` beforehand.
+def _stands(blocks: Sequence[Block], name: str, start: int) -> IntArray:
+    """(n,) where blocks of a name stand in a part of the parameters that begins at `start`."""
+    return np.concatenate(
+        [
+            np.zeros(0, dtype=np.int64),
+            *(np.arange(b.where.start, b.where.stop) - start for b in blocks if b.name == name),
+        ]
+    )
 
-    With all else integrated out, `2 log p = -log det(I + f^2 H) + f^2 b' (I + f^2 H)^-1 b`.
+
+def _scaled(form: InformationForm, kept: int, sd: Array) -> InformationForm:
+    """A form in units of sd (n,) of all but its first parameters."""
+    scale = np.concatenate([np.ones(kept), sd])
+    return InformationForm(scale[:, None] * form.matrix * scale, scale * form.vector)
+
+
+def _whitened(form: InformationForm, mean: Array, root: BlockRoot) -> InformationForm:
+    """A form in z of its first parameters, of prior mean (c,) and root."""
+    count = len(mean)
+    both = beside(root, BlockRoot(np.ones(len(form.vector) - count)))
+    vector = form.vector - form.matrix[:, :count] @ mean
+    return InformationForm(both.around(form.matrix), both.transposed_times(vector))
+
+
+def most_probable(forms: Sequence[InformationForm], couple: int) -> float:
+    """The factor f of greatest posterior density of its log, for coefficients b of covariance `f^2 I` beforehand.
+
+    Each form is over `couple` shared parameters of covariance one, and over coefficients of its own. With all
+    integrated out, `2 log p = sum (f^2 b' (I + f^2 H)^-1 b - log det(I + f^2 H)) + c' (I + S)^-1 c - log det(I + S)`,
+    H and b of each form's own coefficients, S and c what is left of the shared ones.
     """
-    values, vectors = np.linalg.eigh(information)
-    values, squares = np.maximum(values, 0.0), (vectors.T @ b) ** 2
     variance = FACTORS[:, None] ** 2
-    log_density = 0.5 * np.sum(variance * squares / (1.0 + variance * values) - np.log1p(variance * values), axis=1)
-    half_cauchy = np.log(FACTORS) - np.log1p(FACTORS**2)  # of the log of the factor
-    return float(FACTORS[int(np.argmax(log_density + half_cauchy))])
+    log_density = np.log(FACTORS) - np.log1p(FACTORS**2)  # half-Cauchy, of the log of the factor
+    left, right = np.tile(np.eye(couple), (len(FACTORS), 1, 1)), np.zeros((len(FACTORS), couple))
+    for form in forms:
+        values, vectors = np.linalg.eigh(form.matrix[couple:, couple:])
+        values = np.maximum(values, 0.0)
+        across, b = vectors.T @ form.matrix[couple:, :couple], vectors.T @ form.vector[couple:]
+        weights = variance / (1.0 + variance * values)  # (factors, n)
+        log_density += 0.5 * (weights @ b**2 - np.sum(np.log1p(variance * values), axis=1))
+        if couple:
+            left += form.matrix[:couple, :couple] - across.T @ (weights[..., None] * across)
+            right += form.vector[:couple] - (weights * b) @ across
+    if couple:
+        root = np.linalg.cholesky(left)
+        white = np.linalg.solve(root, right[..., None])[..., 0]
+        log_density += 0.5 * np.sum(white**2, axis=1) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+    return float(FACTORS[int(np.argmax(log_density))])

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
 from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.joint import JointInformation, solved
 from onebend.learning.inference.linear_gaussian import (
     ResidualRows,
     data_information,
@@ -28,6 +28,7 @@ from onebend.learning.inference.linear_gaussian import (
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.records import Array
+from onebend.workers import each
 
 _FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
 _HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a trial that failed, and after one that did not
@@ -58,15 +59,13 @@ class _Linearised:
     problem: FitProblem
     estimate: MapEstimate
     before: Prior
-    rests: InformationForm
+    rests: Sequence[InformationForm]  # of each recording
     rows: Sequence[ResidualRows]
 
     @cached_property
-    def hessian(self) -> Array:
-        """(P, P) of half the cost with z."""
-        x, hyperparameters = self.estimate.x, self.estimate.hyperparameters
-        data = data_information(self.problem, self.rows, x, hyperparameters)
-        return np.asarray(self.before.root.T @ data.matrix @ self.before.root + np.eye(len(x)))
+    def data(self) -> JointInformation:
+        """What tags and rests say."""
+        return data_information(self.problem, self.rows, self.estimate.x, self.estimate.hyperparameters)
 
     @cached_property
     def slope(self) -> Array:
@@ -76,15 +75,21 @@ class _Linearised:
     @cached_property
     def gain(self) -> float:
         """Of an undamped step, in sd squared."""
-        return float(self.slope @ cho_solve(cho_factor(self.hessian), self.slope))
+        return float(self.slope @ solved(self.data, self.before).solve(self.slope))
+
+    def bent(self, z: Array) -> float:
+        """`z' A z`, A being the second derivatives of half the cost with z."""
+        x = self.before.times(z)
+        return float(z @ z + x @ self.data.times(x))
 
     def slope_at(self, x: Array, r: Sequence[Array]) -> Array:
         """(P,) as `slope`, at parameters x with residuals r, (F, R) of each recording, by the derivatives from here."""
-        told = self.rests.vector - self.rests.matrix @ x
-        every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
-        for recording, rows, residual, noise in every:
-            told = told + tag_score(rows, self.problem.layout, recording.number, residual, noise)
-        return np.asarray(self.before.root.T @ told - self.before.whiten(x))
+        told, layout = np.zeros(len(x)), self.problem.layout
+        every = zip(self.rows, self.rests, r, self.estimate.hyperparameters.noise, strict=True)
+        for number, (rows, rest, residual, noise) in enumerate(every):
+            known = layout.known_to(number)
+            told[known] += tag_score(rows, residual, noise) + rest.vector - rest.matrix @ x[known]
+        return np.asarray(self.before.transposed_times(told) - self.before.whiten(x))
 
     def residuals_at(self, tried: MapEstimate) -> list[Array]:
         """(F, R) of each recording, the effect of each frame's own force included, weighted as here."""
@@ -99,7 +104,9 @@ class _Linearised:
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
-        return float(tags + z @ z + x @ self.rests.matrix @ x - 2.0 * self.rests.vector @ x)
+        known = [x[self.problem.layout.known_to(number)] for number in range(len(self.rests))]
+        rests = sum(y @ one.matrix @ y - 2.0 * one.vector @ y for one, y in zip(self.rests, known, strict=True))
+        return float(tags + z @ z + rests)
 
 
 def all_converged(predictions: Sequence[Prediction]) -> bool:
@@ -109,17 +116,18 @@ def all_converged(predictions: Sequence[Prediction]) -> bool:
 
 def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
     """Of every recording, its tags weighted by their noise at the estimate."""
-    pairs = zip(estimate.predictions, estimate.hyperparameters.noise, strict=True)
-    return [residual_rows(prediction, noise) for prediction, noise in pairs]
+    return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
 
 
 def with_own_forces(estimate: MapEstimate) -> MapEstimate:
     """The estimate with each frame's own force where it is most probable, all else as it is; unchanged where a beam
     under these forces would not stand."""
+
+    def settled(p: Prediction, rows: ResidualRows, noise: RecordingNoise) -> Prediction:
+        return predict(p.recording, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
+
     for _ in range(_OWN_PASSES):
-        every = zip(rows_of(estimate), estimate.predictions, estimate.hyperparameters.noise, strict=True)
-        own = [(p, split_off_force(rows, rows.r, noise)[1]) for rows, p, noise in every]
-        moved = tuple(predict(p.recording, p.layout, estimate.x, p.solved.q, force) for p, force in own)
+        moved = each(settled, estimate.predictions, rows_of(estimate), estimate.hyperparameters.noise)
         if not all_converged(moved):
             break
         estimate = replace(estimate, predictions=moved)
@@ -136,7 +144,7 @@ def descend(
     is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
     of its length. It ends where an undamped step would gain next to nothing.
     """
-    damping, rests = _FIRST_DAMPING, rest_information(problem)
+    damping, rests = _FIRST_DAMPING, [rest_information(problem, number) for number in range(len(problem.recordings))]
     for _ in range(most_steps):
         here = _Linearised(problem, estimate, before, rests, rows_of(estimate))
         if here.gain < tolerance**2:
@@ -157,13 +165,13 @@ def descend(
 
 def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate, float]:
     """A damped step from an estimate of this cost, corrected while that helps, and the cost that it reaches."""
-    start, root = here.estimate.x, here.before.root
-    factor = cho_factor(here.hessian + damping * np.eye(len(start)))
-    z = cho_solve(factor, here.slope)
-    share = min(1.0, _LONGEST / max(float(np.max(np.abs((root @ z)[: here.problem.layout.spline.count]))), 1e-300))
+    before, damped = here.before, solved(here.data, here.before, damping)
+    z = damped.solve(here.slope)
+    of_k = before.times(z)[: here.problem.layout.spline.count]
+    share = min(1.0, _LONGEST / max(float(np.max(np.abs(of_k))), 1e-300))
     aim, z = share * here.slope, share * z
-    promised = cost - float(2.0 * z @ here.slope - z @ here.hessian @ z)
-    best = _moved(here, here.estimate, [rows.r for rows in here.rows], root @ z)
+    promised = cost - float(2.0 * z @ here.slope - here.bent(z))
+    best = _moved(here, here.estimate, [rows.r for rows in here.rows], before.times(z))
     lowest = here.cost(best)
     tried, reached, offset = best, lowest, z
     for _ in range(_CORRECTIONS):
@@ -172,8 +180,8 @@ def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate,
             break
         r = here.residuals_at(tried)
         # of the damped cost, whose slope at the beginning is `aim`, where a step was cut short too
-        correction = cho_solve(factor, here.slope_at(tried.x, r) - (here.slope - aim) - damping * offset)
-        tried, offset = _moved(here, tried, r, root @ correction), offset + correction
+        correction = damped.solve(here.slope_at(tried.x, r) - (here.slope - aim) - damping * offset)
+        tried, offset = _moved(here, tried, r, before.times(correction)), offset + correction
         reached = here.cost(tried)
         if reached < lowest:
             best, lowest = tried, reached
@@ -186,13 +194,14 @@ def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Arra
     """A trial a step (P,) on, from one whose residuals are r; each frame's own force is then, to first order, the most
     probable one."""
     x, layout = begin.x + step, here.problem.layout
-    moved = []
-    every = zip(here.problem.recordings, here.rows, r, begin.predictions, begin.hyperparameters.noise, strict=True)
-    for recording, rows, residual, now, noise in every:
-        left = residual - rows.slopes.times(step[layout.known_to(recording.number)])
+
+    def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
+        left = residual - rows.slopes.times(step[layout.known_to(now.recording.number)])
         own = split_off_force(rows, left, noise)[1]
-        moved.append(predict(recording, layout, x, now.solved.q, own))
-    return replace(begin, x=x, predictions=tuple(moved))
+        return predict(now.recording, layout, x, now.solved.q, own)
+
+    predictions = each(moved, here.rows, r, begin.predictions, begin.hyperparameters.noise)
+    return replace(begin, x=x, predictions=predictions)
 
 
 def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.allowances.patches import patch_functions
+from onebend.learning.inference.block_root import BlockRoot
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, IntArray
@@ -49,47 +49,51 @@ class FitProblem:
 
 @dataclass(frozen=True)
 class Prior:
-    """The parameters before the data: `x = mean + root z` with z of covariance one.
+    """The parameters before the data: `x = mean + L z` with z of covariance one.
 
     The fit is computed in z. There the posterior's precision is the identity plus what the data add, so that every
-    factor of it exists, however exactly a parameter is known beforehand; the prior covariance is never inverted.
+    factor of it exists, however exactly a parameter is known beforehand; the prior covariance is never inverted. What
+    the recordings share, and what each has of its own, are independent.
     """
 
     mean: Array  # (P,)
-    root: Array  # (P, P) lower triangular
+    parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
+    roots: tuple[BlockRoot, ...]  # L of each part
 
-    @cached_property
-    def precisions(self) -> Array:
-        """(P,) of each parameter, all others known."""
-        rows = solve_triangular(self.root, np.eye(len(self.root)), lower=True)
-        return np.asarray(np.sum(rows**2, axis=0))
+    def times(self, z: Array) -> Array:
+        """(P, ...) `L z`."""
+        return np.concatenate([root.times(z[part]) for part, root in zip(self.parts, self.roots, strict=True)])
+
+    def transposed_times(self, v: Array) -> Array:
+        """(P, ...) `L' v`."""
+        pairs = zip(self.parts, self.roots, strict=True)
+        return np.concatenate([root.transposed_times(v[part]) for part, root in pairs])
 
     def whiten(self, x: Array) -> Array:
         """(P,) z of parameters x."""
-        return np.asarray(solve_triangular(self.root, x - self.mean, lower=True))
+        away = x - self.mean
+        return np.concatenate([root.solve(away[part]) for part, root in zip(self.parts, self.roots, strict=True)])
 
 
 def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | None = None) -> Prior:
     """The prior at given hyperparameters; `log_k` (p,): mean of log k's coefficients, where it is not one level."""
-    layout, size = problem.layout, problem.layout.size
-    root, mean = np.zeros((size, size)), np.zeros(size)
-    for block in layout.blocks:
-        if block.start < 0:
-            continue
-        where = block.where
-        if block.name == "stiffness":
-            root[where, where] = _stiffness_root(layout, hyperparameters.part_variances)
-            mean[where] = problem.level if log_k is None else log_k
-        elif block.name == "force":  # x and y in turn, alike
-            error, h = problem.recordings[block.recording].error, hyperparameters
-            mean[where] = error.mean.ravel()
-            of_axis = error.root(h.coloured, h.memory, h.walk, h.load)
-            for axis in range(2):
-                same_axis = slice(where.start + axis, where.stop, 2)
-                root[same_axis, same_axis] = of_axis
-        else:
-            root[where, where] = np.diag(block.prior_sd * hyperparameters.sizes.get(block.name, 1.0))
-    return Prior(mean, root)
+    layout, h = problem.layout, hyperparameters
+    mean, sd, roots = np.zeros(layout.size), np.ones(layout.size), []
+    for part, inside in zip(layout.parts, layout.free_blocks, strict=True):
+        blocks: list[tuple[IntArray, Array]] = []
+        for block in inside:
+            where, index = block.where, np.arange(block.where.start, block.where.stop) - part.start
+            if block.name == "stiffness":
+                blocks.append((index, _stiffness_root(layout, h.part_variances)))
+                mean[where] = problem.level if log_k is None else log_k
+            elif block.name == "force":  # x and y in turn, alike
+                error = problem.recordings[block.recording].error
+                mean[where], of_axis = error.mean.ravel(), error.root(h.coloured, h.memory, h.walk, h.load)
+                blocks += [(index[axis::2], of_axis) for axis in range(2)]
+            else:
+                sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
+        roots.append(BlockRoot(sd[part], tuple(blocks)))
+    return Prior(mean, layout.parts, tuple(roots))
 
 
 def _stiffness_root(layout: Layout, variances: Array) -> Array:

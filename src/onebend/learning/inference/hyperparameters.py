@@ -12,17 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
+from onebend.learning.inference.block_root import BlockRoot
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
 from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.joint import JointInformation, Solved, coupled, marginal, solved
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
-    LinearPosterior,
     ResidualRows,
     force_shrinkage,
-    marginal,
-    posterior_of,
     split_off_force,
 )
 from onebend.learning.inference.stiffness_prior import (
@@ -33,13 +32,15 @@ from onebend.learning.inference.stiffness_prior import (
 )
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import ForceError
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
 # One sd of their logs. The coloured noise behind the filter is known to a factor of two in size and two and a half in
 # correlation time (the clock search takes part of the force for it); the walk, of which one push is one draw, to a
 # factor of three; what comes with the load to a factor of three.
 SPREAD = np.array([0.7, 0.9, 1.1, 1.2])
+_TELL_SIZES = 10  # recordings, evenly chosen: so many tell the sizes of the force error about as well as all
+_NOTHING: IntArray = np.zeros(0, dtype=np.int64)
 _FARTHEST = 4.0  # sd of their logs from what is expected
 _GUESS_COUNTS = 3.0  # numbers that the guessed noise of readings counts for
 _CENTRE_SHARE = 0.25  # weight of the central node of the cubature
@@ -58,18 +59,18 @@ class Evidence:
     """The marginal likelihood of the linearised model as a function of the hyperparameters."""
 
     problem: FitProblem
-    data: InformationForm  # of tags and rests
+    data: JointInformation  # of tags and rests
 
-    def stiffness_form(self, hyperparameters: Hyperparameters, weight: float = 1.0) -> InformationForm:
-        """What is known of log k beside its prior, all else integrated out."""
-        layout, before = self.problem.layout, prior(self.problem, hyperparameters)
-        p = layout.spline.count
-        log_k = marginal(self.data, before, np.arange(p), np.arange(p, layout.size))
-        return InformationForm(log_k.matrix + layout.differences.T @ layout.differences, log_k.vector, weight=weight)
-
-    def posterior(self, hyperparameters: Hyperparameters) -> LinearPosterior:
+    def posterior(self, hyperparameters: Hyperparameters) -> Solved:
         """Of all parameters, at these hyperparameters."""
-        return posterior_of(self.data, prior(self.problem, hyperparameters))
+        return solved(self.data, prior(self.problem, hyperparameters))
+
+    def stiffness_form(self, posterior: Solved, weight: float = 1.0) -> InformationForm:
+        """What is known of log k beside its prior, all else integrated out at the hyperparameters of a posterior."""
+        layout, before = self.problem.layout, posterior.before
+        mean, p = before.mean[before.parts[0]], np.arange(layout.spline.count)
+        log_k = marginal(posterior.left, mean, before.roots[0], p)
+        return InformationForm(log_k.matrix + layout.differences.T @ layout.differences, log_k.vector, weight=weight)
 
     def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
         """Sizes of the force error z (4,) sd from what was expected, all else as at `start`."""
@@ -77,56 +78,43 @@ class Evidence:
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Hyperparameters) -> Callable[[Array], float]:
-        """Minus log posterior of z. All but the force error is integrated out once.
-
-        With C = L L' its covariance, H and b the information on it and its right side at the mean, `-2 log p` is a
-        constant and `log det (I + L' H L) - |(I + L' H L)^-1/2 L' b|^2`.
+        """Minus log posterior of z. What is not the force's error is integrated out once, but for what the recordings
+        share; of many recordings some tell the sizes, and the others are taken at `start`.
         """
-        axes, information, b, constant = self._of_force_error(start)
+        before, problem = prior(self.problem, start), self.problem
+        asked = set(np.linspace(0, len(problem.recordings) - 1, _TELL_SIZES).astype(int).tolist())
+        own = [self._force_error(number) if number in asked else _NOTHING for number in range(len(problem.recordings))]
+        data, some = coupled(self.data, before, own)
+        errors = [r.error if len(mine) else None for r, mine in zip(problem.recordings, own, strict=True)]
 
         def of(z: Array) -> float:
             sizes = self.hyperparameters_at(start, z)
-            inside, right = information.copy(), b.copy()
+            roots = [BlockRoot(np.zeros(0)) if e is None else _error_root(e, sizes) for e in errors]
             try:
-                for error, where in axes:
-                    root = error.root(*(getattr(sizes, name) for name in CHOSEN))
-                    for axis in where:
-                        inside[:, axis] = inside[:, axis] @ root
-                        inside[axis] = root.T @ inside[axis]
-                        right[axis] = root.T @ right[axis]
-                factor = np.linalg.cholesky(inside + np.eye(len(b)))
+                told = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
                 return 1e12
-            explained = np.sum(solve_triangular(factor, right, lower=True, check_finite=False) ** 2)
-            return constant + float(0.5 * (z @ z - explained) + np.sum(np.log(np.diag(factor))))
+            return 0.5 * float(z @ z) - told
 
         return of
 
-    def _of_force_error(
-        self, hyperparameters: Hyperparameters
-    ) -> tuple[list[tuple[ForceError, tuple[slice, slice]]], Array, Array, float]:
-        """All but the force errors integrated out: where x and y of each recording's error stand, the information on
-        them, its right side at their means, and minus the log of the constant factor."""
-        problem = self.problem
-        axes, order, start = [], [], 0
-        for block in problem.layout.blocks:
-            if block.name == "force" and block.start >= 0:
-                index = np.arange(block.where.start, block.where.stop).reshape(-1, 2)
-                order += [index[:, 0], index[:, 1]]
-                ends = start, start + len(index), start + index.size
-                axes.append((problem.recordings[block.recording].error, (slice(*ends[:2]), slice(*ends[1:]))))
-                start = ends[2]
-        mine = np.concatenate([np.zeros(0, dtype=np.int64), *order])
-        others = np.setdiff1d(np.arange(problem.layout.size), mine)
-        before = prior(problem, hyperparameters)
-        errors, mean = marginal(self.data, before, mine, others), before.mean[mine]
-        right = errors.vector - errors.matrix @ mean
-        constant = 0.5 * (errors.constant - (errors.vector + right) @ mean) + errors.log_noise
-        return axes, errors.matrix, right, float(constant)
+    def _force_error(self, number: int) -> IntArray:
+        """(2 K,) where the force's error stands among a recording's own parameters."""
+        layout = self.problem.layout
+        block = layout.index["force", number]
+        count = len(block.prior_sd) if block.start >= 0 else 0
+        start = block.start - layout.parts[1 + number].start
+        return np.arange(start, start + count)
 
     def place(self, hyperparameters: Hyperparameters) -> Array:
         """(4,) sd of the force error's sizes from what was expected."""
         return np.asarray(np.log(_chosen(hyperparameters) / _chosen(self.problem.expected)) / SPREAD)
+
+
+def _error_root(error: ForceError, sizes: Hyperparameters) -> BlockRoot:
+    of_axis = error.root(*(getattr(sizes, name) for name in CHOSEN))
+    count = 2 * len(of_axis)
+    return BlockRoot(np.ones(count), tuple((np.arange(axis, count, 2), of_axis) for axis in range(2)))
 
 
 def _chosen(hyperparameters: Hyperparameters) -> Array:
@@ -141,26 +129,37 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
     chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
     spline = problem.layout.spline
     variances, chains = mean_part_variances(
-        spline, evidence.stiffness_form(chosen), problem.level, _ON_THE_WAY, start.chains
+        spline, evidence.stiffness_form(evidence.posterior(chosen)), problem.level, _ON_THE_WAY, start.chains
     )
     return replace(chosen, part_variances=variances, chains=chains)
 
 
-def averaged_posterior(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[StiffnessMixture, Array]:
-    """log k and the covariance (P, P) of all parameters, averaged over the hyperparameters that the data leave open."""
+def averaged_posterior(
+    evidence: Evidence, hyperparameters: Hyperparameters
+) -> tuple[StiffnessMixture, JointCovariance]:
+    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open."""
     nodes, weights = _cubature(evidence, hyperparameters)
-    best, problem = evidence.posterior(hyperparameters).mean, evidence.problem
-    covariance = np.zeros((len(best), len(best)))
-    for weight, node in zip(weights, nodes, strict=True):
+    layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
+    known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
+    pairs, forms = [np.zeros((len(index), len(index))) for index in known], []
+    for weight, node in zip(weights.tolist(), nodes, strict=True):
         posterior = evidence.posterior(node)
-        covariance += weight * (posterior.covariance + np.outer(posterior.mean - best, posterior.mean - best))
-    forms = [evidence.stiffness_form(node, weight) for weight, node in zip(weights, nodes, strict=True)]
-    spline = problem.layout.spline
-    stiffness = stiffness_mixture(spline, forms, problem.level, _AT_THE_END, hyperparameters.chains)
-    p = spline.count
+        forms.append(evidence.stiffness_form(posterior, weight))
+        away = posterior.mean - best
+        for pair, one, index in zip(pairs, posterior.covariance.pairs, known, strict=True):
+            pair += weight * (one + np.outer(away[index], away[index]))
+    spline = layout.spline
+    stiffness = stiffness_mixture(spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
+    pairs = [_with_stiffness(pair, stiffness.covariance) for pair in pairs]
+    return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)
+
+
+def _with_stiffness(covariance: Array, of_log_k: Array) -> Array:
+    """A covariance (n, n) with another one of log k's coefficients (p, p), which come first; all else follows them."""
+    p = len(of_log_k)
     regression = np.linalg.solve(covariance[:p, :p], covariance[:p]).T  # of all parameters on those of log k
-    covariance = covariance + regression @ (stiffness.covariance - covariance[:p, :p]) @ regression.T
-    return stiffness, 0.5 * (covariance + covariance.T)
+    out = covariance + regression @ (of_log_k - covariance[:p, :p]) @ regression.T
+    return np.asarray(0.5 * (out + out.T))
 
 
 def _cubature(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[list[Hyperparameters], Array]:

@@ -18,13 +18,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.information_form import InformationForm, total
+from onebend.learning.inference.joint import JointInformation
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
-from onebend.records import Array, IntArray
+from onebend.records import Array
+from onebend.workers import each
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
 _REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
@@ -126,97 +128,47 @@ def tag_information(
     c = (np.sum(y**2) - np.sum(ay * np.einsum("fde,fe->fd", shrinkage, ay))) / variance
     spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * rows.gram)[1]
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
-    information = np.zeros((layout.size, layout.size))
-    information[np.ix_(mine, mine)] = inside
-    return InformationForm(information, tag_score(rows, layout, number, y, noise), float(c), log_noise)
+    return InformationForm(inside, tag_score(rows, y, noise), float(c), log_noise)
 
 
-def tag_score(rows: ResidualRows, layout: Layout, number: int, r: Array, noise: RecordingNoise) -> Array:
-    """(P,) `J' S^-1 r` of weighted residuals r (F, R) of one recording."""
-    slopes, out = rows.slopes, np.zeros(layout.size)
+def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
+    """(C,) `J' S^-1 r` of weighted residuals r (F, R) of one recording, over the parameters that it knows."""
+    slopes = rows.slopes
     unexplained, force = split_off_force(rows, r, noise)
     of_tags = slopes.j.reshape(-1, slopes.j.shape[-1]).T @ unexplained.ravel() / noise.marker**2
     of_knots = -slopes.weights.T @ (force @ slopes.axes) / noise.force**2
-    out[layout.known_to(number)] = np.concatenate([of_tags, of_knots.ravel()])
-    return out
+    return np.concatenate([of_tags, of_knots.ravel()])
 
 
-def rest_information(problem: FitProblem) -> InformationForm:
-    """Log likelihood of the force logs in the rests, where the true force is zero and the log is its own error."""
-    size = problem.layout.size
-    information, b, c, log_noise = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
-    for recording in problem.recordings:
-        sd = _REST_SHARE * recording.error.size
-        block, values = problem.layout.index["force", recording.number], recording.error.rest_values
-        if block.start < 0 or len(values) == 0:
-            continue
-        weights = np.kron(recording.error.rest_weights, np.eye(2)) / sd
-        information[block.where, block.where] = weights.T @ weights
-        b[block.where] = weights.T @ values.ravel() / sd
-        c += float(np.sum(values**2)) / sd**2
-        log_noise += values.size * float(np.log(sd))
-    return InformationForm(information, b, c, log_noise)
+def rest_information(problem: FitProblem, number: int) -> InformationForm:
+    """Log likelihood of one force log in the rests, where the true force is zero and the log is its own error; over the
+    parameters that its recording knows."""
+    layout, recording = problem.layout, problem.recordings[number]
+    count = len(layout.known_to(number))
+    information, b = np.zeros((count, count)), np.zeros(count)
+    sd, values = _REST_SHARE * recording.error.size, recording.error.rest_values
+    where = layout.columns("force", number)
+    if where is None or len(values) == 0:
+        return InformationForm(information, b)
+    weights = np.kron(recording.error.rest_weights, np.eye(2)) / sd
+    information[where, where] = weights.T @ weights
+    b[where] = weights.T @ values.ravel() / sd
+    return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
 
 
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
-) -> InformationForm:
+) -> JointInformation:
     """Log likelihood of all tags and all rests."""
-    every = zip(problem.recordings, rows, hyperparameters.noise, strict=True)
-    tags = [tag_information(r, problem.layout, recording.number, x, noise) for recording, r, noise in every]
-    return total([*tags, rest_information(problem)])
+
+    def of(recording: FitData, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
+        tags = tag_information(r, problem.layout, recording.number, x, noise)
+        return total([tags, rest_information(problem, recording.number)])
+
+    return JointInformation(each(of, problem.recordings, rows, hyperparameters.noise), problem.layout.parts)
 
 
 def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:
     """(F, 2, 2) `((s/f)^2 + A'A)^-1`: covariance of each frame's own force over `s^2`."""
     (xx, xy), (_, yy) = np.moveaxis((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram, 0, -1)
     return np.asarray(np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), -1, 0))
-
-
-@dataclass(frozen=True)
-class LinearPosterior:
-    """The posterior of the linearised model."""
-
-    mean: Array  # (P,)
-    root: Array  # (P, P): the covariance is `root' root`
-    log_evidence: float  # but for a constant
-
-    @property
-    def covariance(self) -> Array:
-        """(P, P)."""
-        return np.asarray(self.root.T @ self.root)
-
-
-def posterior_of(data: InformationForm, before: Prior) -> LinearPosterior:
-    """Data and prior together: with `x = m + L z`, z has the precision `I + L' H L = G G'`."""
-    factor = whitened_factor(data.matrix, before.root)
-    white = _solved(factor, before.root.T @ (data.vector - data.matrix @ before.mean))
-    root = _solved(factor, before.root.T)
-    misfit = data.constant - 2.0 * data.vector @ before.mean + before.mean @ data.matrix @ before.mean - white @ white
-    log_det = 2.0 * float(np.sum(np.log(np.diag(factor))))
-    return LinearPosterior(before.mean + root.T @ white, root, float(-0.5 * (log_det + misfit) - data.log_noise))
-
-
-def marginal(data: InformationForm, before: Prior, kept: IntArray, others: IntArray) -> InformationForm:
-    """What the data say of the `kept` parameters, the `others` integrated out under their prior (independent of that of
-    the kept); its noise term includes the volume of the others."""
-    mean, root = before.mean[others], before.root[np.ix_(others, others)]
-    information = data.matrix[np.ix_(others, others)]
-    factor = whitened_factor(information, root)
-    cross = _solved(factor, root.T @ data.matrix[np.ix_(others, kept)])
-    white = _solved(factor, root.T @ (data.vector[others] - information @ mean))
-    return InformationForm(
-        matrix=data.matrix[np.ix_(kept, kept)] - cross.T @ cross,
-        vector=data.vector[kept] - data.matrix[np.ix_(kept, others)] @ mean - cross.T @ white,
-        constant=float(data.constant - 2.0 * data.vector[others] @ mean + mean @ information @ mean - white @ white),
-        log_noise=data.log_noise + float(np.sum(np.log(np.diag(factor)))),
-    )
-
-
-def whitened_factor(information: Array, root: Array) -> Array:
-    """(n, n) lower Cholesky factor of `I + L' H L`."""
-    return np.asarray(np.linalg.cholesky(root.T @ information @ root + np.eye(len(root))))
-
-
-def _solved(factor: Array, right: Array) -> Array:
-    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))

@@ -18,9 +18,10 @@ from onebend.learning.inference.hyperparameters import (
     new_noise,
 )
 from onebend.learning.inference.information_form import total
+from onebend.learning.inference.joint import JointInformation, solved
+from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
     data_information,
-    posterior_of,
     residuals,
     rest_information,
     tag_information,
@@ -28,6 +29,7 @@ from onebend.learning.inference.linear_gaussian import (
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
 from onebend.records import Array
+from onebend.workers import each
 
 _HELD_SD = 1e-5  # of log k where it is held in its place
 _STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
@@ -50,7 +52,7 @@ class Optimum:
     """The posterior, and why the optimizer stopped."""
 
     x: Array  # (P,) log k's mean over its hyperparameters, and all else where it is most probable with that
-    covariance: Array  # (P, P)
+    covariance: JointCovariance
     jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
     shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
     hyperparameters: Hyperparameters
@@ -61,14 +63,14 @@ class Optimum:
     stopped: str
 
 
-def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array] | None = None) -> MapEstimate:
+def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | None = None) -> MapEstimate:
     """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
 
     Raises:
         LearningError: the beam has no equilibrium there under the measured forces.
     """
     warm: Sequence[Array | None] = [None] * len(problem.recordings) if shapes is None else shapes
-    predictions = tuple(predict(r, problem.layout, x, q) for r, q in zip(problem.recordings, warm, strict=True))
+    predictions = each(lambda recording, q: predict(recording, problem.layout, x, q), problem.recordings, warm)
     if not all_converged(predictions):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
@@ -103,6 +105,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
+    estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
     stiffness, covariance = averaged_posterior(evidence, hyperparameters)
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
@@ -130,14 +133,14 @@ def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperpara
 
 
 def _at_mean_stiffness(
-    problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: Array
+    problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: JointCovariance
 ) -> tuple[Array, tuple[Prediction, ...]]:
     """Log k's coefficients at their mean (p,), and all else where it is most probable with them; the estimate itself
     where that beam would not stand, or where all else does not settle."""
     p = problem.layout.spline.count
-    x = estimate.x + np.linalg.solve(covariance[:p, :p], covariance[:p]).T @ (log_k - estimate.x[:p])
-    pairs = zip(problem.recordings, estimate.predictions, strict=True)
-    moved = tuple(predict(r, problem.layout, x, now.solved.q, now.own) for r, now in pairs)
+    follow = covariance.with_shared(slice(p))
+    x = estimate.x + follow @ np.linalg.solve(follow[:p], log_k - estimate.x[:p])
+    moved = each(lambda now: predict(now.recording, problem.layout, x, now.solved.q, now.own), estimate.predictions)
     if not all_converged(moved):
         return estimate.x, estimate.predictions
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
@@ -158,9 +161,10 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     rows = rows_of(estimate)
     every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
     tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    data = total([*tags, rest_information(problem)])
-    covariance = posterior_of(data, prior(problem, hyperparameters)).covariance
-    spent = [float(np.sum(covariance * one.matrix)) for one in tags]  # parameters that each recording settled
+    forms = [total([one, rest_information(problem, number)]) for number, one in enumerate(tags)]
+    covariance = solved(JointInformation(tuple(forms), layout.parts), prior(problem, hyperparameters)).covariance
+    pairs = zip(covariance.pairs, tags, strict=True)
+    spent = [float(np.sum(pair * one.matrix)) for pair, one in pairs]  # parameters that each recording settled
     noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))

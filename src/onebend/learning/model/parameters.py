@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -80,22 +81,34 @@ class Layout:
         block = self.index[name, recording]
         if block.start < 0:
             return None
-        shift = 0 if recording < 0 else self._own(recording)[0] - self.shared
+        shift = 0 if recording < 0 else self.parts[1 + recording].start - self.shared
         return slice(block.where.start - shift, block.where.stop - shift)
 
     @property
     def shared(self) -> int:
         """Count of the parameters that all recordings share; they come first."""
-        return sum(len(b.prior_sd) for b in self.blocks if b.recording < 0 and b.start >= 0)
+        return int(self.parts[0].stop)
+
+    @cached_property
+    def free_blocks(self) -> tuple[tuple[Block, ...], ...]:
+        """Blocks that are not frozen: those of the shared parameters, and then those of each recording."""
+        count = 2 + max((b.recording for b in self.blocks), default=-1)
+        out: list[list[Block]] = [[] for _ in range(count)]
+        for block in self.blocks:
+            out[1 + block.recording] += [block] if block.start >= 0 else []
+        return tuple(tuple(blocks) for blocks in out)
+
+    @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        """Where the shared parameters stand, and then the own ones of each recording."""
+        counts = [sum(len(b.prior_sd) for b in blocks) for blocks in self.free_blocks]
+        ends = np.cumsum(counts).tolist()
+        return tuple(slice(end - count, end) for count, end in zip(counts, ends, strict=True))
 
     def known_to(self, recording: int) -> IntArray:
         """Indices of the parameters that one recording depends on: the shared ones and its own."""
-        begin, end = self._own(recording)
-        return np.concatenate([np.arange(self.shared), np.arange(begin, end)])
-
-    def _own(self, recording: int) -> tuple[int, int]:
-        own = [b for b in self.blocks if b.recording == recording and b.start >= 0]
-        return (own[0].start, own[-1].where.stop) if own else (self.shared, self.shared)
+        own = self.parts[1 + recording]
+        return np.concatenate([np.arange(self.shared), np.arange(own.start, own.stop)])
 
 
 def make_layout(

@@ -1,0 +1,59 @@
+"""Roots of prior covariances: a diagonal, with triangular blocks where parameters depend on each other beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from onebend.records import Array, IntArray
+
+
+@dataclass(frozen=True)
+class BlockRoot:
+    """(n, n) lower triangular L: diagonal but for some blocks."""
+
+    sd: Array  # (n,) the diagonal; of no meaning where a block stands
+    blocks: tuple[tuple[IntArray, Array], ...] = ()  # which rows and columns, and (m, m) lower triangular
+
+    def times(self, z: Array) -> Array:
+        """(n, ...) `L z`."""
+        out = (self.sd * z.T).T
+        for where, root in self.blocks:
+            out[where] = root @ z[where]
+        return out
+
+    def transposed_times(self, v: Array) -> Array:
+        """(n, ...) `L' v`."""
+        out = (self.sd * v.T).T
+        for where, root in self.blocks:
+            out[where] = root.T @ v[where]
+        return out
+
+    def solve(self, x: Array) -> Array:
+        """(n, ...) `L^-1 x`."""
+        out = np.array((x.T / self.sd).T)
+        for where, root in self.blocks:
+            out[where] = solve_triangular(root, x[where], lower=True, check_finite=False)
+        return out
+
+    def around(self, matrix: Array) -> Array:
+        """(n, n) `L' M L`."""
+        return self.transposed_times(self.transposed_times(matrix).T).T
+
+    def take(self, index: IntArray) -> BlockRoot:
+        """The root of some parameters (m,), of a block all or none."""
+        place = np.full(len(self.sd), -1)
+        place[index] = np.arange(len(index))
+        return BlockRoot(self.sd[index], tuple((place[i], root) for i, root in self.blocks if np.all(place[i] >= 0)))
+
+    def dense(self) -> Array:
+        """(n, n) L."""
+        return self.times(np.eye(len(self.sd)))
+
+
+def beside(first: BlockRoot, second: BlockRoot) -> BlockRoot:
+    """The root of two independent groups of parameters together."""
+    later = tuple((index + len(first.sd), root) for index, root in second.blocks)
+    return BlockRoot(np.concatenate([first.sd, second.sd]), (*first.blocks, *later))

@@ -1,0 +1,193 @@
+"""Several recordings of one beam in one linear model: what they share, and what each has of its own.
+
+The posterior's precision is bordered block diagonal: the own parameters of two recordings have no common data. Each
+recording's own parameters are integrated out by themselves (Schur complement), the shared ones are solved for, and the
+own ones follow. So work and memory go with the number of recordings. See Golub and Van Loan, Matrix Computations, 4.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from onebend.learning.inference.block_root import BlockRoot, beside
+from onebend.learning.inference.fit_problem import Prior
+from onebend.learning.inference.information_form import InformationForm, total
+from onebend.learning.inference.joint_covariance import JointCovariance
+from onebend.records import Array, IntArray
+from onebend.workers import each
+
+
+@dataclass(frozen=True)
+class JointInformation:
+    """What tags and force logs of every recording say, to second order."""
+
+    forms: tuple[InformationForm, ...]  # of each recording, over the shared parameters and its own
+    parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
+
+    @cached_property
+    def vector(self) -> Array:
+        """(P,) b."""
+        count = self.parts[0].stop
+        shared = np.sum([f.vector[:count] for f in self.forms], axis=0)
+        return np.concatenate([shared, *(f.vector[count:] for f in self.forms)])
+
+    @property
+    def constant(self) -> float:
+        """c."""
+        return sum(f.constant for f in self.forms)
+
+    @property
+    def log_noise(self) -> float:
+        """Sum of the logs of the noise's sd."""
+        return sum(f.log_noise for f in self.forms)
+
+    def times(self, x: Array) -> Array:
+        """(P, ...) `H x`."""
+        count = self.parts[0].stop
+        each = [f.matrix @ np.concatenate([x[:count], x[p]]) for f, p in zip(self.forms, self.parts[1:], strict=True)]
+        return np.concatenate([np.sum([one[:count] for one in each], axis=0), *(one[count:] for one in each)])
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Parameters y, integrated out under their prior: given the others x, the precision of z of `y = m + L z` is
+    `G G'`."""
+
+    root: BlockRoot  # L
+    factor: Array  # (n, n) G, lower triangular
+    across: Array  # (n, k) `G^-1 L' H_yx`
+    white: Array  # (n,) `G^-1 L' (b - H m)`
+    left: InformationForm  # of x; its noise includes the volume of y
+
+    def given(self, x: Array, white: Array | float) -> Array:
+        """(n, ...) z at others x, for right sides `white` (n, ...)."""
+        return _upper(self.factor, white - self.across @ x)
+
+
+def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, damping: float = 0.0) -> Eliminated:
+    """All parameters of a form but the first `kept` integrated out; `damping` is added to the precision of z."""
+    information, vector = form.matrix[kept:, kept:], form.vector[kept:]
+    inside = root.around(information)
+    inside[np.diag_indices(len(inside))] += 1.0 + damping
+    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
+    cross = form.matrix[kept:, :kept]
+    across = _lower(factor, root.transposed_times(cross))
+    white = _lower(factor, root.transposed_times(vector - information @ mean))
+    left = InformationForm(
+        matrix=form.matrix[:kept, :kept] - across.T @ across,
+        vector=form.vector[:kept] - cross.T @ mean - across.T @ white,
+        constant=float(form.constant - 2.0 * vector @ mean + mean @ information @ mean - white @ white),
+        log_noise=form.log_noise + float(np.sum(np.log(np.diag(factor)))),
+    )
+    return Eliminated(root, factor, across, white, left)
+
+
+def marginal(form: InformationForm, mean: Array, root: BlockRoot, kept: IntArray) -> InformationForm:
+    """What is said of the parameters `kept` (k,), all others integrated out under their prior of mean (n,) and root;
+    its noise includes their volume."""
+    others = np.setdiff1d(np.arange(len(mean)), kept)
+    order = np.concatenate([kept, others])
+    sorted_form = replace(form, matrix=form.matrix[np.ix_(order, order)], vector=form.vector[order])
+    return eliminated(sorted_form, mean[others], root.take(others), len(kept)).left
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Data and prior together: with `x = m + L z`, z has the precision `I + L' H L`, plus a damping."""
+
+    before: Prior
+    own: tuple[Eliminated, ...]  # of each recording
+    left: InformationForm  # of the shared parameters, those of each recording integrated out
+    factor: Array  # (n, n) lower triangular: of the precision of the shared z
+    white: Array  # (n,)
+
+    @cached_property
+    def z(self) -> Array:
+        """(P,) mean."""
+        shared = _upper(self.factor, self.white)
+        x = self.before.mean[self.before.parts[0]] + self.before.roots[0].times(shared)
+        return np.concatenate([shared, *(one.given(x, one.white) for one in self.own)])
+
+    @property
+    def mean(self) -> Array:
+        """(P,) of the parameters."""
+        return self.before.mean + self.before.times(self.z)
+
+    @property
+    def log_evidence(self) -> float:
+        """But for a constant; of no meaning with a damping."""
+        mean, left = self.before.mean[self.before.parts[0]], self.left
+        misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
+        return float(-0.5 * misfit - left.log_noise - np.sum(np.log(np.diag(self.factor))))
+
+    def solve(self, v: Array) -> Array:
+        """(P, ...) `A^-1 v`, A being the precision of z."""
+        parts, root = self.before.parts, self.before.roots[0]
+        white = [_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
+        told = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
+        shared = _upper(self.factor, _lower(self.factor, v[parts[0]] - root.transposed_times(told)))
+        x = root.times(shared)
+        return np.concatenate([shared, *(one.given(x, w) for one, w in zip(self.own, white, strict=True))])
+
+    def times_covariance(self, v: Array) -> Array:
+        """(P, ...) `C v`, C being the covariance of the parameters."""
+        return self.before.times(self.solve(self.before.transposed_times(v)))
+
+    @property
+    def covariance(self) -> JointCovariance:
+        """Of the parameters."""
+        half = _lower(self.factor, self.before.roots[0].dense().T)
+        shared = half.T @ half
+
+        def pair(one: Eliminated) -> Array:
+            onto = -one.root.times(_upper(one.factor, one.across))
+            own = _lower(one.factor, one.root.dense().T)
+            across = onto @ shared
+            return np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]])
+
+        return JointCovariance(len(shared), each(pair, self.own), self.before.parts)
+
+
+def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solved:
+    """The posterior of the linearised model; `damping` is added to the precision of z."""
+    shared, count = before.parts[0], before.parts[0].stop
+    means = [before.mean[part] for part in before.parts[1:]]
+    own = each(partial(eliminated, kept=count, damping=damping), data.forms, means, before.roots[1:])
+    left, root, mean = total([one.left for one in own]), before.roots[0], before.mean[shared]
+    inside = root.around(left.matrix)
+    inside[np.diag_indices(count)] += 1.0 + damping
+    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
+    white = _lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
+    return Solved(before, own, left, factor, white)
+
+
+def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> tuple[JointInformation, Prior]:
+    """Data and prior of some of each recording's own parameters, and of the shared ones that couple them; all else is
+    integrated out. `own` (m,) of each recording: where they stand in its part. One recording alone has no coupling.
+    """
+    shared, forms, parts = before.parts[0], [], []
+    count = shared.stop if len(own) > 1 else 0
+    means, roots, start = [before.mean[:count]], [before.roots[0].take(np.arange(count))], count
+    for form, part, root, mine in zip(data.forms, before.parts[1:], before.roots[1:], own, strict=True):
+        mean = np.concatenate([before.mean[shared], before.mean[part]])
+        both = beside(before.roots[0], root)
+        forms.append(marginal(form, mean, both, np.concatenate([np.arange(count), shared.stop + mine])))
+        means.append(before.mean[part][mine])
+        roots.append(root.take(mine))
+        parts.append(slice(start, start + len(mine)))
+        start += len(mine)
+    every = (slice(0, count), *parts)
+    return JointInformation(tuple(forms), every), Prior(np.concatenate(means), every, tuple(roots))
+
+
+def _lower(factor: Array, right: Array) -> Array:
+    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))
+
+
+def _upper(factor: Array, right: Array) -> Array:
+    return np.asarray(solve_triangular(factor, right, lower=True, trans="T", check_finite=False))

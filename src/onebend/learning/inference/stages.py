@@ -1,0 +1,134 @@
+"""The fit's two stages: a few frames of some recordings, for the way to near the optimum, and then all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from onebend.beam.profiles.stiffness import Profile
+from onebend.errors import LearningError
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.inference.descent import MapEstimate, with_own_forces
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
+from onebend.learning.inference.hyperparameters import expected_recording_noise
+from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at
+from onebend.learning.model.fit_data import FitData, fit_data
+from onebend.learning.model.frames import chosen_frames
+from onebend.learning.model.parameters import Layout, Priors, make_layout
+from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.records import Array, Observations
+from onebend.workers import each
+
+_FEWEST_FRAMES = 20  # of each of very many recordings
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the marker-space fit runs."""
+
+    functions: int = 45  # of the spline of log k
+    most_frames: int = 500  # of each recording, evenly chosen
+    most_frames_together: int = 5000  # of all recordings
+    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
+    first_recordings: int = 10  # evenly chosen, for the same
+    priors: Priors = field(default_factory=Priors)
+    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
+    last_rounds: int = 6  # at most, with all frames
+    allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
+
+
+def first_recordings(recordings: Sequence[Observations], settings: FitSettings) -> list[int]:
+    """Which recordings the fit begins with."""
+    evenly = np.linspace(0, len(recordings) - 1, settings.first_recordings)
+    return sorted({int(i) for i in evenly.round()})
+
+
+def first_problem(
+    recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
+) -> tuple[FitProblem, Array]:
+    """The problem with a few frames of some recordings, and the parameters (P,) to begin with."""
+    spline = Spline(settings.functions)
+    data = _data(recordings, settings.first_frames, spline, settings.allowances)
+    layout = _layout(recordings, data, spline, settings)
+    noise = tuple(expected_recording_noise(d) for d in data)
+    x, level = _start(layout, start)
+    return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
+
+
+def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+    """The problem with all frames of all recordings."""
+    spline = problem.layout.spline
+    most = min(settings.most_frames, max(settings.most_frames_together // len(recordings), _FEWEST_FRAMES))
+    data = _data(recordings, most, spline, settings.allowances)
+    noise = tuple(expected_recording_noise(d) for d in data)
+    return FitProblem(
+        data, _layout(recordings, data, spline, settings), problem.level, replace(problem.expected, noise=noise)
+    )
+
+
+def _layout(
+    recordings: Sequence[Observations], data: Sequence[FitData], spline: Spline, settings: FitSettings
+) -> Layout:
+    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
+    return make_layout(spline, list(recordings), knots, settings.priors, allowances)
+
+
+def _data(
+    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
+) -> tuple[FitData, ...]:
+    def of(number: int, one: Observations) -> FitData:
+        return fit_data(one, number, chosen_frames(one, most), spline, allowances)
+
+    return each(of, range(len(recordings)), recordings)
+
+
+def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
+    """Parameters (P,) and the level of log k to begin with."""
+    s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
+    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
+    if not np.all(k > 0.0):
+        raise LearningError("the start stiffness must be positive everywhere")
+    x = np.zeros(layout.size)
+    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
+    return x, float(np.mean(np.log(k)))
+
+
+def with_mass_found(
+    recordings: Sequence[Observations], problem: FitProblem, near: MapEstimate
+) -> tuple[Sequence[Observations], MapEstimate]:
+    """Recordings and estimate with a guessed mass replaced by what came out: the prior of its unevenness is relative to
+    the mass."""
+    if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
+        return recordings, near
+    mass, even = problem.layout.index["mass", -1].where, np.array([1.0, 0.0, 0.0, 0.0])
+    factor, x = 1.0 + max(float(near.x[mass.start]), -0.9), near.x.copy()
+    x[mass] = (x[mass] + even) / factor - even
+    heavier = [replace(o, stated=replace(o.stated, mass=factor * o.stated.mass)) for o in recordings]
+    return heavier, replace(near, x=x)
+
+
+def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some: list[int]) -> MapEstimate:
+    """An estimate for all frames of all recordings, from that for a few frames of some. What the others have of their
+    own begins where nothing is known of it, their noise in the middle of what was found."""
+    x, found = np.zeros(whole.layout.size), near.hyperparameters
+    for (name, recording), block in whole.layout.index.items():
+        if block.start >= 0 and (recording < 0 or recording in some):
+            x[block.where] = problem.layout.get(near.x, name, recording if recording < 0 else some.index(recording))
+        elif block.start >= 0 and name == "force":
+            x[block.where] = whole.recordings[recording].error.mean.ravel()
+    pairs = list(zip(found.noise, problem.expected.noise, strict=True))
+    marker, force = (
+        float(np.median(one)) for one in zip(*((f.marker, f.force / e.force) for f, e in pairs), strict=True)
+    )
+    noise = tuple(
+        found.noise[some.index(i)] if i in some else RecordingNoise(marker, force * before.force)
+        for i, before in enumerate(whole.expected.noise)
+    )
+    shapes: list[Array | None] = [None] * len(whole.recordings)
+    for i, few, prediction in zip(some, problem.recordings, near.predictions, strict=True):
+        if np.array_equal(few.frames, whole.recordings[i].frames):
+            shapes[i] = prediction.solved.q
+    begin = estimate_at(whole, x, shapes)
+    return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))
