@@ -103,7 +103,8 @@ def detectors() -> dict[str, Callable[[], Look]]:
 
 def true_corners(truth: Truth) -> Array:
     """(T, m + 1, 4, 2) px corners by the true camera and the true tags."""
-    camera, size = truth.facts["camera"], truth.facts["spec"]["tag_size"]
+    facts = truth.facts
+    camera, size = facts["camera"], facts["spec"]["tag_size"] if "spec" in facts else facts["tags"]["size"]
     rotation = np.array(camera["R"])
     view = View(
         matrix=np.array(camera["K"]),

@@ -15,7 +15,14 @@ from onebend.learning.live.settings import OnlineSettings
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.toml.schema import keys_of
-from onebend.recording.toml.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
+from onebend.recording.toml.source_entries import (
+    CameraEntry,
+    CameraInfoEntry,
+    MarkersEntry,
+    PhotosEntry,
+    PosesEntry,
+    VideoEntry,
+)
 from onebend.records import StatedSection
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
@@ -65,6 +72,7 @@ def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
         TagsEntry,
         TagEntry,
         CameraEntry,
+        CameraInfoEntry,
         VideoEntry,
         ForceEntry,
         PushEntry,

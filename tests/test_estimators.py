@@ -9,13 +9,15 @@ from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import LeaveOneOut, cross_val_score
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from onebend.beam.profiles.stiffness import equidistant, gaussian_basis
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Uniform, equidistant, gaussian_basis
 from onebend.errors import LearningError
 from onebend.estimators import StiffnessDistribution, StiffnessRegression, regression_rows
 from onebend.learning.paper.learn import regress
 from onebend.learning.paper.selection import RegressionSettings
-from onebend.records import Observations
+from onebend.records import Observations, StatedSection
 from tests.learning.bench import SOFT, forces, in_family, observed
+from tests.made_up import with_stated
 
 NOISE = (2e-5, 5e-4)
 
@@ -65,6 +67,17 @@ def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
     copy = clone(found)
     assert copy.get_params() == {"functions": 12, "most_frames": 500, "gain_sd": 0.0}
     assert not hasattr(copy, "posterior_")
+
+
+def test_the_modulus_of_a_beam_that_goes_with_its_section() -> None:
+    k, size = 0.02, np.full(2, 0.005)
+    section = StatedSection("circle", np.array([0.0, 1.0]), size, size)
+    push = observed(Beam(0.15, Uniform(k)), forces(12), noise=NOISE)
+    found = StiffnessDistribution(functions=8).fit([with_stated(push, stiffness_along="section", section=section)])
+    assert found.modulus_ is not None
+    _, low, high = found.modulus_
+    assert low < k * 0.15 / (np.pi / 64.0 * 0.005**4) < high
+    assert StiffnessDistribution(functions=8).fit([push]).modulus_ is None
 
 
 def test_cross_validation_leaves_whole_recordings_out(pushes: list[Observations]) -> None:

@@ -52,7 +52,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("observe",),
     ),
     "learning": (
-        ("outcome", "allowances", "modulus"),
+        ("outcome", "allowances", "modulus", "known_shape"),
         ("model",),
         ("validation", "start", "inference", "swing"),
         ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),

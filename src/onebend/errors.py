@@ -109,6 +109,7 @@ SECTIONS: dict[str, str] = {
     "mass": "a-weight-bends-the-beam",
     "rest shape": "the-beam-is-bent-at-rest",
     "curvature": "the-beam-is-bent-at-rest",
+    "stiffness along": "ks-varies-otherwise-than-stated",
     "swing": "the-swing-is-not-as-the-model-says",
     "no material": "youngs-modulus-is-that-of-no-material",
     # recording.toml

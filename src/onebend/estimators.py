@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
+from onebend.beam.profiles.modulus import one_modulus
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import usable_frames
+from onebend.learning.modulus import stated_section
 from onebend.learning.paper.inverse_kinematics import solve_states
 from onebend.learning.paper.regression import Family, assemble, basis, column_sizes, least_squares, literal_rows
 from onebend.learning.posterior import fit
@@ -109,6 +111,8 @@ class StiffnessDistribution(BaseEstimator):  # type: ignore[misc]
         All that the fit found.
     beam_ : onebend.Beam
         The most probable beam.
+    modulus_ : tuple of three floats, or None
+        Young's modulus [Pa] and its 95 % band, where the recordings state k(s) to go with the section.
     """
 
     def __init__(self, functions: int = FitSettings.functions, most_frames: int = 500, gain_sd: float = 0.0) -> None:
@@ -126,6 +130,7 @@ class StiffnessDistribution(BaseEstimator):  # type: ignore[misc]
         settings = FitSettings(functions=self.functions, most_frames=self.most_frames)
         self.posterior_ = fit(recordings, start_of(recordings, None), settings=settings, gain_sd=self.gain_sd)
         self.beam_ = self.posterior_.beam
+        self.modulus_ = one_modulus(self.posterior_.stiffness, self.beam_.length, stated_section(recordings))
         return self
 
     def predict(self, s: ArrayLike, return_std: bool = False) -> Array | tuple[Array, Array]:

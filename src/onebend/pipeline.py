@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import ModulusBand
+from onebend.beam.profiles.modulus import ModulusBand, one_modulus
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
@@ -60,6 +60,13 @@ class Run:
         the section (`width_m` with `thickness_m`, or `diameter_m`)."""
         uncertain = None if self.posterior is None else self.posterior.stiffness
         return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
+
+    def one_modulus(self, level: float = 0.95) -> tuple[float, float, float] | None:
+        """Young's modulus [Pa] as one number, and its band; None where no recording states k(s) to go with the section
+        (`stiffness_along = "section"`)."""
+        if self.posterior is None:
+            return None
+        return one_modulus(self.posterior.stiffness, self.beam.length, stated_section(self.recordings), level)
 
 
 @one_blas_thread

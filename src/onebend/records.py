@@ -21,9 +21,10 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 Rest = Literal["straight", "unknown"]
-MassAlong = Literal["unknown", "even", "width", "thickness", "both", "table"]  # what of the beam its mass follows
-StiffnessAlong = Literal["unknown", "even"]
-SectionShapeName = Literal["rectangle", "circle"]
+# What of the beam its mass follows.
+MassAlong = Literal["unknown", "even", "width", "thickness", "both", "section", "table"]
+StiffnessAlong = Literal["unknown", "even", "section"]
+SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second moment"]
 
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
@@ -189,14 +190,19 @@ class MassLine:
 
 @dataclass(frozen=True)
 class StatedSection:
-    """The beam's cross-section as measured, solid and of one material. Between its places the sizes go smoothly; beyond
-    the first and the last of them nothing is known."""
+    """The beam's cross-section as measured, of one material. Between its places the sizes go straight, a place that
+    stands twice is a step; beyond the first and the last of them nothing is known."""
 
     shape: SectionShapeName
     s: Array  # (P,) rising
-    thickness: Array  # (P,) m, in the plane of bending; of a circle its diameter
-    width: Array  # (P,) m, across that plane; of a circle its diameter
+    # (P,) m, in the plane of bending; of a circle or tube the outer diameter, of a hexagon the width across its flats;
+    # NaN where only the second moment is known
+    thickness: Array
+    width: Array  # (P,) m, across that plane; where the shape is the same in all directions as `thickness`
     sd: float = math.nan  # m, one sd that all places of a size have in common; NaN: nobody says it
+    inner: Array | None = None  # (P,) m, of a tube the inner diameter
+    moment: Array | None = None  # (P,) m^4, where only the second moment is known
+    moment_sd: float = math.nan  # one sd of its log, alike at all places; NaN: nobody says it
 
 
 @dataclass(frozen=True)
@@ -212,7 +218,9 @@ class Stated:
     mass_sd: float = math.nan  # one sd of the mass over itself
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
-    stiffness_along: StiffnessAlong = "unknown"  # "even": somebody knows that k is one number
+    # "even": somebody knows that k is one number; "section": that it goes with the second moment of `section`
+    stiffness_along: StiffnessAlong = "unknown"
+    modulus_varies: float = 0.0  # one sd of the slow variation of log k beside that
     turn_sd: float = TURN_SD  # rad, tolerance of the tags' turns
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's

@@ -36,7 +36,7 @@ def toy(seed: int) -> tuple[FitProblem, Optimum]:
     covariance = sd[:, None] * (root @ root.T) * sd
     problem = FitProblem((one,), layout, 0.0, expected)
     return problem, Optimum(
-        x, joint(problem, covariance), np.zeros(0), np.zeros((0, 0)), expected, (), 0.0, 1, True, ""
+        x, joint(problem, covariance), np.zeros(0), np.zeros((0, 0)), expected, (), (), 0.0, 1, True, ""
     )
 
 

@@ -61,7 +61,7 @@ def test_a_round_beam_has_its_diameter_named() -> None:
     wire = StatedSection("circle", ENDS, np.array([1e-5, 2e-5]), np.array([1e-5, 2e-5]))
     (text,) = told(wire)
     assert "No material is that stiff" in text
-    assert "Check diameter_m 0.01 to 0.02 mm (the diameter counts with its fourth power)" in text
+    assert "Check diameter_m 0.01 to 0.02 mm (the size counts with its fourth power)" in text
 
 
 @pytest.mark.parametrize(("scale", "word"), [(1e-4, "soft"), (1e7, "stiff")])

@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from onebend.beam.profiles.modulus import modulus_band
+from onebend.beam.profiles.measured_section import relative_moment
+from onebend.beam.profiles.modulus import modulus_band, one_modulus
 from onebend.records import StatedSection
-from onebend.report.modulus import MeasuredBeam, measured_beam, modulus_range, modulus_rows, modulus_words
+from onebend.report.modulus import (
+    MeasuredBeam,
+    measured_beam,
+    modulus_range,
+    modulus_rows,
+    modulus_words,
+    one_modulus_words,
+)
 from onebend.report.page.page import page
 from onebend.report.wording import significant
 from onebend.results.model import StoredModel
@@ -120,3 +128,18 @@ def test_a_stored_beam_shows_it_too() -> None:
         show_model(console, StoredModel(fit.beam, None, uncertain))
         assert isinstance(console.file, io.StringIO)
         assert "Young" not in console.file.getvalue()
+
+
+def test_a_beam_that_goes_with_its_section_has_one_modulus_first() -> None:
+    plain = made_up.posterior().stiffness
+    shape = relative_moment(BAR)
+    uncertain = replace(plain, offset=shape, nominal=replace(plain, offset=shape, shape=None))
+    one = MeasuredBeam(made_up.BEAM, uncertain, BAR)
+    found = one_modulus(uncertain, made_up.LENGTH, BAR)
+    assert found is not None
+    words = one_modulus_words(one).replace("\u00a0", " ")
+    e, low, high = (significant(value / 1e6) for value in found)
+    assert words == f"{e} MPa ({low} to {high})"
+    [sentence] = modulus_words(one)
+    assert words in sentence.replace("\u00a0", " ")
+    assert one_modulus_words(measured(BAR)) == ""

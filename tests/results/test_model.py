@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import modulus_band
+from onebend.beam.profiles.measured_section import relative_moment
+from onebend.beam.profiles.modulus import modulus_band, one_modulus
 from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import ResultsError
@@ -131,7 +132,7 @@ SECTION: dict[str, Any] = {"shape": "circle", "s": [0, 1], "in_plane_m": [1, 1],
     ],
 )  # fmt: skip
 def test_a_section_that_is_none_is_named(tmp_path: Path, change: dict[str, Any]) -> None:
-    made = {"format": "onebend-model", "version": 5, "written_by": "x", "beam": made_up.BEAM.as_dict()}
+    made = {"format": "onebend-model", "version": 6, "written_by": "x", "beam": made_up.BEAM.as_dict()}
     for section in (SECTION, SECTION | change):
         content = with_checksum({**made, "section": section})
         (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
@@ -188,7 +189,7 @@ UNIFORM = {"kind": "uniform", "value": 0.1}
         ("[" * 100_000, "nested too deeply"),
         ("{}", "not a onebend model"),
         (change(GOOD, format="other"), "not a onebend model"),
-        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2, 3, 4 and 5"),
+        (change(GOOD, version=7), "version 7, but this onebend reads versions 1, 2, 3, 4, 5 and 6"),
         (change(GOOD, extra=1), "key 'extra'"),
         (change(GOOD, beam=3), "key 'beam'"),
         (change(GOOD, beam={}), "lack 'length_m'"),
@@ -223,3 +224,30 @@ def test_a_missing_or_binary_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "model.json").write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(ResultsError, match="it is UTF-16"):
         load_model(tmp_path)
+
+
+def test_a_beam_that_goes_with_its_section_comes_back_with_its_modulus(tmp_path: Path) -> None:
+    size = np.array([0.01, 0.009, 0.006, 0.004])
+    section = StatedSection("circle", np.array([0.0, 0.4, 0.4, 1.0]), size, size, 1e-4)
+    fit, shape = made_up.posterior(), relative_moment(section)
+    plain = fit.stiffness
+    nominal = replace(plain, mean=plain.mean + 0.01, shape=None, offset=shape)
+    uncertain = replace(plain, offset=shape, nominal=nominal)
+    beam = replace(fit.beam, stiffness=uncertain.profile)
+    text = model_text(StoredModel(beam, None, uncertain, section=section), written_by="a test")
+    (tmp_path / "model.json").write_text(text, encoding="utf-8")
+    stored, s = read_model(tmp_path), np.linspace(0.0, 1.0, 11)
+    assert stored.uncertain is not None
+    assert stored.uncertain.nominal is not None
+    assert stored.beam == beam
+    np.testing.assert_array_equal(stored.uncertain.band(s).k, uncertain.band(s).k)
+    assert one_modulus(stored.uncertain, beam.length, stored.section) == one_modulus(uncertain, beam.length, section)
+    found, own = load_modulus(tmp_path, s), modulus_band(nominal, beam.length, replace(section, sd=0.0), s)
+    assert found is not None
+    for name in ("modulus", "low", "high"):
+        np.testing.assert_allclose(getattr(found, name), getattr(own, name), rtol=1e-12)
+    damaged = json.loads(text)
+    damaged["uncertain"]["offset"]["kind"] = "uniform"
+    (tmp_path / "model.json").write_text(json.dumps(damaged), encoding="utf-8")
+    with pytest.raises(ResultsError, match="key 'uncertain' describes no stiffness"):
+        read_model(tmp_path)

@@ -48,6 +48,7 @@ def full() -> Observations:
         mass_line=MassLine(np.array([0.0, 1.0]), np.array([0.3, 1 / 7])),
         mass_along="table",
         stiffness_along="even",
+        modulus_varies=0.1,
         turn_sd=0.1,
         place_sd=2e-3,
         direction_sd=0.2,
@@ -58,7 +59,16 @@ def full() -> Observations:
         thickness=0.025,
         tag_size=0.012,
         load_error_sd=0.6,
-        section=StatedSection("circle", np.array([0.1, 1.0]), np.full(2, 1 / 3), np.full(2, 1 / 3), 1e-4),
+        section=StatedSection(
+            "tube",
+            np.array([0.1, 1.0]),
+            np.full(2, 1 / 3),
+            np.full(2, 1 / 3),
+            1e-4,
+            inner=np.full(2, 1 / 7),
+            moment=np.full(2, 1e-9),
+            moment_sd=0.05,
+        ),
     )
     known = KnownLoads(
         rng.normal(size=(frames, 2, 2)), np.ones((frames, 2)), np.zeros((frames, 0)), np.ones((frames, 0))

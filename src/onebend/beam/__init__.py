@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from onebend.beam.loads import weight as weight
     from onebend.beam.profiles.modulus import ModulusBand as ModulusBand
     from onebend.beam.profiles.modulus import modulus_band as modulus_band
+    from onebend.beam.profiles.modulus import one_modulus as one_modulus
     from onebend.beam.profiles.piecewise import Pieces as Pieces
+    from onebend.beam.profiles.polyline import Polyline as Polyline
     from onebend.beam.profiles.rectangular import RectangularSection as RectangularSection
     from onebend.beam.profiles.section import SectionProfiles as SectionProfiles
     from onebend.beam.profiles.stiffness import Gaussians as Gaussians
@@ -35,8 +37,9 @@ else:
         {
             "onebend.beam.grid": "Grid",
             "onebend.beam.loads": "Loads push twist weight",
-            "onebend.beam.profiles.modulus": "ModulusBand modulus_band",
+            "onebend.beam.profiles.modulus": "ModulusBand modulus_band one_modulus",
             "onebend.beam.profiles.piecewise": "Pieces",
+            "onebend.beam.profiles.polyline": "Polyline",
             "onebend.beam.profiles.rectangular": "RectangularSection",
             "onebend.beam.profiles.section": "SectionProfiles",
             "onebend.beam.profiles.stiffness": "Gaussians LogSpline Powers Profile Scaled Table",

@@ -17,7 +17,7 @@ from onebend.recording.calibration.boards import Board, BoardKind
 from onebend.recording.calibration.intrinsics import calibrate as calibrate_camera
 from onebend.terminal.calibrating import show_calibration
 
-Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, made as the beam is filmed.")]
+Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, or a bag, taken as the beam is.")]
 BoardOption = Annotated[
     tuple[str, str],
     typer.Option(
@@ -32,6 +32,7 @@ MarkerMm = Annotated[
     typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
 ]
 Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
+ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="Of the images, where VIDEO is a bag.")]
 MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
 CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
 
@@ -45,6 +46,7 @@ def calibrate(
     square: SquareMm,
     marker: MarkerMm = None,
     dictionary: Dictionary = "5x5_100",
+    topic: ImageTopic = "",
     views: MostViews = 30,
     output: CameraFile = Path("camera.toml"),
     overwrite: Overwrite = False,
@@ -56,10 +58,16 @@ def calibrate(
         wanted = _board(board, square, marker, dictionary)
         check_name_free(output, overwrite=overwrite)
         with progress_of(quiet) as progress:
-            found = calibrate_camera(video, wanted, most_views=views, progress=progress)
+            found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
     if as_json:
-        said = {"format": CALIBRATE_FORMAT, "written_by": BY, "video": str(video), **found.as_dict()}
+        said = {
+            "format": CALIBRATE_FORMAT,
+            "written_by": BY,
+            "video": str(video),
+            "topic": topic or None,
+            **found.as_dict(),
+        }
         print_json({**said, "output": str(output)})
     else:
         show_calibration(screen(), found, output)

@@ -16,10 +16,13 @@ if TYPE_CHECKING:
     from onebend.learning.inference.fit_problem import FitProblem as FitProblem
     from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
     from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
+    from onebend.learning.inference.joint_covariance import Conditioning as Conditioning
+    from onebend.learning.inference.joint_covariance import JointCovariance as JointCovariance
     from onebend.learning.inference.misfit import Miss as Miss
     from onebend.learning.inference.optimizer import OptimizerSettings as OptimizerSettings
     from onebend.learning.inference.optimizer import Optimum as Optimum
     from onebend.learning.inference.stages import FitSettings as FitSettings
+    from onebend.learning.known_shape import KnownShape as KnownShape
     from onebend.learning.live.key_frame_posterior import LiveHyperparameters as LiveHyperparameters
     from onebend.learning.live.online_learner import Update as Update
     from onebend.learning.live.session import SmootherSettings as SmootherSettings
@@ -56,7 +59,9 @@ else:
             "onebend.learning.criticism.score_tests": "Score",
             "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
             "onebend.learning.inference.misfit": "Miss",
+            "onebend.learning.inference.joint_covariance": "Conditioning JointCovariance",
             "onebend.learning.inference.optimizer": "OptimizerSettings Optimum",
+            "onebend.learning.known_shape": "KnownShape",
             "onebend.learning.live.key_frame_posterior": "LiveHyperparameters",
             "onebend.learning.live.online_learner": "Update",
             "onebend.learning.live.session": "SmootherSettings",

@@ -41,6 +41,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "clamp and origin": ("clamp", "origin"),
         "direction of the force": ("direction",),
         "clock": ("clock",),
+        "mountings": ("between recordings",),
         "mass": ("mass",),
         "camera": ("scale", "heights", "camera", "rolling shutter"),
         "inertia": ("inertia",),

@@ -195,6 +195,14 @@ def _rest(_: Array, __: Posterior) -> _Words:
     return "the beam is not straight at rest", 'Write rest = "unknown" in [beam]'
 
 
+def _otherwise(_: Array, posterior: Posterior) -> _Words:
+    known = posterior.layout.known
+    of_section = known is not None and known.section is not None
+    sizes = "Check the section's sizes and state section_sd_m; or state" if of_section else "State"
+    words = "k(s) varies along the beam otherwise than stiffness_along says"
+    return words, f"{sizes} modulus_varies, or leave stiffness_along out"
+
+
 _MECHANICS: dict[str, Callable[[Array, Posterior], _Words]] = {
     "stretch": _stretch,
     "shear": _shear,
@@ -207,6 +215,7 @@ _MECHANICS: dict[str, Callable[[Array, Posterior], _Words]] = {
     "viscous": _viscous,
     "clamp gives": _pliant,
     "rest shape": _rest,
+    "stiffness along": _otherwise,
 }
 _PLACES = "Measure where it sits and correct its s, or state a wider placement_sd_m"
 _PRIORS: dict[str, Callable[[Array, int], _Words]] = {

@@ -64,7 +64,7 @@ def mass_per_length(
     if along is not None:
         return along
     even = weighed.stated.mass / weighed.length
-    if weighed.stated.mass_along == "table":
+    if weighed.stated.mass_along in ("section", "table"):
         return Scaled(1.0 + float(change[0]), mass_profile(weighed))
     if weighed.stated.mass_line is None:
         return from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))

@@ -7,11 +7,11 @@ stretches and shears, is another thing and is not used: E goes with the third po
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.measured_section import section_as_dict
 from onebend.beam.profiles.modulus import ModulusBand, modulus_band
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.records import Array, BoolArray, Observations, Remark, StatedSection
@@ -19,7 +19,11 @@ from onebend.records import Array, BoolArray, Observations, Remark, StatedSectio
 SOFTEST, STIFFEST = 1e3, 1.2e12  # Pa: a soft hydrogel, diamond
 UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
 _PLACES = 201
-_THIRD_POWER = "width_m counts with its third power"
+_POWERS = {  # with which a section's sizes count
+    "rectangle": "width_m counts with its third power",
+    "second moment": "it is in m^4: 1 mm^4 is 1e-12",
+}
+_FOURTH_POWER = "the size counts with its fourth power"
 _TOO_STIFF = "stiff: a size is too small or the forces are too large"
 
 
@@ -54,8 +58,13 @@ def modulus_unit(values: Array) -> tuple[float, str]:
 
 def size_words(section: StatedSection) -> list[str]:
     """Each size by its key in recording.toml: "width_m 12 mm in the plane of bending", "diameter_m 4 to 9 mm"."""
-    if section.shape == "circle":
-        return [f"diameter_m {_length_words(section.thickness)}"]
+    if section.moment is not None:
+        return [f"I_m4 {_span_words(1e12 * section.moment, 'mm^4')}"]
+    if section.shape == "hexagon":
+        return [f"across_flats_m {_length_words(section.thickness)}"]
+    if section.shape in ("circle", "tube"):
+        outer = f"diameter_m {_length_words(section.thickness)}"
+        return [outer] if section.inner is None else [outer, f"inner_diameter_m {_length_words(section.inner)}"]
     inside, across = _length_words(section.thickness), _length_words(section.width)
     return [f"width_m {inside} in the plane of bending", f"thickness_m {across} across it"]
 
@@ -93,7 +102,7 @@ def _no_such_material(section: StatedSection, band: ModulusBand) -> tuple[Remark
     found = band.modulus[soft | stiff]
     factor, unit = modulus_unit(found)
     said = ", ".join(size_words(section))
-    power = "the diameter counts with its fourth power" if section.shape == "circle" else _THIRD_POWER
+    power = _POWERS.get(section.shape, _FOURTH_POWER)
     way = "soft: a size is too large or the forces are too small" if np.any(soft) else _TOO_STIFF
     text = (
         f"with the section that recording.toml states, Young's modulus is {_span_words(found / factor, unit)}. No "
@@ -112,7 +121,4 @@ def _span_words(values: Array, unit: str) -> str:
 
 
 def _same(one: StatedSection, other: StatedSection) -> bool:
-    return all(
-        np.array_equal(getattr(one, field.name), getattr(other, field.name), equal_nan=field.name != "shape")
-        for field in fields(StatedSection)
-    )
+    return section_as_dict(one) == section_as_dict(other)

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Profile, Uniform
+from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
 from onebend.beam.statics.problem import make_problem
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.known_shape import known_shape
 from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
 from onebend.learning.model.held_ends import is_held, resolution_of, sets_no_scale, shapes_of
 from onebend.learning.model.mass import NEEDS_MASS, check_mass_can_be_learned, mass_is_open, shared_mass, weighs
@@ -28,6 +29,8 @@ _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Profile:
     """The regression's k(s), or the best uniform beam's where that is nearer to the tags of all recordings.
 
+    Where the shape of k(s) is stated, the beams tried have that.
+
     Raises:
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
@@ -39,7 +42,8 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
         return Uniform(1.0)  # as good as any
     tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
-    beams = [Beam(recordings[0].length, Uniform(float(unit * k)), mass_per_length=_mass(recordings)) for k in tried]
+    shape, mass = _shape(recordings), _mass(recordings)
+    beams = [Beam(recordings[0].length, Scaled(float(unit * k), shape), mass_per_length=mass) for k in tried]
     beams += [] if learned is None else [learned.beam]
     away = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
     return beams[int(np.argmin(away))].stiffness  # the stiffest hardly bends: one at least is finite
@@ -58,10 +62,10 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
     frames = [_some(o, _FEW) for o in recordings]
     pull = max(float(np.max(np.linalg.norm(o.gravity, axis=1))) for o in recordings)
     load = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
-    length, best, least = recordings[0].length, np.nan, np.inf
+    length, best, least, shape = recordings[0].length, np.nan, np.inf, _shape(recordings)
     for mass in (load / pull * _MASSES).tolist():
         for k in (load * length * _TRIED[::2]).tolist():
-            beam = Beam(length, Uniform(k), mass_per_length=Uniform(mass / length))
+            beam = Beam(length, Scaled(k, shape), mass_per_length=Uniform(mass / length))
             distance = _distance(beam, recordings, frames)
             best, least = (mass, distance) if distance < least else (best, least)
     return shared_mass(recordings, best)
@@ -99,6 +103,12 @@ def _largest_load(o: Observations, some: BoolArray) -> float:
     if weighs(o):
         loads = loads + np.nan_to_num(o.stated.mass) * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
+
+
+def _shape(recordings: Sequence[Observations]) -> Profile:
+    """k over its mean, as stated; even where nothing is."""
+    known = known_shape(recordings)
+    return Uniform(1.0) if known is None else known.profile
 
 
 def _mass(recordings: Sequence[Observations]) -> Profile:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.criticism.criticism import Finding
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
@@ -160,7 +161,7 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
     }
     out = []
     for block in posterior.layout.blocks:
-        if block.start < 0 or block.name in {"stiffness", "force"} | sized:
+        if block.start < 0 or block.name in {"stiffness", "force", BETWEEN} | sized:
             continue
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
         for i in np.flatnonzero(away > _FAR):

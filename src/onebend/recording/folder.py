@@ -12,6 +12,7 @@ from typing import Any
 from onebend.errors import RecordingError
 from onebend.recording.bags.reader import is_bag
 from onebend.recording.bags.recorded_topics import check_bag, with_bags
+from onebend.recording.camera.bag_calibration import known_camera
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import (
     FAMILIES,
@@ -36,6 +37,7 @@ from onebend.recording.toml.schema import (
 )
 from onebend.recording.toml.source_entries import (
     CameraEntry,
+    CameraInfoEntry,
     MarkersEntry,
     PhotosEntry,
     PosesEntry,
@@ -104,6 +106,7 @@ def read_recording(folder: Path | str) -> Recording:
         for name in BAGS:
             if entries[name] is not None:
                 check_bag(name, entries[name], data[name], mistakes)
+    entries["camera"], camera_remarks = known_camera(entries["camera"], entries["video"], mistakes)
     if mistakes.found or beam is None or tags is None:
         raise RecordingError(str(mistakes))
     rec = Recording(
@@ -113,6 +116,7 @@ def read_recording(folder: Path | str) -> Recording:
         tags=tags,
         remarks=(
             *remarks_on(tags, data),
+            *camera_remarks,
             *entry_remarks(beam, entries["camera"]),
             *spread_remarks(beam, entries, scale_sd),
             *unit_remarks(beam, tags, entries),
@@ -152,10 +156,10 @@ def empty_values(content: str) -> list[tuple[int, str]]:
 
 
 def camera_record(data: dict[str, Any]) -> type:
-    """What [camera] is read as: a calibration, or all that is known of a camera without one."""
+    """What [camera] is read as: a calibration, the topic of one, or all that is known of a camera without one."""
     table = data.get("camera")
-    alone = isinstance(table, dict) and set(table) == {"scale_sd"}
-    return UncalibratedEntry if alone else CameraEntry
+    keys = set(table) if isinstance(table, dict) else set()
+    return UncalibratedEntry if keys == {"scale_sd"} else CameraInfoEntry if "camera_info" in keys else CameraEntry
 
 
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
@@ -172,6 +176,10 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     if len(sources) > 1:
         names = " and ".join(f"[{name}]" for name in sources)
         mistakes.add((sources[1],), f"The file has {names}: a recording has one of them. Make a folder of each.")
+    camera = data.get("camera")
+    if isinstance(camera, dict) and "camera_info" in camera and (more := set(camera) - {"camera_info", "scale_sd"}):
+        text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
+        mistakes.add(("camera", "camera_info"), text)
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
         if name not in data:
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")

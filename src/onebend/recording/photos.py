@@ -14,7 +14,8 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
 from onebend.recording.camera.projection import measure_markers
-from onebend.recording.tags.tracking import Finder, track_block
+from onebend.recording.tags.finder import Finder
+from onebend.recording.tags.tracking import track_block
 from onebend.recording.toml.entries import Recording
 from onebend.recording.tracks.chords import chord_angles
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads

@@ -17,7 +17,8 @@ from onebend.errors import OnebendError, told
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import refuse_doubles, refuse_unseen, unseen_remarks
-from onebend.recording.tags.tracking import Finder, Sighting, sure_doubles
+from onebend.recording.tags.finder import Finder, Sighting
+from onebend.recording.tags.tracking import sure_doubles
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.tool.film import tool_in, tool_remarks
@@ -28,7 +29,7 @@ from onebend.workers import available_cores
 
 LOOKS = 20  # frames that are searched for tags
 MOST_READ = 4000  # frames that are read at most, two minutes of a usual film
-SMALLEST = 20.0  # px, side of a tag: smaller ones are often missed
+SMALLEST = 20.0  # px, side of a tag: the corners of smaller ones are coarse, and below 16 px many are missed
 AGAIN = 0.05  # of the largest displacement: nearer to the first frame than this is at rest
 
 
@@ -76,8 +77,8 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
     """
     assert rec.video is not None
     looked, frames, whole = spread_frames(rec.video, count)
-    sightings = search(looked, rec.tags.family)
     ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    sightings = search(looked, rec.tags.family, ids)
     seen = Counter(tag.tag_id for found in sightings for tag in found)
     corners = np.full((len(looked), len(ids), 4, 2), np.nan)
     for t, found in enumerate(sightings):
@@ -118,14 +119,14 @@ def spread_frames(video: VideoEntry, count: int) -> tuple[list[FilmFrame], int, 
     return [kept[i] for i in chosen], read, read < MOST_READ
 
 
-def search(frames: Sequence[FilmFrame], family: str) -> tuple[tuple[Sighting, ...], ...]:
-    """Every tag of the family in each frame."""
+def search(frames: Sequence[FilmFrame], family: str, ids: Sequence[int]) -> tuple[tuple[Sighting, ...], ...]:
+    """Every tag of the family in each frame; those of `ids` also where they are small."""
     threads = min(available_cores(), len(frames))
     parts = [frames[i::threads] for i in range(threads)]
 
     def look(part: Sequence[FilmFrame]) -> list[tuple[Sighting, ...]]:
         finder = Finder(family)
-        return [tuple(finder.look(frame.luma)) for frame in part]
+        return [tuple(finder.look(frame.luma, ids)) for frame in part]
 
     with ThreadPoolExecutor(threads) as pool:
         found = list(pool.map(look, parts))

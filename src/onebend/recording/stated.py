@@ -10,10 +10,16 @@ from onebend.errors import RecordingError
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.beam_entry import LONGEST
 from onebend.recording.toml.entries import Recording
-from onebend.records import Array, MassLine, Stated, StatedSection
+from onebend.records import Array, MassLine, SectionShapeName, Stated, StatedSection
 
-SIZES = ("width_m", "thickness_m", "diameter_m")  # recording.toml's width lies in the plane of bending
+# recording.toml's width lies in the plane of bending
+SIZES = ("width_m", "thickness_m", "diameter_m", "inner_diameter_m", "across_flats_m")
+SHAPES = (("width_m", "thickness_m"), ("diameter_m", "inner_diameter_m"), ("across_flats_m",), ("I_m4",))
 ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a circle's A / I
+ROUND_SHAPES: tuple[tuple[str, SectionShapeName], ...] = (("diameter_m", "circle"), ("across_flats_m", "hexagon"))
+HEXAGONAL = math.sqrt(5.0 / 6.0)  # the same of a hexagon, over its width across flats
+_BETWEEN = 9  # places from one row of a section to the next, for its area
+FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
 
 def stated_in(recording: Recording) -> Stated:
@@ -22,8 +28,10 @@ def stated_in(recording: Recording) -> Stated:
     Raises:
         RecordingError: what is stated of the mass or the section cannot be used.
     """
-    mass, line = _mass(recording)
     sizes = _sizes(recording)
+    section = _section(recording, sizes)
+    _check_known_shape(recording, section)
+    mass, line = _mass(recording) if recording.beam.mass_along != "section" else _mass_of_section(recording, section)
     beam, tags, force = recording.beam, recording.tags, recording.force
     return Stated(
         rest=beam.rest,
@@ -42,77 +50,145 @@ def stated_in(recording: Recording) -> Stated:
         thickness=_thickness(sizes),
         tag_size=tags.size,
         load_error_sd=math.nan if force is None else force.bias_sd,
-        section=_section(sizes, beam.section_sd),
+        section=section,
+        modulus_varies=beam.modulus_varies,
     )
 
 
-def _section(sizes: dict[str, Array], sd: float) -> StatedSection | None:
-    """The section where it is whole."""
-    if "diameter_m" in sizes:
-        return StatedSection("circle", sizes["s"], sizes["diameter_m"], sizes["diameter_m"], sd)
+def _section(rec: Recording, sizes: dict[str, Array]) -> StatedSection | None:
+    """The section where it is whole.
+
+    Raises:
+        RecordingError: an error is stated of what is not.
+    """
+    beam, s = rec.beam, sizes["s"]
+    if not math.isnan(beam.moment_sd) and "I_m4" not in sizes:
+        raise RecordingError(f"{rec.folder}: I_sd is of a column I_m4 in section_file. Of sizes, give section_sd_m.")
+    if "I_m4" in sizes:
+        if not math.isnan(beam.section_sd):
+            raise RecordingError(f"{rec.folder}: section_sd_m is of sizes. Of I_m4, give I_sd (0.05 = 5 %).")
+        unknown = np.full(len(s), np.nan)
+        return StatedSection("second moment", s, unknown, unknown, moment=sizes["I_m4"], moment_sd=beam.moment_sd)
+    inner = sizes.get("inner_diameter_m")
+    for name, shape in ROUND_SHAPES:
+        if name in sizes:
+            whole = shape if inner is None else "tube"
+            return StatedSection(whole, s, sizes[name], sizes[name], beam.section_sd, inner)
     if "width_m" in sizes and "thickness_m" in sizes:
-        return StatedSection("rectangle", sizes["s"], sizes["width_m"], sizes["thickness_m"], sd)
+        return StatedSection("rectangle", s, sizes["width_m"], sizes["thickness_m"], beam.section_sd)
     return None
 
 
 def _thickness(sizes: dict[str, Array]) -> float:
-    """m, in the plane of bending, mean along the beam; of a round beam that of a rectangle that stretches as much.
-    NaN where nobody says it."""
-    factor, size = (ROUND, sizes["diameter_m"]) if "diameter_m" in sizes else (1.0, sizes.get("width_m"))
+    """m, in the plane of bending, mean along the beam; of a round or hexagonal beam that of a rectangle that stretches
+    as much. NaN where nobody says it."""
+    s, size = sizes["s"], sizes.get("width_m")
+    if "diameter_m" in sizes:  # 12 I / A
+        size = ROUND * np.hypot(sizes["diameter_m"], sizes.get("inner_diameter_m", np.zeros(len(s))))
+    elif "across_flats_m" in sizes:
+        size = HEXAGONAL * sizes["across_flats_m"]
     if size is None:
         return math.nan
-    s = sizes["s"]
-    return factor * float(np.trapezoid(size, s)) / float(s[-1] - s[0])
+    return float(np.trapezoid(size, s)) / float(s[-1] - s[0])
 
 
 def _sizes(rec: Recording) -> dict[str, Array]:
-    """What is known of the section: places `s` (P,), and by its key each size [m] there.
+    """What is known of the section: places `s` (P,), and by its key each size [m] there, or `I_m4` [m^4].
 
     Raises:
-        RecordingError: a size that is given twice, a round beam that is a rectangle too, a table that cannot be used.
+        RecordingError: a size that is given twice, sizes of two shapes, a table that cannot be used.
     """
     beam = rec.beam
-    written = dict(zip(SIZES, (beam.width, beam.thickness, beam.diameter), strict=True))
-    written = {name: value for name, value in written.items() if not math.isnan(value)}
+    values = (beam.width, beam.thickness, beam.diameter, beam.inner_diameter, beam.across_flats)
+    written = {name: value for name, value in zip(SIZES, values, strict=True) if not math.isnan(value)}
     s, measured = np.array([0.0, 1.0]), {}
     if beam.section_file is not None:
-        table = read_columns(beam.section_file, ("s",), SIZES, kind="table of the section", strict=True)
-        s, measured = table.get("s"), {name: _measured(table, name) for name in SIZES if name in table.numbers}
-        _refuse_places(table, "the sizes")
+        table = read_columns(beam.section_file, ("s",), (*SIZES, "I_m4"), kind="table of the section", strict=True)
+        s, known = table.get("s"), [name for name in (*SIZES, "I_m4") if name in table.numbers]
+        measured = {name: _measured(table, name) for name in known}
+        _refuse_places(table, "the sizes", steps=True)
         if not measured:
             raise RecordingError(
-                f"{beam.section_file}: there is no column {', '.join(SIZES)} in it. Add one, in metres."
+                f"{beam.section_file}: there is no column {', '.join(SIZES)} or I_m4 in it. Add one, in metres."
             )
+        if "inner_diameter_m" in measured:
+            outer = measured.get("diameter_m", np.full(len(s), written.get("diameter_m", np.nan)))
+            table.refuse(measured["inner_diameter_m"] >= outer, "inner_diameter_m must be less than diameter_m.")
         for name in set(measured) & set(written):
             raise RecordingError(f"{rec.folder}: {name} stands in [beam] and in {beam.section_file.name}. Remove one.")
     found = {"s": s, **measured, **{name: np.full(len(s), value) for name, value in written.items()}}
-    if "diameter_m" in found and len(found) > 2:
-        raise RecordingError(
-            f"{rec.folder}: diameter_m is of a round beam, width_m and thickness_m are of a rectangular one. Give "
-            "either, not both."
-        )
-    if beam.section_file is not None and "diameter_m" not in found and len(found) < 3:
-        missing = " and ".join(name for name in SIZES[:2] if name not in found)
-        raise RecordingError(
-            f"{rec.folder}: the section is not whole: {missing} is missing. Give it in [beam], or as a column of "
-            f"{beam.section_file.name}; of a round beam diameter_m alone."
-        )
+    _refuse_two_shapes(rec, found)
     return found
 
 
+def _refuse_two_shapes(rec: Recording, found: dict[str, Array]) -> None:
+    """Raises `RecordingError` where sizes (by key) are not of one shape, or a shape is not whole."""
+    names = [name for name in (*SIZES, "I_m4") if name in found]
+    shapes = [shape for shape in SHAPES if set(names) & set(shape)]
+    if len(shapes) > 1:
+        raise RecordingError(
+            f"{rec.folder}: the section has {' and '.join(names)}. diameter_m is of a round beam (a tube has "
+            "inner_diameter_m too), across_flats_m of a hexagonal one, width_m and thickness_m of a rectangular one, "
+            "I_m4 of any. Give one of these, not several."
+        )
+    if "inner_diameter_m" in found and "diameter_m" not in found:
+        raise RecordingError(f"{rec.folder}: inner_diameter_m is of a tube. Give its diameter_m too.")
+    if "inner_diameter_m" in found and np.any(found["inner_diameter_m"] >= found["diameter_m"]):
+        raise RecordingError(f"{rec.folder}: inner_diameter_m must be less than diameter_m.")
+    table = rec.beam.section_file
+    if table is not None and shapes == [SHAPES[0]] and len(names) < 2:
+        missing = next(name for name in SHAPES[0] if name not in names)
+        raise RecordingError(
+            f"{rec.folder}: the section is not whole: {missing} is missing. Give it in [beam], or as a column of "
+            f"{table.name}; of a round beam diameter_m alone."
+        )
+
+
+def _check_known_shape(rec: Recording, section: StatedSection | None) -> None:
+    """Raises `RecordingError` where k(s) is to follow a section that is not known all along the beam."""
+    beam = rec.beam
+    if beam.modulus_varies > 0.0 and beam.stiffness_along == "unknown":
+        raise RecordingError(
+            f'{rec.folder}: modulus_varies goes with stiffness_along = "section" or "even". Write one of them, or '
+            "leave modulus_varies out: without, k(s) may vary as it will."
+        )
+    if beam.stiffness_along != "section":
+        return
+    if section is None:
+        raise RecordingError(
+            f'{rec.folder}: stiffness_along = "section" needs the section. Give its sizes in [beam] (width_m and '
+            "thickness_m; diameter_m, of a tube inner_diameter_m too; across_flats_m), or section_file where they vary."
+        )
+    ends = float(section.s[0]), float(section.s[-1])
+    if ends[0] > FARTHEST_END or ends[1] < 1.0 - FARTHEST_END:
+        where = beam.section_file or rec.folder
+        raise RecordingError(
+            f'{where}: the section is known from s = {ends[0]:g} to {ends[1]:g} only, and stiffness_along = "section" '
+            "goes by it from 0 to 1. Add a row at the clamp and at the tip."
+        )
+
+
 def _measured(table: Columns, name: str) -> Array:
-    """(P,) m, one size of the section."""
+    """(P,) m, one size of the section; m^4 its second moment."""
     size = table.get(name)
-    table.refuse(~((size > 0.0) & (size <= LONGEST)), f"{name} must be above zero, and in metres.")
+    unit = "m^4" if name == "I_m4" else "metres"
+    table.refuse(~((size > 0.0) & (size <= LONGEST)), f"{name} must be above zero, and in {unit}.")
     return size
 
 
-def _refuse_places(table: Columns, instead: str) -> None:
-    """Raises `RecordingError` where places lie outside the beam, do not rise, or there is one alone."""
+def _refuse_places(table: Columns, instead: str, *, steps: bool = False) -> None:
+    """Raises `RecordingError` where places lie outside the beam, do not rise, or there is one alone. With `steps`, a
+    place inside may stand twice."""
     s = table.get("s")
     table.refuse(~((s >= 0.0) & (s <= 1.0)), "s must be between 0 at the clamp and 1 at the tip.")
-    table.refuse(np.diff(s, prepend=-1.0) <= 0.0, "s must rise from row to row.")
     table.refuse(np.full(len(s), len(s) < 2), f"one place is no profile. Give {instead} in [beam] instead.")
+    apart, more = np.diff(s, prepend=-1.0), ""
+    wrong = apart <= 0.0
+    if steps:
+        third = np.concatenate([[1.0], apart[:-1]]) == 0.0
+        wrong = (apart < 0.0) | ((apart == 0.0) & (third | (s == s[0]) | (s == s[-1])))
+        more = " A place that stands twice, within the beam, is a step."
+    table.refuse(wrong, f"s must rise from row to row.{more}")
 
 
 def _mass(rec: Recording) -> tuple[float, MassLine | None]:
@@ -141,3 +217,31 @@ def _mass(rec: Recording) -> tuple[float, MassLine | None]:
     if math.isnan(rec.beam.mass):
         return total, MassLine(s, value)
     return rec.beam.mass, MassLine(s, value * rec.beam.mass / total)
+
+
+def _mass_of_section(rec: Recording, section: StatedSection | None) -> tuple[float, MassLine]:
+    """kg, and the mass per metre as the section's area: between its places by their sizes, beyond them as there.
+
+    Raises:
+        RecordingError: no mass, a table of the mass beside it, a section of which the area is not known.
+    """
+    if rec.beam.mass_file is not None:
+        raise RecordingError(
+            f'{rec.folder}: mass_file and mass_along = "section" both say how the mass is spread. Remove one.'
+        )
+    if section is None or section.moment is not None:
+        raise RecordingError(
+            f'{rec.folder}: mass_along = "section" needs the section\'s sizes. Give them in [beam] or section_file.'
+        )
+    if math.isnan(rec.beam.mass):
+        raise RecordingError(f'{rec.folder}: mass_along = "section" needs the mass. Give mass_kg in [beam].')
+    pairs = [(i, i + 1) for i in range(len(section.s) - 1) if section.s[i] < section.s[i + 1]]
+    share = np.linspace(0.0, 1.0, _BETWEEN)
+
+    def along(size: Array) -> Array:
+        return np.concatenate([size[i] + share * (size[j] - size[i]) for i, j in pairs])
+
+    inner = np.zeros(len(section.s)) if section.inner is None else section.inner
+    s, area = along(section.s), along(section.thickness) * along(section.width) - along(inner) ** 2
+    ends = np.trapezoid(area, s) + area[0] * s[0] + area[-1] * (1.0 - s[-1])
+    return rec.beam.mass, MassLine(s, area * rec.beam.mass / (rec.beam.length * float(ends)))

@@ -37,6 +37,20 @@ def narrower_words(posterior: Posterior) -> str:
     return ", ".join(told[:_MOST_TOLD])
 
 
+def mounting_words(posterior: Posterior) -> str:
+    """What differs between recordings, and whether the band holds it."""
+    if len(posterior.recordings) == 1:
+        return "What would differ were the beam mounted anew is not in the band: one recording cannot show it."
+    likely, low, high = posterior.mountings
+    if np.isnan(likely):
+        return ""
+    some = f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)" if high > low else ""
+    return (
+        f"Between the recordings k(s) differs by about {100.0 * likely:.2g} %{some}, one sd: the band is that of the "
+        "beam's own k(s), around which each recording has its own."
+    )
+
+
 def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
     """To know more about it; empty where nothing can be done, or where it is stated already."""
     stated = [one.stated for one in recordings]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import ModulusBand
+from onebend.beam.profiles.modulus import ModulusBand, one_modulus
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.modulus import modulus_along, modulus_unit, shown_places, size_words, stated_section
 from onebend.records import Array, StatedSection
@@ -58,6 +58,17 @@ def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
     return ModulusRows(unit, *(columns if measured.uncertain is not None else (columns[0], (), ())))
 
 
+def one_modulus_words(measured: MeasuredBeam) -> str:
+    """E as one number with its band: "50.5 GPa (49.8 to 51.2)"; empty where k(s) was not learned as the section's shape
+    times a modulus."""
+    found = one_modulus(measured.uncertain or measured.beam.stiffness, measured.beam.length, measured.section)
+    if found is None:
+        return ""
+    factor, unit = modulus_unit(np.array(found[:1]))
+    middle, low, high = (significant(value / factor) for value in found)
+    return f"{middle}\u00a0{unit} ({low} to {high})"
+
+
 def modulus_range(measured: MeasuredBeam) -> str:
     """Smallest and largest E where k(s) is identified, of all that is known where it is nowhere: "0.68 … 0.73 MPa";
     empty where the section is not known, or at no place."""
@@ -75,5 +86,9 @@ def modulus_words(measured: MeasuredBeam) -> list[str]:
     if section is None:
         return []
     known = f"known to {significant(1e3 * section.sd, 2)} mm (sd)" if section.sd > 0.0 else "taken as exact"
+    if section.moment_sd > 0.0:
+        known = f"known to {significant(100.0 * section.moment_sd, 2)} % (sd)"
     found = modulus_range(measured) or "not known at any place"
+    one = one_modulus_words(measured)
+    found = f"{one}, 95 %, mean along the beam; {found} at its places" if one else found
     return [f"Young's modulus E = k L / I: {found}, by {', '.join(size_words(section))}, {known}"]

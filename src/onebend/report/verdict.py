@@ -23,6 +23,7 @@ from onebend.records import Array, Observations
 from onebend.report.allowance_words import narrower_words, share_words
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
+from onebend.report.modulus import measured_beam, one_modulus_words
 from onebend.report.wording import millimetres, significant, tag_words
 
 AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
@@ -129,7 +130,9 @@ def _known(findings: Findings) -> str:
     if not ranges:
         return f"{span}, not identified: at no place to a factor of 1.5 (95 %)"
     wide = half_width_words(typical_half_width(uncertain))
-    return f"{span}, {wide} (95 %, median) over s = {identified_words(ranges)}"
+    one = one_modulus_words(measured_beam(findings))
+    headline = f"E = {one}, 95 %, times the section's I(s); " if one else ""
+    return f"{headline}{span}, {wide} (95 %, median) over s = {identified_words(ranges)}"
 
 
 def _rests_on(posterior: Posterior | None) -> str:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import ModulusBand, modulus_band, section_as_dict, section_from_dict
+from onebend.beam.profiles.measured_section import section_as_dict, section_from_dict
+from onebend.beam.profiles.modulus import ModulusBand, modulus_band
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
@@ -25,8 +26,9 @@ if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to
     from onebend.learning.swing.damping import Damping
 
 FORMAT = "onebend-model"
-VERSION = 5
-READABLE = (1, 2, 3, 4, 5)  # 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`
+VERSION = 6
+# 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset` of log k
+READABLE = (1, 2, 3, 4, 5, 6)
 FILE_NAME = "model.json"
 KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", "section", OWN_CHECKSUM}
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import section_as_dict
+from onebend.beam.profiles.measured_section import section_as_dict
+from onebend.beam.profiles.modulus import one_modulus
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.modulus import modulus_along, stated_section
 from onebend.learning.outcome import Comparison, Learned
@@ -114,6 +115,7 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
         "trusted": not uncertain.doubts,
         "grade": posterior.grade,
         "secant_shares": posterior.secant_shares,
+        "between_recordings": dict(zip(("sd", "low", "high"), posterior.mountings, strict=True)),
         "allowances": [asdict(share) | {"matters": share.matters} for share in posterior.attributions],
         "doubts": uncertain.doubts,
         "identified": identified_ranges(uncertain),
@@ -181,6 +183,9 @@ def _stiffness(
     if modulus is not None and section is not None:
         edges = {} if uncertain is None else {"E_lo_Pa": modulus.low, "E_hi_Pa": modulus.high}
         found |= {"E_Pa": modulus.modulus, **edges, "section": section_as_dict(section)}
+    one = one_modulus(uncertain or beam.stiffness, beam.length, section)
+    if one is not None:
+        found |= dict(zip(("E_mean_Pa", "E_mean_lo_Pa", "E_mean_hi_Pa"), one, strict=True))
     return found
 
 

@@ -15,6 +15,7 @@ from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Observations
+from onebend.report.allowance_words import mounting_words
 from onebend.report.confidence import load_error_words, scale_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
 from onebend.report.modulus import MeasuredBeam, measured_beam, modulus_rows, modulus_words
@@ -121,6 +122,8 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
         estimate_table(uncertain, run.learned, modulus_rows(measured_beam(run), np.linspace(0.0, 1.0, 11)))
     ]
     force = [scale_words(posterior.gain_sd, run.recordings), *load_error_words(posterior.load_error)]
+    if len(run.recordings) > 1:
+        force.append(mounting_words(posterior))
     found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
     if posterior.attributions:
         found.append(allowance_table(posterior))

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.modulus import modulus_band, second_moment
+from onebend.beam.profiles.measured_section import second_moment
+from onebend.beam.profiles.modulus import modulus_band
+from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.section import Circle, Material, Rectangle, SectionPart, along
-from onebend.beam.profiles.stiffness import Table, Uniform
+from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import MechanicsError
 from onebend.records import Array, StatedSection
@@ -22,8 +24,8 @@ RECTANGLE = StatedSection("rectangle", PLACES, THICK, WIDE, 0.0)
 CIRCLE = StatedSection("circle", PLACES, THICK, THICK, 0.0)
 
 
-def table(values: Array) -> Table:
-    return Table(tuple(PLACES), tuple(values))
+def table(values: Array) -> Polyline:
+    return Polyline(tuple(PLACES), tuple(values))
 
 
 def uncertain(gain_sd: float = 0.0) -> UncertainStiffness:

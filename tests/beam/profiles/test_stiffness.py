@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
+from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.stiffness import (
     Gaussians,
     LogSpline,
@@ -25,6 +26,7 @@ from onebend.beam.profiles.stiffness import (
 from onebend.errors import MechanicsError
 
 S = np.linspace(0.0, 1.0, 31)
+STEPPED = Polyline((0.1, 0.5, 0.5, 1.0), (1.0, 3.0, 2.0, 4.0), (0.5,))
 PROFILES: list[Profile] = [
     Uniform(0.3),
     Gaussians(equidistant(4), 0.25, (1.0, 2.0, 0.5, 1.5)),
@@ -33,6 +35,8 @@ PROFILES: list[Profile] = [
     Steps((0.0, 0.5, 1.0), (1.0, 2.0)),
     LogSpline((0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0), (0.0, 1.0, -1.0, 0.5)),
     Scaled(0.7, Steps((0.0, 0.25, 1.0), (1.0, 2.0))),
+    STEPPED,
+    LogSpline((0.0, 0.0, 1.0, 1.0), (0.1, -0.3), 1, STEPPED),
 ]
 
 
@@ -55,6 +59,37 @@ def test_a_used_profile_is_still_equal_hashable_and_can_be_pickled_and_changed(p
     table = Table((0.0, 1.0), (1.0, 2.0))
     table(S)
     np.testing.assert_allclose(replace(table, values=(1.0, 3.0))(S), 1.0 + 2.0 * S)
+
+
+def test_a_polyline_goes_straight_and_steps() -> None:
+    at = np.array([0.0, 0.1, 0.3, np.nextafter(0.5, 0.0), 0.5, 0.75, 1.0])
+    np.testing.assert_allclose(STEPPED(at), [1.0, 1.0, 2.0, 3.0, 2.0, 3.0, 4.0], rtol=1e-12)
+    assert STEPPED(0.3).shape == ()
+
+
+@pytest.mark.parametrize(
+    ("s", "values", "jumps"),
+    [
+        ((0.0, 0.5, 0.4), (1.0, 1.0, 1.0), ()),
+        ((0.0, 0.0, 1.0), (1.0, 2.0, 1.0), ()),
+        ((0.0, 0.5, 0.5, 0.5, 1.0), (1.0, 1.0, 1.0, 1.0, 1.0), ()),
+        ((0.0,), (1.0,), ()),
+        ((0.0, 1.0), (1.0, np.inf), ()),
+        ((0.0, 1.0), (1.0, 1.0), (1.0,)),
+    ],
+)
+def test_what_is_no_polyline_is_refused(
+    s: tuple[float, ...], values: tuple[float, ...], jumps: tuple[float, ...]
+) -> None:
+    with pytest.raises(MechanicsError):
+        Polyline(s, values, jumps)
+
+
+def test_a_known_part_of_log_k_is_a_factor() -> None:
+    plain = LogSpline((0.0, 0.0, 1.0, 1.0), (0.1, -0.3), 1)
+    beside = replace(plain, offset=STEPPED)
+    np.testing.assert_allclose(beside(S), plain(S) * np.exp(STEPPED(S)), rtol=1e-14)
+    assert beside.jumps == (0.5,)
 
 
 def test_gaussians_have_unit_area() -> None:

@@ -22,7 +22,7 @@ from onebend.lab.pushes import PushProfile
 from onebend.lab.random_bench import random_bench, random_tags
 from onebend.lab.virtual import VirtualBench, VirtualTag, tag_places, tag_poses
 from onebend.recording.camera.lens import project, to_plane
-from onebend.recording.tags.tracking import Finder
+from onebend.recording.tags.finder import Finder
 
 BOX = PixelBox(0, 0, 40, 30)
 BEAM = Beam(0.15, Powers((0.02, 0.02)), mass_per_length=Uniform(0.4))

@@ -60,7 +60,7 @@ def test_the_posterior_is_averaged_by_the_law_of_total_covariance() -> None:
         w * (one.covariance.pairs[0] + np.outer(one.mean - middle, one.mean - middle))
         for w, one in zip(weights, each, strict=True)
     )
-    stiffness, averaged = averaged_posterior(evidence, expected)
+    stiffness, averaged = averaged_posterior(evidence, expected, [{}])
     (covariance,) = averaged.pairs
     np.testing.assert_allclose(covariance[:p, :p], stiffness.covariance, rtol=1e-6, atol=1e-9)
     exact = given_log_k(np.asarray(total), p)

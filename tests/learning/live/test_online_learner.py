@@ -17,7 +17,7 @@ from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import fit
 from onebend.learning.replay import replay
-from onebend.records import Array, Observations
+from onebend.records import Array, Observations, StatedSection
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.learning.streamed import IDEAL_LIVE, NOISE, PLAIN, S, any_beam, drawn, smooth_beam
 from tests.learning.test_posterior import wrong_force
@@ -121,6 +121,16 @@ def test_a_fit_of_more_functions_is_gone_on_from_as_it_stands() -> None:
     np.testing.assert_allclose(spread[known], sd[known], rtol=0.3)
     with pytest.raises(LearningError, match="fewer than the 45"):
         OnlineLearner(o.length, MARKERS, fit([o], 0.02, settings=replace(IDEAL, functions=8)).stiffness)
+
+
+def test_a_fit_that_goes_with_its_section_is_gone_on_from() -> None:
+    size = np.array([0.006, 0.005, 0.0055])
+    section = StatedSection("circle", np.array([0.0, 0.5, 1.0]), size, size)
+    o = observed(SOFT, forces(12), noise=NOISE, seed=3)
+    stated = replace(o, stated=replace(o.stated, stiffness_along="section", section=section))
+    found = fit([stated], settings=replace(IDEAL, functions=20)).stiffness
+    learner = OnlineLearner(o.length, MARKERS, found, settings=replace(IDEAL_LIVE, functions=20))
+    np.testing.assert_allclose(learner.stiffness.log_at(S)[0], found.log_at(S)[0], atol=0.02)
 
 
 def test_results_speak_of_the_beam_and_of_what_else_was_learned() -> None:

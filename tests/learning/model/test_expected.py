@@ -11,7 +11,7 @@ from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.force_error import filtered, force_error, ramp
 from onebend.learning.model.frames import whitening
 from onebend.learning.model.parameters import Priors, clamp_sd, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.model.spline import LEVEL_SD, RHO, TAU, Spline
 from onebend.records import CleanForce, ClockOffset, ForceNoise
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
@@ -91,6 +91,7 @@ def test_the_clamps_direction_is_known_as_well_as_the_tags_places_tell_it() -> N
 
 def test_k_that_is_one_number_varies_by_a_hundredth() -> None:
     layout = make_layout(SPLINE, [with_stated(MADE, stiffness_along="even")], [4], Priors())
-    away = 0.01 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-    np.testing.assert_allclose(layout.differences @ (3.0 + away), away / 0.01, atol=1e-9)
-    assert not np.any(make_layout(SPLINE, [MADE], [4], Priors()).differences)
+    root = layout.stiffness_root(layout.first_variances)
+    np.testing.assert_allclose(root @ root.T, LEVEL_SD**2 + 0.01**2 * np.eye(8), rtol=1e-12, atol=1e-12)
+    free = make_layout(SPLINE, [MADE], [4], Priors())
+    np.testing.assert_array_equal(free.first_variances, SPLINE.variances(TAU, RHO))

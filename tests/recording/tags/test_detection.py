@@ -13,8 +13,9 @@ import pytest
 
 from onebend.errors import ObservationError
 from onebend.recording.tags.detection import detect_tags, in_order
+from onebend.recording.tags.finder import Finder
 from onebend.recording.tags.pattern import CELLS, correct_still
-from onebend.recording.tags.tracking import Finder, track_block
+from onebend.recording.tags.tracking import track_block
 from onebend.recording.toml.entries import TagEntry, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import FilmFrame

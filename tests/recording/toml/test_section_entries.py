@@ -67,13 +67,90 @@ def test_a_table_may_hold_all(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.section.thickness, [0.008, 0.004])
 
 
+def test_a_tube_a_hexagon_and_a_second_moment(tmp_path: Path) -> None:
+    tube = stated(tmp_path / "a", f"{FILE}\ndiameter_m = 0.012", "s,inner_diameter_m\n0,0.010\n1,0.008\n")
+    assert tube.section is not None
+    assert tube.section.shape == "tube"
+    assert tube.section.inner is not None
+    assert tube.section.inner.tolist() == [0.010, 0.008]
+    assert tube.section.thickness.tolist() == [0.012, 0.012]
+    hexagon = stated(tmp_path / "b", "across_flats_m = 0.006\nsection_sd_m = 0.0001")
+    assert hexagon.section is not None
+    assert (hexagon.section.shape, hexagon.section.sd) == ("hexagon", 0.0001)
+    area, second = math.sqrt(0.75) * 0.006**2, 5.0 * math.sqrt(3.0) / 144.0 * 0.006**4
+    assert 12.0 / hexagon.thickness**2 == pytest.approx(area / second)
+    by_moment = stated(tmp_path / "c", f"{FILE}\nI_sd = 0.05", "s,I_m4\n0,1e-10\n1,2e-11\n").section
+    assert by_moment is not None
+    assert by_moment.moment is not None
+    assert (by_moment.shape, by_moment.moment_sd) == ("second moment", 0.05)
+    assert by_moment.moment.tolist() == [1e-10, 2e-11]
+
+
+def test_a_place_that_stands_twice_is_a_step(tmp_path: Path) -> None:
+    found = stated(tmp_path, FILE, "s,diameter_m\n0,0.01\n0.5,0.01\n0.5,0.006\n1,0.006\n").section
+    assert found is not None
+    assert found.s.tolist() == [0.0, 0.5, 0.5, 1.0]
+
+
+def test_k_may_be_stated_to_go_with_the_section(tmp_path: Path) -> None:
+    found = stated(tmp_path, 'stiffness_along = "section"\ndiameter_m = 0.01\nmodulus_varies = 0.1')
+    assert (found.stiffness_along, found.modulus_varies) == ("section", 0.1)
+
+
+def test_the_mass_may_go_with_the_sections_area(tmp_path: Path) -> None:
+    rows = "s,diameter_m,inner_diameter_m\n0,0.010,0.008\n0.4,0.010,0.004\n0.4,0.006,0.004\n0.9,0.006,0.005\n"
+    found = stated(tmp_path, f'{FILE}\nmass_along = "section"', rows)
+    line = found.mass_line
+    assert line is not None
+    assert found.mass == 0.08
+    s = np.array([0.0, 0.2, 0.65, 0.9])
+    area = np.array([0.010, 0.010, 0.006, 0.006]) ** 2 - np.array([0.008, 0.006, 0.0045, 0.005]) ** 2
+    per_metre = np.interp(s, line.s, line.value)
+    np.testing.assert_allclose(per_metre / per_metre[0], area / area[0], rtol=1e-9)
+    length = read_recording(tmp_path).beam.length
+    whole = float(np.trapezoid(line.value, line.s) + 0.1 * line.value[-1])  # beyond 0.9 it stays as it is there
+    assert length * whole == pytest.approx(0.08, rel=1e-12)
+
+
 FILE = 'section_file = "section.csv"'
+WITH = f'{FILE}\nstiffness_along = "section"'
 REFUSED = {
-    "both shapes": ("diameter_m = 0.01\nwidth_m = 0.01", "", "Give either, not both"),
+    "both shapes": ("diameter_m = 0.01\nwidth_m = 0.01", "", "Give one of these, not several"),
     "twice": (f"{FILE}\nwidth_m = 0.01", "s,width_m,thickness_m\n0,1,1\n1,1,1\n", "width_m stands in [beam] and in"),
     "not whole": (FILE, "s,width_m\n0,0.01\n1,0.01\n", "thickness_m is missing"),
     "no size": (f"{FILE}\nwidth_m = 0.01\nthickness_m = 0.01", "s,note\n0,a\n1,b\n", "there is no column width_m"),
     "another unit": (FILE, "s,width_mm,thickness_m\n0,9,0.01\n1,9,0.01\n", "did you mean width_m?"),
+    "no area": (f'{FILE}\nmass_along = "section"', "s,I_m4\n0,1e-9\n1,1e-9\n", "needs the section's sizes"),
+    "mass twice": (
+        'diameter_m = 0.01\nmass_along = "section"\nmass_file = "section.csv"',
+        "s,kg_per_m\n0,1\n1,1\n",
+        "both say how the mass is spread",
+    ),
+    "three shapes": ("diameter_m = 0.01\nacross_flats_m = 0.01\nwidth_m = 0.01", "", "Give one of these, not several"),
+    "no outside": ("inner_diameter_m = 0.01", "", "inner_diameter_m is of a tube. Give its diameter_m too"),
+    "no wall": ("diameter_m = 0.01\ninner_diameter_m = 0.01", "", "inner_diameter_m must be less than diameter_m"),
+    "no wall, by row": (
+        f"{FILE}\ndiameter_m = 0.01",
+        "s,inner_diameter_m\n0,0.009\n1,0.011\n",
+        "section.csv, row 3: inner_diameter_m must be less than diameter_m",
+    ),
+    "moment and size": (f"{FILE}\nwidth_m = 0.01", "s,I_m4\n0,1e-9\n1,1e-9\n", "Give one of these, not several"),
+    "moment of zero": (FILE, "s,I_m4\n0,1e-9\n1,0\n", "row 3: I_m4 must be above zero, and in m^4"),
+    "sd of sizes": (f"{FILE}\nsection_sd_m = 1e-4", "s,I_m4\n0,1e-9\n1,1e-9\n", "Of I_m4, give I_sd"),
+    "sd of moments": ("diameter_m = 0.01\nI_sd = 0.1", "", "Of sizes, give section_sd_m"),
+    "no section": ('stiffness_along = "section"\nwidth_m = 0.01', "", 'stiffness_along = "section" needs the section'),
+    "not to the ends": (WITH, "s,diameter_m\n0.2,0.01\n1,0.01\n", "known from s = 0.2 to 1 only"),
+    "nothing to vary about": (
+        "diameter_m = 0.01\nmodulus_varies = 0.1",
+        "",
+        "modulus_varies goes with stiffness_along",
+    ),
+    "step at an end": (FILE, "s,diameter_m\n0,0.01\n0,0.02\n1,0.01\n", "row 3: s must rise"),
+    "three at one place": (
+        FILE,
+        "s,diameter_m\n0,0.01\n0.5,0.02\n0.5,0.01\n0.5,0.03\n1,0.01\n",
+        "row 5: s must rise",
+    ),
     "one place": (FILE, "s,diameter_m\n0.5,0.01\n", "one place is no profile. Give the sizes in [beam]"),
     "falls": (FILE, "s,diameter_m\n0.5,0.01\n0.2,0.01\n", "row 3: s must rise"),
     "outside": (FILE, "s,diameter_m\n0.5,0.01\n1.2,0.01\n", "row 3: s must be between 0"),

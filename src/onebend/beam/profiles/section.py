@@ -19,6 +19,7 @@ from typing import Protocol
 import numpy as np
 
 from onebend.beam.profiles.piecewise import Pieces, in_pieces
+from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.stiffness import Profile, Scaled, Table, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
@@ -271,7 +272,7 @@ def _knots(profile: Profile) -> tuple[float, ...]:
         return _knots(profile.profile)
     if isinstance(profile, _Stacked):
         return tuple(sorted({knot for part in (*profile.below, profile.own) for knot in _knots(part)}))
-    knots = profile.s if isinstance(profile, Table) else profile.edges if isinstance(profile, Pieces) else ()
+    knots = profile.s if isinstance(profile, Table | Polyline) else profile.edges if isinstance(profile, Pieces) else ()
     return tuple(sorted({*profile.jumps, *(knot for knot in knots if 0.0 < knot < 1.0)}))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline, PchipInterpolator
 
 from onebend.beam.profiles.piecewise import Pieces
+from onebend.beam.profiles.polyline import Polyline
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
@@ -155,14 +156,16 @@ class Steps:
 
 @dataclass(frozen=True)
 class LogSpline:
-    """`log k(s)` as a B-spline: positive whatever the coefficients."""
+    """`log k(s)` as a B-spline, positive whatever the coefficients; beside a known part of log k where there is one."""
 
     knots: tuple[float, ...]  # with the ends repeated, as scipy's BSpline takes them
     coefficients: tuple[float, ...]  # of log(k / (N m))
     degree: int = 3
+    offset: Polyline | None = None  # of log k, known beforehand: that of the section's second moment
 
     def __call__(self, s: Array | float) -> Array:
-        return np.asarray(np.exp(self._spline(np.asarray(s, dtype=float))))
+        s = np.asarray(s, dtype=float)
+        return np.asarray(np.exp(self._spline(s) + (0.0 if self.offset is None else self.offset(s))))
 
     @cached_property
     def _spline(self) -> BSpline:
@@ -170,7 +173,7 @@ class LogSpline:
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        return ()
+        return () if self.offset is None else self.offset.jumps
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -178,6 +181,7 @@ class LogSpline:
             "knots": list(self.knots),
             "coefficients": list(self.coefficients),
             "degree": self.degree,
+            **({} if self.offset is None else {"offset": self.offset.as_dict()}),
         }
 
 
@@ -223,6 +227,7 @@ _KINDS: dict[str, Callable[..., Profile]] = {
     "steps": Steps,
     "log-spline": LogSpline,
     "pieces": Pieces,
+    "polyline": Polyline,
 }
 
 
@@ -232,6 +237,8 @@ def profile_from_dict(data: dict[str, Any]) -> Profile:
     try:
         if data["kind"] == "scaled":
             return Scaled(float(data["factor"]), profile_from_dict(data["profile"]))
+        if "offset" in entries:
+            entries["offset"] = profile_from_dict(data["offset"])
         return _KINDS[data["kind"]](**entries)
     except (KeyError, TypeError) as error:
         raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error

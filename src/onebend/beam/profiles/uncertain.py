@@ -12,7 +12,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.special import ndtri
 
-from onebend.beam.profiles.stiffness import LogSpline
+from onebend.beam.profiles.polyline import Polyline
+from onebend.beam.profiles.stiffness import LogSpline, profile_from_dict
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray
@@ -49,7 +50,8 @@ class Band:
 
 @dataclass(frozen=True)
 class UncertainStiffness:
-    """`log k(s) = sum_i c_i B_i(s) + g`: coefficients c, and one common log scale g, normal of sd `gain_sd`.
+    """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: an `offset` o that is known, coefficients c, and one common log scale
+    g, normal of sd `gain_sd`.
 
     Where k may have a step or not, log k is a mixture: its 50 % band is narrower than a normal's of the same sd.
     `shape` tells by how much; draws are normal.
@@ -63,6 +65,10 @@ class UncertainStiffness:
     doubts: tuple[str, ...] = ()  # why none of it is to be relied on: then no place counts as identified
     # (levels, S) widths of the bands of SHAPE_LEVELS at SHAPE_PLACES over those of a normal; None: all one
     shape: Array | None = None
+    offset: Polyline | None = None  # of log k, where the section's shape is stated; None: zero
+    # `E(s) I(s) / L` with I as stated, where k(s) was learned as a stated section's shape times a modulus: k(s) itself
+    # also holds what that section is off by
+    nominal: UncertainStiffness | None = None
 
     def __post_init__(self) -> None:
         count = len(self.mean)
@@ -79,12 +85,13 @@ class UncertainStiffness:
     @property
     def profile(self) -> LogSpline:
         """The most probable k(s)."""
-        return LogSpline(tuple(self.knots.tolist()), tuple(self.mean.tolist()), self.degree)
+        return self._with(self.mean)
 
     def log_at(self, s: Array) -> tuple[Array, Array]:
         """(S,) mean and sd of log k at `s`, the common scale apart."""
         basis = self.basis(s)
-        return basis @ self.mean, np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance, basis))
+        mean = basis @ self.mean + (0.0 if self.offset is None else self.offset(s))
+        return mean, np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance, basis))
 
     @one_blas_thread
     def band(self, s: Array, level: float = 0.95) -> Band:
@@ -120,7 +127,10 @@ class UncertainStiffness:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))
-        return tuple(LogSpline(tuple(self.knots.tolist()), tuple(c.tolist()), self.degree) for c in drawn)
+        return tuple(self._with(c) for c in drawn)
+
+    def _with(self, coefficients: Array) -> LogSpline:
+        return LogSpline(tuple(self.knots.tolist()), tuple(coefficients.tolist()), self.degree, self.offset)
 
     def basis(self, s: Array) -> Array:
         """(S, p) the splines' values at `s`."""
@@ -137,6 +147,8 @@ class UncertainStiffness:
             "degree": self.degree,
             "doubts": list(self.doubts),
             "shape": None if self.shape is None else self.shape.tolist(),
+            **({} if self.offset is None else {"offset": self.offset.as_dict()}),
+            **({} if self.nominal is None else {"nominal": self.nominal.as_dict()}),
         }
 
     @staticmethod
@@ -149,4 +161,8 @@ class UncertainStiffness:
             raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
         doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before, as the shape
         gain_sd, degree = float(data["gain_sd"]), int(data["degree"])
-        return UncertainStiffness(arrays[0], arrays[1], arrays[2], gain_sd, degree, doubts, shape)
+        offset = profile_from_dict(data["offset"]) if "offset" in data else None
+        if not (offset is None or isinstance(offset, Polyline)):
+            raise MechanicsError("the offset of an uncertain stiffness is no polyline")
+        nominal = UncertainStiffness.from_dict(data["nominal"]) if "nominal" in data else None
+        return UncertainStiffness(arrays[0], arrays[1], arrays[2], gain_sd, degree, doubts, shape, offset, nominal)

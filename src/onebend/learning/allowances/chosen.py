@@ -34,6 +34,7 @@ AllowanceName = Literal[
     "rolling shutter",
     "discrepancy",
     "angle discrepancy",
+    "between recordings",
 ]
 EVERY_ALLOWANCE: frozenset[AllowanceName] = frozenset(get_args(AllowanceName))
 

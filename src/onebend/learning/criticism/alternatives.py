@@ -15,7 +15,7 @@ import numpy as np
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.perturbation import Perturbation
-from onebend.beam.statics.sensitivity import of_clamp_angle, of_rest_curvature
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_rest_curvature, of_stiffness
 from onebend.learning.model.fit_data import REST_MODES, FitData
 from onebend.learning.model.forward import Prediction, tag_places, tag_ride
 from onebend.learning.model.parameters import Layout
@@ -36,6 +36,7 @@ UNITS = {  # of what the beam and the push may do otherwise
     "viscous": "N m s",
     "clamp gives": "rad/(N m)",
     "rest shape": "rad",
+    "stiffness along": "1",
 }
 _ALLOWED = {  # what the fit may allow for, and what need not be tested then
     "section": ("stretch", "shear"),
@@ -44,6 +45,7 @@ _ALLOWED = {  # what the fit may allow for, and what need not be tested then
     "clamp gives": ("clamp gives",),
 }
 AXES = ("x", "y", "angle")
+_ALONG = 3  # Legendre polynomials, from the slope on, that log k may have beside a shape that is stated
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class Alternative:
 
     suspect: Suspect
     pattern: Array  # (F, m, 3, n) m, m, rad per unit
+    log_k: Array | None = None  # (p, n) what they are of log k's coefficients; None: nothing
 
 
 @dataclass(frozen=True)
@@ -97,15 +100,19 @@ def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) 
     wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
     if layout.index["curvature", -1].start >= 0:
         del wanted["rest shape"]
+    along, stated = Suspect("mechanics", "stiffness along"), []
+    otherwise = wanted.pop(along.name)
+    if layout.known is not None:
+        stated.append(Alternative(along, otherwise, layout.spline.nearest(_along)))
     for allowed, names in _ALLOWED.items():
         if any(a.name == allowed for a in recording.allowances):
             for name in names:
                 wanted.pop(name, None)
     if recording.observations.static:  # poses have no order in time
         wanted.pop("viscous", None)
-        return [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+        return [*stated, *(Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items())]
     stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
-    return [*stiff, *_changes(recording, run, patterns), *_trends(recording, run)]
+    return [*stated, *stiff, *_changes(recording, run, patterns), *_trends(recording, run)]
 
 
 def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
@@ -147,7 +154,13 @@ def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
         "viscous": Perturbation(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
+        "stiffness along": of_stiffness(solved, problem.k[..., None] * _along(problem.grid.nodes)),
     }
+
+
+def _along(s: Array) -> Array:
+    """(..., n) Legendre polynomials of s, the constant left out."""
+    return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, _ALONG)[..., 1:])
 
 
 def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:

@@ -23,10 +23,10 @@ from onebend.records import Array
 
 # log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
 ALARM = -5.0
-# The same of what a person writes down of the push and its sensor: it is wrong more often than beams are odd, and
-# hardly shows.
+# The same of what a person writes down of the push, its sensor and the section: it is wrong more often than beams are
+# odd, and hardly shows.
 ALARM_WRITTEN = -2.5
-WRITTEN = ("push place", "force direction", "axis scale")
+WRITTEN = ("push place", "force direction", "axis scale", "stiffness along")
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
 _SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
 _MOST_NAMED = 3  # causes and symptoms that are named

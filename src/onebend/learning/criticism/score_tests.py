@@ -123,6 +123,7 @@ class _Freed:
     """The numbers b of one suspect, freed: what they do to the recordings that show it."""
 
     suspect: Suspect
+    log_k: Array | None  # (p, n) what they are of log k's coefficients; None: nothing
     numbers: tuple[int, ...]  # of these recordings
     d: tuple[Array, ...]  # (F, R, n) of each, whitened
     information: Array  # (n,) of each number alone
@@ -134,15 +135,15 @@ class _Freed:
 def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
     """The tests of the alternatives of each recording. Those of one suspect belong together; what only one recording
     shows is judged by that one."""
-    places: dict[Suspect, list[tuple[int, Array]]] = {}
+    places: dict[Suspect, list[tuple[int, Alternative]]] = {}
     for number, alternatives in enumerate(patterns):
         for one in alternatives:
-            places.setdefault(one.suspect, []).append((number, one.pattern))
+            places.setdefault(one.suspect, []).append((number, one))
     return [_score(fit, _freed(fit, suspect, shown)) for suspect, shown in places.items()]
 
 
-def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Array]]) -> _Freed:
-    each = [(number, *_mixed(fit, number, pattern)) for number, pattern in shown]
+def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> _Freed:
+    each = [(number, *_mixed(fit, number, one.pattern)) for number, one in shown]
     steps = [fit.step[fit.known[number]] for number, *_ in each]
     bb = np.sum([one for *_, one, _, _ in each], axis=0)
     g = np.sum([told - bx @ step for (*_, bx, told), step in zip(each, steps, strict=True)], axis=0)
@@ -158,7 +159,7 @@ def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Arra
         response = [whole[fit.known[number]] for number, *_ in each]
         marginal = bb - wide.T @ whole
     numbers, d = tuple(one[0] for one in each), tuple(one[1] for one in each)
-    return _Freed(suspect, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
+    return _Freed(suspect, shown[0][1].log_k, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
 
 
 def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Array, Array, Array]:
@@ -198,7 +199,8 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
         log10_p = float(_distributions().f.logsf(chi2 / count, count, freedom)) / np.log(10.0)
     moved = max(_moved(fit.problem.recordings[number], fit.rows[number], c) for number, c in changes.items())
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return Score(suspect, b, sd, chi2, log10_p, moved, steps[0][:p], max(ratio, 1.0))
+    shift = steps[0][:p] if freed.log_k is None else steps[0][:p] + freed.log_k @ b
+    return Score(suspect, b, sd, chi2, log10_p, moved, shift, max(ratio, 1.0))
 
 
 def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float, float]:

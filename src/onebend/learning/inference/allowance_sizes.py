@@ -22,26 +22,37 @@ FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
 def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
     """The factor of greatest evidence for every allowance that is `sized`, one after the other, under a half-Cauchy
     prior of scale one."""
-    layout, sizes = evidence.problem.layout, dict(start.sizes)
+    sizes = dict(start.sizes)
     names = {a.name for recording in evidence.problem.recordings for a in recording.allowances if a.sized}
     for name in sorted(names):
-        before = prior(evidence.problem, replace(start, sizes=sizes))
-        where = [
-            _stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)
-        ]
-        sd = [before.roots[i].sd[index] / sizes.get(name, 1.0) for i, index in enumerate(where)]
-        if len(where[0]):
-            told = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
-            sizes[name] = most_probable([_scaled(told, 0, sd[0])], 0)
-        else:
-            data, some = coupled(evidence.data, before, where[1:])
-            couple, root = some.parts[0].stop, some.roots[0]
-            forms = [
-                _scaled(_whitened(f, some.mean[:couple], root), couple, s)
-                for f, s in zip(data.forms, sd[1:], strict=True)
-            ]
-            sizes[name] = most_probable(forms, couple)
+        log_density = size_density(evidence, replace(start, sizes=sizes), name)
+        sizes[name] = float(FACTORS[int(np.argmax(log_density))])
     return sizes
+
+
+def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array:
+    """(FACTORS,) log of the posterior density of the log of one allowance's factor, but for a constant, all else at
+    `start`."""
+    layout, before = evidence.problem.layout, prior(evidence.problem, start)
+    where = [_stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)]
+    sd = [before.roots[i].sd[index] / start.sizes.get(name, 1.0) for i, index in enumerate(where)]
+    if len(where[0]):
+        told = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
+        return log_density_of([_scaled(told, 0, sd[0])], 0)
+    data, some = coupled(evidence.data, before, where[1:])
+    couple, root = some.parts[0].stop, some.roots[0]
+    forms = [
+        _scaled(_whitened(f, some.mean[:couple], root), couple, s) for f, s in zip(data.forms, sd[1:], strict=True)
+    ]
+    return log_density_of(forms, couple)
+
+
+def likely_sizes(evidence: Evidence, start: Hyperparameters, name: str, count: int) -> Array:
+    """(count,) factors on one allowance that are about equally probable: middles of parts of its posterior."""
+    log_density = size_density(evidence, start, name)
+    share = np.exp(log_density - np.max(log_density))
+    below = (np.cumsum(share) - 0.5 * share) / np.sum(share)
+    return np.asarray(np.exp(np.interp((np.arange(count) + 0.5) / count, below, np.log(FACTORS))))
 
 
 def _stands(blocks: Sequence[Block], name: str, start: int) -> IntArray:
@@ -68,8 +79,8 @@ def _whitened(form: InformationForm, mean: Array, root: BlockRoot) -> Informatio
     return InformationForm(both.around(form.matrix), both.transposed_times(vector))
 
 
-def most_probable(forms: Sequence[InformationForm], couple: int) -> float:
-    """The factor f of greatest posterior density of its log, for coefficients b of covariance `f^2 I` beforehand.
+def log_density_of(forms: Sequence[InformationForm], couple: int) -> Array:
+    """(FACTORS,) log of the posterior density of the log of a factor f, for coefficients b of prior covariance `f^2 I`.
 
     Each form is over `couple` shared parameters of covariance one, and over coefficients of its own. With all
     integrated out, `2 log p = sum (f^2 b' (I + f^2 H)^-1 b - log det(I + f^2 H)) + c' (I + S)^-1 c - log det(I + S)`,
@@ -91,4 +102,4 @@ def most_probable(forms: Sequence[InformationForm], couple: int) -> float:
         root = np.linalg.cholesky(left)
         white = np.linalg.solve(root, right[..., None])[..., 0]
         log_density += 0.5 * np.sum(white**2, axis=1) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
-    return float(FACTORS[int(np.argmax(log_density))])
+    return np.asarray(log_density)

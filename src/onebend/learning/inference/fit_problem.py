@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.allowances.patches import patch_functions
@@ -27,7 +26,7 @@ class RecordingNoise:
 class Hyperparameters:
     """Sizes of priors and noise, which the data choose."""
 
-    part_variances: Array  # (n,) variances of the parts of log k, see `Spline.parts`
+    part_variances: Array  # (n,) variances of the parts of log k, see `Layout.stiffness_parts`
     coloured: float  # sd of the force error's coloured part, over what was expected
     memory: float  # its correlation time, likewise
     walk: float  # the random walk of the force error, likewise
@@ -84,7 +83,7 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
         for block in inside:
             where, index = block.where, np.arange(block.where.start, block.where.stop) - part.start
             if block.name == "stiffness":
-                blocks.append((index, _stiffness_root(layout, h.part_variances)))
+                blocks.append((index, layout.stiffness_root(h.part_variances)))
                 mean[where] = problem.level if log_k is None else log_k
             elif block.name == "force":  # x and y in turn, alike
                 error = problem.recordings[block.recording].error
@@ -96,19 +95,9 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
     return Prior(mean, layout.parts, tuple(roots))
 
 
-def _stiffness_root(layout: Layout, variances: Array) -> Array:
-    """(p, p) lower triangular factor of the prior covariance of log k's coefficients."""
-    root = layout.spline.root_of(variances)
-    if not layout.even:
-        return root
-    differences = layout.differences @ root
-    factor = np.linalg.qr(np.concatenate([np.eye(len(root)), differences]), mode="r")
-    return np.asarray(np.linalg.qr(solve_triangular(factor, root.T, trans="T"), mode="r")).T
-
-
 def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
-    """Indices (n,) of the parameters that log k is made of, and (f, n) how the finer spline's coefficients follow from
-    them."""
+    """Indices (n,) of the parameters that log k, less what is known of it, is made of, and (f, n) how the finer
+    spline's coefficients follow from them."""
     layout = problem.layout
     where, fine = layout.index["stiffness", -1].where, layout.spline.finer
     index: list[IntArray] = [np.arange(where.start, where.stop)]

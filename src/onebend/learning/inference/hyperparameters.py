@@ -8,12 +8,14 @@ from their posterior (`stiffness_prior.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
 
+from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.inference.block_root import BlockRoot
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
 from onebend.learning.inference.information_form import InformationForm
@@ -28,6 +30,7 @@ from onebend.learning.inference.stiffness_prior import (
     Draws,
     StiffnessMixture,
     mean_part_variances,
+    normal_mixture,
     stiffness_mixture,
 )
 from onebend.learning.model.fit_data import FitData
@@ -69,8 +72,7 @@ class Evidence:
         """What is known of log k beside its prior, all else integrated out at the hyperparameters of a posterior."""
         layout, before = self.problem.layout, posterior.before
         mean, p = before.mean[before.parts[0]], np.arange(layout.spline.count)
-        log_k = marginal(posterior.left, mean, before.roots[0], p)
-        return InformationForm(log_k.matrix + layout.differences.T @ layout.differences, log_k.vector, weight=weight)
+        return replace(marginal(posterior.left, mean, before.roots[0], p), weight=weight)
 
     def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
         """Sizes of the force error z (4,) sd from what was expected, all else as at `start`."""
@@ -122,11 +124,14 @@ def _chosen(hyperparameters: Hyperparameters) -> Array:
 
 
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
-    """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
+    """Sizes of the force error of greatest evidence, and the mean prior of log k under them; where its shape is stated,
+    that prior stays as it is."""
     bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
     options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
+    if problem.layout.known is not None:
+        return chosen
     spline = problem.layout.spline
     variances, chains = mean_part_variances(
         spline, evidence.stiffness_form(evidence.posterior(chosen)), problem.level, _ON_THE_WAY, start.chains
@@ -135,20 +140,26 @@ def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperp
 
 
 def averaged_posterior(
-    evidence: Evidence, hyperparameters: Hyperparameters
+    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
 ) -> tuple[StiffnessMixture, JointCovariance]:
-    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open."""
+    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open; `sizes`
+    of the allowances are equally probable."""
     nodes, weights = _cubature(evidence, hyperparameters)
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
-    pairs, forms = [np.zeros((len(index), len(index))) for index in known], []
-    for weight, node in zip(weights.tolist(), nodes, strict=True):
-        posterior = evidence.posterior(node)
-        forms.append(evidence.stiffness_form(posterior, weight))
+    pairs, forms, mean = [np.zeros((len(index), len(index))) for index in known], [], np.zeros(len(best))
+    for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
+        posterior, weight = evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
+        if layout.known is None:
+            forms.append(evidence.stiffness_form(posterior, weight))
+        mean += weight * posterior.mean
         away = posterior.mean - best
         for pair, one, index in zip(pairs, posterior.covariance.pairs, known, strict=True):
             pair += weight * (one + np.outer(away[index], away[index]))
     spline = layout.spline
+    if layout.known is not None:
+        p, halves = spline.count, [0.5 * (pair + pair.T) for pair in pairs]
+        return normal_mixture(mean[:p], halves[0]), JointCovariance(layout.shared, tuple(halves), layout.parts)
     stiffness = stiffness_mixture(spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
     pairs = [_with_stiffness(pair, stiffness.covariance) for pair in pairs]
     return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)

@@ -37,14 +37,19 @@ class ResidualRows:
     """One recording at one point: whitened and robustly weighted, R = 3 m numbers a frame."""
 
     r: Array  # (F, R) residuals, the effect of each frame's own force included
-    slopes: Slopes
+    whitened: Slopes  # not weighted yet: the derivatives are most of what a fit keeps in memory
     known: Array  # (F, R) 1 where measured
     root_weight: Array  # (F, R)
 
     @property
+    def slopes(self) -> Slopes:
+        """The rows' derivatives, weighted."""
+        return replace(self.whitened, j=self.root_weight[..., None] * self.whitened.j, a=self.a)
+
+    @cached_property
     def a(self) -> Array:
         """(F, R, 2) with the frame's force."""
-        return self.slopes.a
+        return np.asarray(self.root_weight[..., None] * self.whitened.a)
 
     @cached_property
     def gram(self) -> Array:
@@ -64,17 +69,13 @@ def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
     numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
     root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
-    weights, slopes = root[..., None], plain.slopes
-    weighted = replace(slopes, j=weights * slopes.j, a=weights * slopes.a)
-    return ResidualRows(root * plain.r, weighted, known, root)
+    return ResidualRows(root * plain.r, plain.whitened, known, root)
 
 
 def unweighted_rows(now: Prediction) -> ResidualRows:
     """Rows of one recording, whitened alone."""
-    whiten, slopes, frames = now.recording.whiten, now.slopes, len(now.pose)
-    known = np.any(whiten != 0.0, axis=-1).astype(float).reshape(frames, -1)
-    j, a = (np.asarray((whiten @ one).reshape(*known.shape, -1)) for one in (slopes.j, slopes.a))
-    return ResidualRows(residuals(now) + explained_by(a, now.own), replace(slopes, j=j, a=a), known, known)
+    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
+    return ResidualRows(residuals(now) + explained_by(now.whitened.a, now.own), now.whitened, known, known)
 
 
 def residuals(now: Prediction) -> Array:

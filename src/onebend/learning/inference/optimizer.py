@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.inference.allowance_sizes import choose_sizes
+from onebend.learning.allowances.allowance import Sizes
+from onebend.learning.allowances.mounting import BETWEEN
+from onebend.learning.inference.allowance_sizes import choose_sizes, likely_sizes
 from onebend.learning.inference.descent import MapEstimate, all_converged, descend, rows_of
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, prior
 from onebend.learning.inference.hyperparameters import (
@@ -33,6 +35,7 @@ from onebend.workers import each
 
 _HELD_SD = 1e-5  # of log k where it is held in its place
 _STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
+_FEW, _LIKELY = 10, 5  # recordings; values of what they leave open of the differences between them
 _STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
 
 
@@ -56,6 +59,7 @@ class Optimum:
     jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
     shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
     hyperparameters: Hyperparameters
+    sizes: tuple[Sizes, ...]  # of the allowances, equally probable: those that the posterior is averaged over
     predictions: tuple[Prediction, ...]
     log_evidence: float
     steps: int
@@ -105,8 +109,9 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
+    sizes = _likely(evidence, hyperparameters)
     estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
-    stiffness, covariance = averaged_posterior(evidence, hyperparameters)
+    stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
@@ -114,6 +119,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         jumps=stiffness.steps,
         shape=stiffness.shape,
         hyperparameters=hyperparameters,
+        sizes=sizes,
         predictions=predictions,
         log_evidence=evidence.posterior(hyperparameters).log_evidence,
         steps=estimate.steps,
@@ -122,6 +128,15 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         if estimate.converged
         else f"{settings.most_steps} steps were not enough",
     )
+
+
+def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes, ...]:
+    """Sizes of the allowances that are equally probable: two recordings hardly tell by how much mountings differ, many
+    do."""
+    sizes, few = hyperparameters.sizes, len(evidence.problem.recordings) <= _FEW
+    if BETWEEN not in sizes or not few:
+        return (dict(sizes),)
+    return tuple({**sizes, BETWEEN: float(f)} for f in likely_sizes(evidence, hyperparameters, BETWEEN, _LIKELY))
 
 
 def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:

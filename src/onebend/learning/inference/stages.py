@@ -10,14 +10,16 @@ import numpy as np
 from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.allowances.mounting import BETWEEN, between_recordings
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at
+from onebend.learning.known_shape import known_shape
 from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.frames import chosen_frames
 from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.model.spline import Spline
 from onebend.records import Array, Observations
 from onebend.workers import each
 
@@ -54,7 +56,7 @@ def first_problem(
     layout = _layout(recordings, data, spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
-    return FitProblem(data, layout, level, Hyperparameters(spline.variances(TAU, RHO), 1.0, 1.0, 1.0, 1.0, noise)), x
+    return FitProblem(data, layout, level, Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)), x
 
 
 def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
@@ -78,10 +80,15 @@ def _layout(
 def _data(
     recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
 ) -> tuple[FitData, ...]:
-    def of(number: int, one: Observations) -> FitData:
-        return fit_data(one, number, chosen_frames(one, most), spline, allowances)
+    known = known_shape(recordings)
 
-    return each(of, range(len(recordings)), recordings)
+    def of(number: int, one: Observations) -> FitData:
+        return fit_data(one, number, chosen_frames(one, most), spline, allowances, known)
+
+    data = each(of, range(len(recordings)), recordings)
+    if len(data) == 1 or BETWEEN not in allowances:
+        return data
+    return tuple(replace(one, allowances=(*one.allowances, between_recordings(one.problem.grid.nodes))) for one in data)
 
 
 def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
@@ -90,9 +97,11 @@ def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
     if not np.all(k > 0.0):
         raise LearningError("the start stiffness must be positive everywhere")
-    x = np.zeros(layout.size)
-    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
-    return x, float(np.mean(np.log(k)))
+    x, level = np.zeros(layout.size), float(np.mean(np.log(k)))
+    # Where the shape of k is stated, its level alone is taken over.
+    own = np.log(k) if layout.known is None else np.full(len(s), level)
+    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), own, rcond=None)[0]
+    return x, level
 
 
 def with_mass_found(

@@ -42,6 +42,13 @@ class StiffnessMixture:
     shape: Array  # (levels, S) how wide its bands are over those of a normal, see `UncertainStiffness`
 
 
+def normal_mixture(mean: Array, covariance: Array) -> StiffnessMixture:
+    """log k's coefficients where the sizes in their prior are known: mean (p,), covariance (P, P) with theirs first."""
+    p = len(mean)
+    shape = np.ones((len(SHAPE_LEVELS), len(SHAPE_PLACES)))
+    return StiffnessMixture(mean, covariance[:p, :p], np.zeros(p - 1), shape)
+
+
 @dataclass(frozen=True)
 class _Chains:
     """Where B chains stand."""

@@ -250,7 +250,8 @@ def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness
             )
         s = np.linspace(0.0, 1.0, 8 * len(start.mean))
         onto = np.linalg.lstsq(layout.spline.basis(s), start.basis(s), rcond=None)[0]
-        x[:p] = mean[:p] = onto @ start.mean
+        offset = np.zeros(p) if start.offset is None else layout.spline.nearest(start.offset)
+        x[:p] = mean[:p] = onto @ start.mean + offset
         size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
         return LivePrior(layout, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
     s = np.linspace(0.0, 1.0, 8 * p)

@@ -15,6 +15,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.allowances.chosen import AllowanceName, allowances_of
 from onebend.learning.allowances.inertia import inertial_force, unknown_mass
+from onebend.learning.known_shape import KnownShape
 from onebend.learning.model.force_error import ForceError, force_error
 from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical, whitening
 from onebend.learning.model.held_ends import HeldEnds, held_ends, resolution_of
@@ -50,6 +51,7 @@ class FitData:
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
     mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
+    offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
     allowances: tuple[Allowance, ...] = ()
 
@@ -60,8 +62,10 @@ def fit_data(
     frames: BoolArray,
     spline: Spline,
     allowances: frozenset[AllowanceName] = frozenset(),
+    known: KnownShape | None = None,
 ) -> FitData:
-    """Prepare a recording: everything that does not depend on the parameters; `allowances` by name."""
+    """Prepare a recording: everything that does not depend on the parameters; `allowances` by name, `known`: what is
+    stated of how k varies."""
     o = observations
     time = o.time[frames]
     error = force_error(o, time)
@@ -84,7 +88,8 @@ def fit_data(
         raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
     line = mass_profile(o)
     written = line if weighs and o.stated.mass_along not in POWERS else Uniform(0.0)
-    carrier = Beam(o.length, Uniform(1.0), mass_per_length=written)
+    known = KnownShape(None, 0.0) if known is None else known
+    carrier = Beam(o.length, known.profile, mass_per_length=written)
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
@@ -110,6 +115,7 @@ def fit_data(
         ends=ends,
         mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
+        offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
         allowances=allowed if mass is None else (*allowed, mass),
     )

@@ -80,10 +80,17 @@ class Prediction:
     force: Array  # (F, 2) N, the corrected force, `own` with it
     own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
 
-    @cached_property
+    @property
     def slopes(self) -> Slopes:
         """Derivatives of the tags' poses (F, m, 3), exact."""
         return _slopes(self)
+
+    @cached_property
+    def whitened(self) -> Slopes:
+        """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
+        slopes, shape = self.slopes, (len(self.pose), 3 * self.pose.shape[1], -1)
+        j, a = (np.asarray((self.recording.whiten @ one).reshape(shape)) for one in (slopes.j, slopes.a))
+        return replace(slopes, j=j, a=a)
 
 
 def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
@@ -94,7 +101,9 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
     slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
     force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ _axes(layout, x, r).T + own
     force = force + allowed(recording, layout, x, "force")
-    k = np.exp(recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k"))
+    k = np.exp(
+        recording.offset + recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k")
+    )
     weight_beyond = recording.weight + allowed(recording, layout, x, "load")
     if recording.mass is not None:
         weight_beyond = weight_beyond + recording.mass.force(recording.problem, k, layout.get(x, "mass"))

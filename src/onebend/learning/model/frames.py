@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.loads import Loads, push, weight
+from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.stiffness import Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
@@ -159,6 +160,8 @@ def known_loads(observations: Observations, frames: BoolArray) -> Loads:
 def mass_profile(observations: Observations) -> Profile:
     """kg/m along the beam, as written down; zero where no mass is known."""
     line, mass = observations.stated.mass_line, observations.stated.mass
+    if line is not None and observations.stated.mass_along == "section":
+        return Polyline(tuple(line.s.tolist()), tuple(line.value.tolist()))
     if line is not None:
         return Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
     return Uniform(mass / observations.length if np.isfinite(mass) else 0.0)

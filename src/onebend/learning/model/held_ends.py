@@ -20,6 +20,7 @@ from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Problem, Resolution
 from onebend.beam.statics.sensitivity import of_force, of_moment, respond
+from onebend.learning.known_shape import KnownShape, known_shape
 from onebend.learning.model.mass import forced, weighs
 from onebend.learning.model.parameters import Layout
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
@@ -166,19 +167,30 @@ def _closer(xy: Array, s: Array, solved: Equilibrium, ends: HeldEnds) -> Array:
 
 
 def stated_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
-    """That k was taken as one number; and what can be said of it where nothing sets its scale."""
-    even = any(o.stated.stiffness_along == "even" for o in recordings)
-    text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
-    said = (Remark("note", text),) if even else ()
+    """What was stated of how k varies; and what can be said of it where nothing sets its scale."""
+    known = known_shape(recordings)
+    said = () if known is None else (_of_shape(known),)
     return said + (_no_scale(stiffness) if sets_no_scale(recordings) else ())
+
+
+def _of_shape(known: KnownShape) -> Remark:
+    text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
+    if known.section is not None:
+        text = 'k is taken as one modulus times the section\'s I(s), as stiffness_along = "section" says'
+        if known.errors(np.zeros(1)).size == 0:
+            sd = "I_sd" if known.section.moment is not None else "section_sd_m"
+            text += f" (exact, as no {sd} is stated)"
+    if known.varies > 0.0:
+        text += f", and as free to vary slowly by {100.0 * known.varies:.2g} % (sd) beside that"
+    return Remark("note", text)
 
 
 def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
     s = np.array(_PLACES)
-    rows = stiffness.basis(s)
+    rows, logs = stiffness.basis(s), stiffness.log_at(s)[0]
     rows = rows[[0, 2]] - rows[1]
     sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
-    ratio, wide = np.exp(rows @ stiffness.mean), np.exp(half_width(sd))
+    ratio, wide = np.exp(logs[[0, 2]] - logs[1]), np.exp(half_width(sd))
     said = ", ".join(
         f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
         for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)

@@ -23,6 +23,7 @@ _SPREAD = {  # what is stated of it
     "width": "per metre taken as the third root of k(s), as where only the width varies",
     "thickness": "per metre taken as k(s), as where only the thickness varies",
     "both": "per metre taken as the root of k(s), as where width and thickness vary together",
+    "section": "per metre taken as the section's area",
     "table": "spread as in mass_file",
 }
 

@@ -7,7 +7,7 @@ cone) `mu ~ k^(1/2)`. k(s) then carries the mass with it: `mu = (mass / L) k^p /
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class OwnWeight:
 def own_weight(o: Observations, problem: Problem, gravity: Array, even: Array, written: Profile) -> OwnWeight:
     """Of a recording whose mass is known or guessed; `even` (Q, 4) or (F, Q, 4): Legendre functions at the nodes."""
     modes = o.stated.mass / o.length * even
-    if o.stated.mass_along == "table":  # the whole table is heavier or lighter
+    if o.stated.mass_along in ("section", "table"):  # the whole of it is heavier or lighter
         modes = np.concatenate([np.asarray(written(problem.grid.nodes))[..., None], modes[..., 1:]], axis=-1)
     return OwnWeight(gravity, modes, problem.weights, POWERS.get(o.stated.mass_along))
 
@@ -77,7 +77,10 @@ def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Pr
     s = np.linspace(0.0, 1.0, 2001)
     total = float(np.trapezoid(stiffness.profile(s) ** power, s))
     logs = power * stiffness.mean + np.log(mass / o.length / total)
-    return LogSpline(tuple(stiffness.knots.tolist()), tuple(logs.tolist()), stiffness.degree)
+    offset = stiffness.offset
+    if offset is not None:
+        offset = replace(offset, values=tuple(power * value for value in offset.values))
+    return LogSpline(tuple(stiffness.knots.tolist()), tuple(logs.tolist()), stiffness.degree, offset)
 
 
 def _beyond(problem: Problem, line: Array, gravity: Array) -> Array:

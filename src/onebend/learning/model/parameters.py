@@ -9,13 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
+from onebend.learning.known_shape import KnownShape, known_shape
 from onebend.learning.model.mass import weighs
-from onebend.learning.model.spline import Spline
+from onebend.learning.model.spline import LEVEL_SD, RHO, TAU, Spline
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
-_EVEN = 0.01  # of k: what is left of its variation where it is one number
+_EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
 _STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
@@ -62,14 +63,37 @@ class Layout:
     blocks: tuple[Block, ...]
     size: int
     index: dict[tuple[str, int], Block] = field(default_factory=dict)
-    even: bool = False  # k is one number, as somebody knows
+    known: KnownShape | None = None  # how k varies, where somebody states it
+
+    @cached_property
+    def stiffness_parts(self) -> Array:
+        """(p, n) coefficients of the independent parts that log k, less what is known of it, is the sum of before the
+        data: a level, what is left of an even k, the section's errors, the slow variation. `Spline.parts` where nothing
+        is stated."""
+        if self.known is None:
+            return self.spline.parts
+        of_places = [self.spline.nearest(each) for each in (self.known.errors, self.known.slow)]
+        return np.column_stack([np.ones(self.spline.count), np.eye(self.spline.count), *of_places])
 
     @property
-    def differences(self) -> Array:
-        """(p, p) by which the coefficients of log k become their differences from their mean, in prior sds; zero unless
-        k is even."""
-        count = self.spline.count
-        return np.asarray((np.eye(count) - 1.0 / count) * (1.0 / _EVEN if self.even else 0.0))
+    def first_variances(self) -> Array:
+        """(n,) of these parts: as expected, or as stated."""
+        if self.known is None:
+            return self.spline.variances(TAU, RHO)
+        out = np.ones(self.stiffness_parts.shape[1])
+        out[0], out[1 : 1 + self.spline.count] = LEVEL_SD**2, _EVEN**2
+        return out
+
+    @cached_property
+    def section_errors(self) -> Array:
+        """(p, p) prior covariance of what the errors of the stated section are among the coefficients."""
+        parts = np.zeros((self.spline.count, 0)) if self.known is None else self.spline.nearest(self.known.errors)
+        return np.asarray(parts @ parts.T)
+
+    def stiffness_root(self, variances: Array) -> Array:
+        """(p, p) lower triangular factor of the coefficients' prior covariance, from the variances (n,) of the
+        parts."""
+        return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.stiffness_parts.T, mode="r")).T
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
         """Values of a block; zeros (of the right length) where it is frozen."""
@@ -161,8 +185,8 @@ def make_layout(
             sds[1:] = _mass_spread(recordings, priors)
         blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
         start += len(labels) if free else 0
-    even = any(r.stated.stiffness_along == "even" for r in recordings)
-    return Layout(spline, tuple(blocks), start, {(b.name, b.recording): b for b in blocks}, even)
+    index = {(b.name, b.recording): b for b in blocks}
+    return Layout(spline, tuple(blocks), start, index, known_shape(recordings))
 
 
 def clamp_sd(one: Observations, priors: Priors) -> float:

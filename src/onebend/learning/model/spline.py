@@ -58,11 +58,6 @@ class Spline:
         """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
         return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
 
-    def root_of(self, variances: Array) -> Array:
-        """(count, count) lower triangular factor of the coefficients' prior covariance, from the variances (n,) of its
-        parts."""
-        return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.parts.T, mode="r")).T
-
     def variances(self, tau: float | Array, rho: float | Array) -> Array:
         """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
         out = np.zeros((*np.shape(tau), 3 * self.count - 1))

@@ -6,6 +6,7 @@ OpenCV is an optional part of onebend. Only this module and `calibration` know i
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,7 +15,11 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.progress import Progress, Silent
-from onebend.recording.video import Picture, decoded, luma_of, opened
+from onebend.recording.bags.film_topic import bag_frames
+from onebend.recording.bags.reader import is_bag, listed, open_bag
+from onebend.recording.bags.topics import guess
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import Picture, decoded, frame_count, luma_in
 from onebend.records import Array, IntArray
 
 BoardKind = Literal["chessboard", "charuco"]
@@ -22,6 +27,7 @@ BoardKind = Literal["chessboard", "charuco"]
 SEARCHED_FRAMES = 240  # frames of a film, evenly spread
 _BURST = 0.35  # s, of which the sharpest frame counts
 _FEWEST_CORNERS = 8
+_RATE = 30.0  # frames/s, where a film does not say
 _MOST_PIXELS = 1_000_000  # of a picture in which a chessboard is first looked for; refined in the whole one
 
 
@@ -94,16 +100,17 @@ def opencv() -> Any:
         raise RecordingError('Calibrating needs OpenCV, an optional part: pip install "onebend[calibrate]"') from None
 
 
-def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> BoardFilm:
-    """The board in frames spread over the film; of each few neighbours the sharpest.
+def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress = Silent()) -> BoardFilm:
+    """The board in frames spread over the film; of each few neighbours the sharpest. `topic`: of the images in a bag.
 
     Raises:
-        RecordingError: no OpenCV, not a film, a picture that changes its size, an unknown dictionary.
+        RecordingError: no OpenCV, not a film, a bag without its topic, a picture that changes its size, an unknown
+            dictionary.
     """
     cv2 = opencv()
     find = _finder(cv2, board)
-    with opened(film) as container:
-        count = container.streams.video[0].frames
+    video = _film_of(film, topic)
+    count = frame_count(video) or 0
     every = max(1, count // SEARCHED_FRAMES)
     size: tuple[int, int] | None = None
     views: list[BoardView] = []
@@ -111,10 +118,10 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
     looked, boards, begin = 0, 0, 0.0
     progress.start("looking for the board", count // every if count else None)
     try:
-        for index, frame in enumerate(decoded(film)):
+        for index, now, raw in _timed(video):
             if index % every:
                 continue
-            picture = luma_of(frame)
+            picture = luma_in(video, index, raw)
             size = picture.shape if size is None else size
             if picture.shape != size:
                 raise RecordingError(f"{film}: the picture's size changes at frame {index}. Film in one size.")
@@ -122,7 +129,6 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
             looked += 1
             if corners is not None:
                 boards += 1
-                now = index / 30.0 if frame.time is None else float(frame.time)
                 if burst and now - begin > _BURST:
                     views += _sharpest(burst)
                     burst = []
@@ -133,6 +139,29 @@ def find_boards(film: Path, board: Board, *, progress: Progress = Silent()) -> B
         progress.done()
     assert size is not None  # a film without frames is an error of `decoded`
     return BoardFilm(size[1], size[0], (*views, *_sharpest(burst)), looked, boards)
+
+
+def _film_of(film: Path, topic: str) -> VideoEntry:
+    """The film, or the topic of a bag."""
+    bag = is_bag(film)
+    if bag and not topic:
+        contents = open_bag(film)
+        likely = guess(contents, "image")
+        hint = f" Add --topic {likely}." if likely else ""
+        raise RecordingError(f"{film} is a bag that holds {listed(contents)}.{hint}")
+    if topic and not bag:
+        raise RecordingError(f"{film} is no bag and has no topics. Leave out --topic.")
+    return VideoEntry(film, topic=topic)
+
+
+def _timed(video: VideoEntry) -> Iterator[tuple[int, float, Any]]:
+    """Index, time [s] and raw picture of every frame; a film without times counts as 30 frames/s."""
+    if video.topic:
+        for index, (time, message) in enumerate(bag_frames(video)):
+            yield index, time, message
+    else:
+        for index, frame in enumerate(decoded(video.file)):
+            yield index, index / _RATE if frame.time is None else float(frame.time), frame
 
 
 def _sharpest(burst: list[BoardView]) -> list[BoardView]:

@@ -81,14 +81,17 @@ class Calibration:
 
 
 @one_blas_thread
-def calibrate(film: Path, board: Board, *, most_views: int = 30, progress: Progress = Silent()) -> Calibration:
-    """Pinhole and lens (OpenCV's k1 k2 p1 p2, and k3 where the views need it) from a film of a board.
+def calibrate(
+    film: Path, board: Board, *, topic: str = "", most_views: int = 30, progress: Progress = Silent()
+) -> Calibration:
+    """Pinhole and lens (OpenCV's k1 k2 p1 p2, and k3 where the views need it) from a film of a board, or the images of
+    one `topic` of a bag.
 
     Raises:
         RecordingError: no OpenCV, no board seen, too few or too similar views.
     """
     cv2 = opencv()
-    board_film = find_boards(film, board, progress=progress)
+    board_film = find_boards(film, board, topic=topic, progress=progress)
     if len(board_film.views) < _FEWEST:
         size = f"{board.columns}x{board.rows} " + ("inner corners" if board.kind == "chessboard" else "squares")
         raise RecordingError(

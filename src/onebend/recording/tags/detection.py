@@ -13,8 +13,9 @@ import numpy as np
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
+from onebend.recording.tags.finder import Finder
 from onebend.recording.tags.frozen import frozen, frozen_remarks, noting_changes, repeated
-from onebend.recording.tags.tracking import BlockTracks, Finder, track_block
+from onebend.recording.tags.tracking import BlockTracks, track_block
 from onebend.recording.toml.entries import FAMILIES, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import FilmFrame, Picture, frame_count, rate_remarks, read_frames

@@ -6,29 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pyapriltags import Detector
 
-from onebend.recording.tags.pattern import CELLS, correct_still
+from onebend.recording.tags.finder import NEAR, Finder, Sighting, margin_of
+from onebend.recording.tags.pattern import correct_still
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
-NEAR, WIDE = 0.4, 1.5  # margins around a tag's predicted place, in tag sizes: the first try and the second
-LEAST_MARGIN = 8  # px
-# Decimation costs accuracy or small tags; a little blur before the search takes noise off the edges. Measured in
-# benchmarks/detectors.py.
-DECIMATE, BLUR = 1.0, 0.8
-HALF_PIXEL = 0.5  # the detector puts pixel centres at halves, we at whole numbers
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """One tag in one picture; `corners` as in `records.Detections`."""
-
-    tag_id: int
-    corners: Array  # (4, 2) px
-    errors: int  # bits of the code that had to be corrected
-    margin: float  # contrast of the code's bits; larger is more certain
+WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
 
 
 @dataclass(frozen=True)
@@ -43,22 +28,6 @@ class BlockTracks:
     doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was read without error at two places
 
 
-class Finder:
-    """An AprilTag detector. It owns memory outside Python: one for each thread."""
-
-    def __init__(self, family: str) -> None:
-        self.cells = CELLS.get(family)
-        self._detector = Detector(families=family, quad_decimate=DECIMATE, quad_sigma=BLUR)
-
-    def look(self, picture: Picture) -> list[Sighting]:
-        """Every tag in `picture`, the most certain first."""
-        sightings = [
-            Sighting(tag.tag_id, tag.corners - HALF_PIXEL, tag.hamming, tag.decision_margin)
-            for tag in self._detector.detect(np.ascontiguousarray(picture))
-        ]
-        return sorted(sightings, key=lambda tag: (tag.errors, -tag.margin))
-
-
 def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
     """Follow the tags `tag_id` through consecutive frames.
 
@@ -71,7 +40,7 @@ def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Find
     for t, frame in enumerate(frames):
         follow(tracks, t, -1, frame.luma, tag_id, finder)
         if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
-            sightings = finder.look(frame.luma)
+            sightings = finder.look(frame.luma, tag_id)
             looks += 1
             strangers += [tag.tag_id for tag in sightings if tag.tag_id not in tag_id]
             doubles += [(frame.index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
@@ -91,9 +60,8 @@ def follow(tracks: Array, t: int, step: int, picture: Picture, tag_id: Sequence[
         expected, move = predict(tracks[:, i], t, step)
         if expected is None:
             continue
-        size = float(np.ptp(expected, axis=0).max())
         for margin in (NEAR, WIDE):
-            sightings = look_around(picture, expected, max(margin * size, LEAST_MARGIN) + margin * move, finder)
+            sightings = finder.look_around(picture, expected, margin_of(expected, margin) + margin * move)
             take(tracks[t, i : i + 1], sightings, tag_id[i : i + 1])
             if not np.isnan(tracks[t, i]).any():
                 break
@@ -114,17 +82,6 @@ def predict(track: Array, t: int, step: int) -> tuple[Array | None, float]:
         return nearest, 0.0
     shift = (nearest - track[visible[1]]).mean(axis=0) * (t - visible[0]) / (visible[0] - visible[1])
     return nearest + shift, float(np.abs(shift).max())
-
-
-def look_around(picture: Picture, expected: Array, margin: float, finder: Finder) -> list[Sighting]:
-    """Tags in the part of the picture within `margin` of the expected corners."""
-    height, width = picture.shape
-    left, top = np.maximum(np.floor(expected.min(axis=0) - margin), 0).astype(int)
-    right, bottom = np.minimum(np.ceil(expected.max(axis=0) + margin) + 1, (width, height)).astype(int)
-    if right - left < LEAST_MARGIN or bottom - top < LEAST_MARGIN:
-        return []
-    sightings = finder.look(picture[top:bottom, left:right])
-    return [Sighting(tag.tag_id, tag.corners + np.array([left, top]), tag.errors, tag.margin) for tag in sightings]
 
 
 def take(row: Array, sightings: Sequence[Sighting], tag_id: Sequence[int]) -> None:

@@ -33,16 +33,24 @@ class BeamEntry:
     )
     stiffness_along: StiffnessAlong = key(
         "stiffness_along",
-        one_of("unknown", "even"),
-        'what is known of how k varies: "even" where it is one number (one section and material), or "unknown"',
+        one_of("unknown", "even", "section"),
+        'what is known of how k varies: "even" where it is one number (one section and material), as the "section" '
+        'varies (one modulus times its I), or "unknown"',
         example='"even"',
         default="unknown",
     )
+    modulus_varies: float = key(
+        "modulus_varies",
+        number(least=0, most=2.0),
+        "how far the modulus may vary slowly along such a beam (one standard deviation, 0.1 = 10 %); 0: not at all",
+        example="0.1",
+        default=0.0,
+    )
     mass_along: MassAlong = key(
         "mass_along",
-        one_of("unknown", "even", "width", "thickness", "both", "table"),
+        one_of("unknown", "even", "width", "thickness", "both", "section", "table"),
         'what is known of how the mass is spread: "even", as the beam\'s "width", "thickness" or "both" vary, as the '
-        '"table" in mass_file, or "unknown"',
+        'area of its "section" (with mass_kg), as the "table" in mass_file, or "unknown"',
         example='"even"',
         default="unknown",
     )
@@ -67,10 +75,25 @@ class BeamEntry:
         example="0.012",
         default=math.nan,
     )
+    inner_diameter: float = key(
+        "inner_diameter_m",
+        number(above=0, most=LONGEST),
+        "the inner diameter of a tube, beside diameter_m, m",
+        example="0.010",
+        default=math.nan,
+    )
+    across_flats: float = key(
+        "across_flats_m",
+        number(above=0, most=LONGEST),
+        "the width of a hexagonal beam across its flats, in place of the others, m",
+        example="0.006",
+        default=math.nan,
+    )
     section_file: Path | None = key(
         "section_file",
         text,
-        "a table with columns s and width_m, thickness_m or diameter_m: the sizes that vary along the beam",
+        "a table with columns s and width_m, thickness_m, diameter_m, inner_diameter_m or across_flats_m: the sizes "
+        "that vary along the beam; or s and I_m4, the section's second moment",
         example='"section.csv"',
         default=None,
     )
@@ -79,6 +102,13 @@ class BeamEntry:
         number(least=0, most=LONGEST),
         "how far off these sizes may be (one standard deviation), m; 0: exact",
         example="0.0001",
+        default=math.nan,
+    )
+    moment_sd: float = key(
+        "I_sd",
+        number(least=0, most=2.0),
+        "how far off I_m4 may be, alike at all places (one standard deviation, 0.05 = 5 %); 0: exact",
+        example="0.05",
         default=math.nan,
     )
     rest: Rest = key(

@@ -78,6 +78,20 @@ class UncalibratedEntry:
 
 
 @dataclass(frozen=True)
+class CameraInfoEntry:
+    """[camera] where the film's bag holds the calibration."""
+
+    topic: str = key(
+        "camera_info",
+        text,
+        "instead of all these but scale_sd: the topic of the calibration in the bag of [video]",
+        example='"/camera/camera_info"',
+        default="",
+    )
+    scale_sd: float = scale_sd()
+
+
+@dataclass(frozen=True)
 class VideoEntry:
     """[video]: the film and its clock."""
 

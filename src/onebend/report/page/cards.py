@@ -12,7 +12,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
 from onebend.report.kinds import words_of
-from onebend.report.modulus import measured_beam, modulus_range
+from onebend.report.modulus import measured_beam, modulus_range, one_modulus_words
 from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant, worst_tag
 
@@ -72,7 +72,11 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
 
 def _modulus_card(findings: Findings) -> list[dict[str, str]]:
     """Young's modulus, where the section was measured."""
-    found = modulus_range(measured_beam(findings))
+    measured = measured_beam(findings)
+    found, one = modulus_range(measured), one_modulus_words(measured)
+    if one:
+        note = f"95 %; mean along the beam, k(s) stated to go with the section; {found} at its places"
+        return [{"what": "Young's modulus E", "value": one, "note": note}]
     note = "E(s) = k L / I, where k is identified, by the section that recording.toml states"
     return [{"what": "Young's modulus E(s)", "value": found, "note": note}] if found else []
 

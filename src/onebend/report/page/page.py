@@ -13,6 +13,7 @@ from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations
+from onebend.report.allowance_words import mounting_words
 from onebend.report.confidence import (
     alarm_words,
     allowance_rows,
@@ -27,7 +28,7 @@ from onebend.report.confidence import (
 from onebend.report.figures.film import FilmStrip
 from onebend.report.findings import Findings, all_remarks, name_of
 from onebend.report.kinds import learned_from, only_static, words_of
-from onebend.report.modulus import measured_beam, modulus_rows, modulus_words
+from onebend.report.modulus import measured_beam, modulus_rows, modulus_words, one_modulus_words
 from onebend.report.page.cards import cards
 from onebend.report.page.interactive import SCRIPTS, script_data
 from onebend.report.page.made_from import MadeFrom
@@ -84,6 +85,7 @@ def _content(findings: Findings) -> dict[str, Any]:
         "k_rows": _stiffness_rows(findings),
         "modulus": modulus_rows(measured_beam(findings), np.linspace(0.0, 1.0, 11)),
         "modulus_words": modulus_words(measured_beam(findings)),
+        "one_modulus": bool(one_modulus_words(measured_beam(findings))),
         "tags": [f"tag {tag}" for tag in first.tag_id],
         "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
         "learned_figures": _learned_captions(findings),
@@ -109,7 +111,13 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "alarm": alarm_words(posterior),
         "unseen": unseen_words(possible(posterior)),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
-        "gain": " ".join([scale_words(posterior.gain_sd, recordings), *load_error_words(posterior.load_error)]),
+        "gain": " ".join(
+            [
+                scale_words(posterior.gain_sd, recordings),
+                *load_error_words(posterior.load_error),
+                mounting_words(posterior),
+            ]
+        ),
         "stopped": stop_words(posterior),
         "nuisances": nuisance_rows(posterior.nuisances()),
         "tradeoffs": tradeoff_words(posterior),
