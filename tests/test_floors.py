@@ -46,7 +46,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("bags",),
         ("video", "stated", "tag_turns", "beam_frame"),
         ("camera", "clock"),
-        ("tags", "tracks", "calibration"),
+        ("tags", "tracks", "calibration", "tool"),
         ("gravity", "implausible_axes", "folder", "preview"),
         ("pairing", "photos", "template"),
         ("observe",),

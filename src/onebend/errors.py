@@ -77,6 +77,7 @@ SECTIONS: dict[str, str] = {
     "bad rows": "rows-or-pictures-are-missing",
     "push place": "the-push-acts-elsewhere",
     "push beside": "the-push-acts-elsewhere",
+    "tool place": "the-film-shows-the-tool-elsewhere",
     # the clocks
     "clock": "force-and-tags-disagree-in-time",
     "no overlap": "film-and-log-do-not-overlap",

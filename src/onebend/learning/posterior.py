@@ -28,7 +28,7 @@ from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import PredictedFrequencies
 from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.joint_covariance import JointCovariance
-from onebend.learning.inference.misfit import Miss, misses
+from onebend.learning.inference.misfit import Miss, doubts_of, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
     Optimum,
@@ -58,7 +58,6 @@ from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
-CONTRADICTED = "the force contradicts the bending"
 
 
 @dataclass(frozen=True)
@@ -131,8 +130,7 @@ class Posterior:
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
         for o in (recording.observations for recording in self.recordings):
-            if any(remark.doubt for remark in o.source.remarks):
-                doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
+            doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
         return tuple(doubts)
 
     @cached_property

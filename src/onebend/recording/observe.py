@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -35,6 +35,7 @@ from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tool.film import tool_in_film, tool_remarks
 from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.marker_tracks import track_markers
 from onebend.recording.tracks.measured_frequencies import frequency_observations, with_frequencies
@@ -124,7 +125,19 @@ def _shown(
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
-    return assemble(rec, markers, log, base, settings)
+    return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
+
+
+def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:
+    """With a warning where the film shows the tool elsewhere than `at_s` says. `base_angle` (T,) is of every frame."""
+    if rec.video is None or rec.push is None or not np.isfinite(rec.push.at) or not rec.video.file.exists():
+        return seen
+    markers = Markers(
+        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
+        seen.source.view,
+    )  # fmt: skip
+    remarks = tool_remarks(tool_in_film(rec, markers, seen.loaded, seen.frame), rec)
+    return replace(seen, source=replace(seen.source, remarks=(*seen.source.remarks, *remarks))) if remarks else seen
 
 
 def swing_signals(

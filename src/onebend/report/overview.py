@@ -22,7 +22,7 @@ from onebend.recording.force.implausible_force import refuse_other_unit, size_re
 from onebend.recording.gravity import read_base_log
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.pairing import check_direction, check_pace, read_log
-from onebend.recording.preview import AGAIN, Preview, displacement, look_at
+from onebend.recording.preview import Preview, bent, displacement, look_at
 from onebend.recording.signals import outliers, step
 from onebend.recording.stated import stated_in
 from onebend.recording.toml.entries import Recording
@@ -90,7 +90,7 @@ def overview(folder: Path | str) -> Overview:
         *sizes,
         *_film_rows(recording, film),
         *_tag_rows(preview),
-        *_log_rows(recording, log),
+        *_log_rows(recording, log, preview),
     ]
     remarks = [*recording.remarks, *(log.remarks if log else ())]
     if seen is not None:
@@ -205,7 +205,7 @@ def _refuse_axes(recording: Recording, markers: Markers, log: ForceLog) -> None:
         return
     time = markers.time + offsets[int(np.argmax(alike))]
     at_frames = np.stack([np.interp(time, log.time, column) for column in force.T], axis=1)
-    loaded = np.asarray(away > AGAIN * float(away.max()))
+    loaded = bent(markers)
     rest = rest_shape(markers, ~loaded)
     check_direction(recording, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
 
@@ -282,7 +282,7 @@ def _pose_rows(recording: Recording) -> list[tuple[str, str]]:
     return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
 
 
-def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str]]:
+def _log_rows(recording: Recording, log: ForceLog | None, preview: Preview | None) -> list[tuple[str, str]]:
     if log is None or recording.force is None or recording.push is None:
         return [] if recording.poses is not None or recording.photos is not None else [("force", "none")]
     span = log.time[-1] - log.time[0]
@@ -290,6 +290,7 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     reach = ", ".join(f"{low:.2f} … {high:.2f} N" for low, high in zip(log.force.min(0), log.force.max(0), strict=True))
     column = recording.push.column
     place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
+    place += f"; the film shows the tool at s = {preview.tool.words}" if preview and preview.tool.seen else ""
     start, doubt = recording.start
     source = " ".join((recording.force.file.name, recording.force.topic)).strip()
     what = "the video starts" if recording.video is not None else "the tracks start"

@@ -10,10 +10,12 @@ import numpy as np
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.model.frames import distances, marker_rms
-from onebend.records import Array, covariance_with_camera
+from onebend.records import Array, Observations, covariance_with_camera
 
 MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
+DOUBTS = {"tool place": "the film shows the tool elsewhere"}  # by what a remark on the recording is about
+CONTRADICTED = "the force contradicts the bending"  # what all others say
 _LEAST_MISS = 3.0  # times a tag's own noise: a smaller distance is no miss, however little the tag moves
 
 
@@ -68,3 +70,9 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
         return None
     share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
     return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+
+
+def doubts_of(observations: Observations) -> tuple[str, ...]:
+    """What the recording itself says against what is learned from it; empty as a rule."""
+    said = (DOUBTS.get(one.about, CONTRADICTED) for one in observations.source.remarks if one.doubt)
+    return tuple(dict.fromkeys(said))
