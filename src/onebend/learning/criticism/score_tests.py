@@ -55,6 +55,11 @@ class Score:
     shift: Array  # (p,) by which the coefficients of log k change
     noise: float = 1.0  # variance that the fit took for noise over what is left of it, not below 1
 
+    @property
+    def able(self) -> bool:
+        """Whether the data tell anything of it, beside the model's own parameters."""
+        return bool(np.all(np.isfinite(self.value)))
+
 
 @dataclass(frozen=True)
 class LinearisedFit:
