@@ -45,6 +45,13 @@ COMMANDS = {
         "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
         "examples/linear-beam/train -o out/linear-beam --force",
     ),
+    "batch": Place(
+        "batching",
+        "batch",
+        "Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped.",
+        "out/stems -o out/stems-learned",
+        "onebend film linear --markers -o out/stems/dry/stem-1",
+    ),
     "validate": Place(
         "learning",
         "validate",

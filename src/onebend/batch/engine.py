@@ -1,0 +1,103 @@
+"""Tasks on Dask: a cluster on this machine, or any by its address. Results do not depend on which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from typing import Any
+from uuid import uuid4
+
+import onebend
+from onebend.batch.listing import Item
+from onebend.batch.task import TaskResult, TaskSettings, do
+from onebend.errors import ResultsError
+from onebend.workers import available_cores, leave_interrupts_to_parent
+
+WAIT = "30s"  # for a scheduler to answer
+
+
+def distributed() -> Any:
+    """Dask's library for clusters. Raises `ResultsError` where it is not installed."""
+    try:
+        import dask
+        import distributed as library
+    except ModuleNotFoundError as error:
+        raise ResultsError(
+            "a batch runs on Dask, which is not installed. Install it with: pip install 'onebend[batch]'"
+        ) from error
+    # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
+    dask.config.set({"distributed.logging": {"distributed": "critical"}})
+    return library
+
+
+@contextmanager
+def cluster(address: str | None = None, workers: int | None = None, *, processes: bool = True) -> Iterator[Any]:
+    """A client of the scheduler at `address`, or of one here with `workers` of one thread each (default: one a core).
+
+    Raises:
+        ResultsError: Dask is not installed, or nobody answers at the address.
+    """
+    library = distributed()
+    if address is not None:
+        try:
+            client = library.Client(address, timeout=WAIT)
+        except (OSError, ValueError) as error:
+            raise ResultsError(f"no scheduler answers at {address} ({error}). Start one, or correct it") from error
+        try:
+            yield client
+        finally:
+            client.close()
+        return
+    count = workers or available_cores()
+    dashboard = "127.0.0.1:0" if find_spec("bokeh") else None
+    with (
+        library.LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=processes, dashboard_address=dashboard, memory_limit=0
+        ) as local,
+        library.Client(local) as client,
+    ):
+        if processes:
+            client.run(leave_interrupts_to_parent)
+        yield client
+
+
+def dashboard_of(client: Any) -> str:
+    """The link of the cluster's page; empty where it has none."""
+    return str(client.dashboard_link or "") if find_spec("bokeh") else ""
+
+
+def results_of(client: Any, items: Sequence[Item], settings: TaskSettings) -> Iterator[tuple[int, TaskResult]]:
+    """Every item's number and result, as they come. A task whose worker is lost goes to another one.
+
+    Raises:
+        ResultsError: the scheduler is lost.
+    """
+    library, batch = distributed(), uuid4().hex
+    futures = {}
+    for i, item in enumerate(items):
+        key = f"onebend-{batch}-{i}"
+        futures[client.submit(here, item, settings, key=key, pure=False)] = i
+    try:
+        for future in library.as_completed(futures):
+            yield futures[future], _result(future, library)
+    finally:
+        if client.status == "running":
+            client.cancel(list(futures), force=True)
+
+
+def here(item: Item, settings: TaskSettings) -> TaskResult:
+    """`task.do` by the onebend of the machine that this runs on."""
+    return do(item, settings, version=onebend.__version__)
+
+
+def _result(future: Any, library: Any) -> TaskResult:
+    if future.status == "finished":
+        found: TaskResult = future.result()
+        return found
+    if future.status == "error":
+        error = future.exception()
+        if isinstance(error, library.KilledWorker):
+            return TaskResult("", True, "the workers that learned it were lost, one after the other: too little memory?")
+        return TaskResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
+    raise ResultsError("the scheduler of the cluster is lost")
