@@ -21,13 +21,14 @@ def distributed() -> Any:
     """Dask's library for clusters. Raises `ResultsError` where it is not installed."""
     try:
         import dask
+
+        # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
+        dask.config.set({"distributed.logging": {"distributed": "critical"}})
         import distributed as library
     except ModuleNotFoundError as error:
         raise ResultsError(
             "a batch runs on Dask, which is not installed. Install it with: pip install 'onebend[batch]'"
         ) from error
-    # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
-    dask.config.set({"distributed.logging": {"distributed": "critical"}})
     return library
 
 
@@ -98,6 +99,6 @@ def _result(future: Any, library: Any) -> TaskResult:
     if future.status == "error":
         error = future.exception()
         if isinstance(error, library.KilledWorker):
-            return TaskResult("", True, "the workers that learned it were lost, one after the other: too little memory?")
+            return TaskResult("", True, "the workers that learned from it were lost: too little memory?")
         return TaskResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
     raise ResultsError("the scheduler of the cluster is lost")

@@ -38,7 +38,7 @@ def items_of(source: Path, out: Path) -> tuple[Item, ...]:
     if source.is_dir():
         found = _in_folder(source.resolve(), out.resolve())
         if not found:
-            raise RecordingError(f"{source} holds no recording, that is no folder with {FILE_NAME}. Name another folder.")
+            raise RecordingError(f"{source} holds no recording, no folder with {FILE_NAME}. Name another.")
     elif source.suffix.lower() == ".csv" or source.is_file():
         found = _in_list(source)
     else:

@@ -20,7 +20,7 @@ class Scores:
     """How far recordings are from the median of their group, in robust standard deviations; NaN: too few others."""
 
     level: Array  # (N,) of the mean of log k
-    shape: Array  # (N,) of how far log k, less its mean, is from the median shape; one-sided
+    shape: Array  # (N,) of how far log k, less its mean, is from the median shape (RMS); not negative
     reasons: tuple[str, ...]  # N; empty: no outlier
 
 
@@ -41,7 +41,7 @@ def scores(log_k: Array, sd: Array, groups: Sequence[str]) -> Scores:
         off = log_k[rows] - mean[:, None]
         off -= np.median(off, axis=0)
         far = np.sqrt(np.mean(off**2, axis=1))
-        shape[rows] = (far - np.median(far)) / np.maximum(_spread(far), own)
+        shape[rows] = far / np.maximum(MAD_TO_SD * np.median(far), own)
         for row, one, less in zip(rows, off, mean - np.median(mean), strict=True):
             reasons[row] = _reason(level[row], shape[row], one, float(less))
     return Scores(level, shape, tuple(reasons))
@@ -59,6 +59,7 @@ def _reason(level: float, shape: float, off: Array, less: float) -> str:
     if shape > FAR:
         at = int(np.argmax(np.abs(off)))
         said.append(
-            f"the shape of k(s) is {np.exp(off[at]):.2g} times the group's at s = {PLACES[at]:.2g} ({shape:.2g} robust sd)"
+            f"the shape of k(s) is {np.exp(off[at]):.2g} times the group's at s = {PLACES[at]:.2g} "
+            f"({shape:.2g} robust sd)"
         )
     return "; ".join(said)

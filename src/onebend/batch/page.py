@@ -1,4 +1,4 @@
-"""`index.html` of a batch: a table that can be sorted, a small picture of each k(s), what is unlike the others and why."""
+"""`index.html` of a batch: a table to sort, a small picture of each k(s), what is unlike the others and why."""
 
 from __future__ import annotations
 

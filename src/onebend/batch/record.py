@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.errors import OnebendError
 from onebend.files.manifest import sha256_of
 from onebend.files.single_file import write_file
 from onebend.pipeline import Run
@@ -37,7 +35,6 @@ class Record:
     low: Array | None = None  # (101,) N m, of the 95 % band
     high: Array | None = None  # (101,) N m
     identified: Array | None = None  # (101,) bool
-    stiffness: UncertainStiffness | None = None  # k(s) with its whole covariance
     grade: str = ""  # of the verdict
     headline: str = ""
     error: float = np.nan  # m RMS of the worst tag
@@ -71,7 +68,6 @@ def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record
         low=band.low,
         high=band.high,
         identified=np.asarray(band.identified),
-        stiffness=run.posterior.stiffness,
         grade=verdict.grade,
         headline=verdict.headline,
         error=verdict.error,
@@ -91,12 +87,7 @@ def record_path(out: Path, hashed: str) -> Path:
 
 def write_record(out: Path, record: Record) -> None:
     """Put the record in place, whole or not at all. Raises `ResultsError` where it cannot be written."""
-    data = {
-        "format": FORMAT,
-        **{name: value for name, value in vars(record).items() if name != "stiffness"},
-        "stiffness": None if record.stiffness is None else record.stiffness.as_dict(),
-    }
-    write_file(record_path(out, record.hash), to_json(data) + "\n", overwrite=True)
+    write_file(record_path(out, record.hash), to_json({"format": FORMAT, **vars(record)}) + "\n", overwrite=True)
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
@@ -117,10 +108,9 @@ def read_record(out: Path, hashed: str) -> Record | None:
             | {
                 "identified": known,
                 "nuisances": tuple((n, unit, *map(_number, values)) for n, unit, *values in data["nuisances"]),
-                "stiffness": None if data["stiffness"] is None else UncertainStiffness.from_dict(data["stiffness"]),
             }
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OnebendError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 

@@ -100,7 +100,7 @@ def _record(out: Path, item: Item, result: TaskResult) -> Record:
     record = read_record(out, result.hash)
     if record is None:
         raise ResultsError(
-            f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must see "
-            "this folder under the same path"
+            f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must "
+            "see this folder under the same path"
         )
     return record

@@ -57,14 +57,14 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
     rows = [
-        (item.name, *values) for item, one in zip(outcome.items, outcome.records, strict=True) for values in one.nuisances
+        (item.name, *values)
+        for item, one in zip(outcome.items, outcome.records, strict=True)
+        for values in one.nuisances
     ]
     columns = list(zip(*rows, strict=True)) if rows else [()] * 6
     kinds = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.float64(), pa.float64())
     names = ("name", "nuisance", "unit", "value", "sd", "prior_sd")
-    return pa.table(
-        {name: pa.array(values, kind) for name, values, kind in zip(names, columns, kinds, strict=True)}
-    )
+    return pa.table({name: pa.array(values, kind) for name, values, kind in zip(names, columns, kinds, strict=True)})
 
 
 def as_parquet(table: pa.Table) -> bytes:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from onebend.batch.listing import Item
+from onebend.batch.record import Record, hash_of, read_record, record_of, write_record
 from onebend.errors import OnebendError, RecordingError, ResultsError, told
 from onebend.files.manifest import read_summary
 from onebend.files.publish import abandon, finish, prepare, publish
@@ -23,9 +25,6 @@ from onebend.results.provenance import InputFile, as_data, inputs_of, provenance
 from onebend.results.recording_files import files_of
 from onebend.results.summary import LEARN_FORMAT, summary_of
 
-from onebend.batch.listing import Item
-from onebend.batch.record import Record, hash_of, read_record, record_of, write_record
-
 FOLDERS = "recordings"  # in the results folder: a folder of each, where asked for
 
 
@@ -36,8 +35,9 @@ class TaskSettings:
     out: Path  # absolute
     version: str  # of the onebend that asks
     folders: bool = False  # also a results folder of each recording
-    fitting: FitSettings = FitSettings()
-    observing: ObserveSettings = ObserveSettings(threads=1)  # the other cores have recordings of their own
+    fitting: FitSettings = field(default_factory=FitSettings)
+    # the other cores have recordings of their own
+    observing: ObserveSettings = field(default_factory=lambda: ObserveSettings(threads=1))
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,7 @@ def _has_folder(item: Item, out: Path, hashed: str) -> bool:
     return summary is not None and summary.get("record") == hashed
 
 
-def _write_folder(
-    item: Item, run: Run, settings: TaskSettings, files: tuple[InputFile, ...], hashed: str
-) -> None:
+def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[InputFile, ...], hashed: str) -> None:
     """What `onebend learn` leaves, but for the pictures."""
     made_from = provenance(files, {}, {"fit": settings.fitting, "observing": settings.observing})
     summary: Mapping[str, Any] = {**summary_of(run, written_by=f"onebend {settings.version}"), "record": hashed}

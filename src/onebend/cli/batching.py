@@ -13,12 +13,14 @@ from onebend.batch.writing import summary_of, write_batch
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, progress_of, say, screen
 from onebend.cli.options import Json, Quiet
+from onebend.errors import ResultsError
 from onebend.terminal.batches import show_batch
 
 Source = Annotated[
     Path,
     typer.Argument(
-        metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path, a row a recording."
+        metavar="FOLDER|LIST.csv",
+        help="A folder with recordings in it, or a CSV with a column path.",
     ),
 ]
 Results = Annotated[
@@ -54,7 +56,7 @@ def batch(
 
     with clean_errors():
         if scheduler is not None and workers is not None:
-            raise typer.BadParameter("give --scheduler or --workers: a cluster has its own workers")
+            raise ResultsError("a cluster has its own workers. Give --scheduler or --workers, not both")
         with progress_of(quiet) as progress:
             outcome = run_batch(
                 source, output, scheduler=scheduler, workers=workers, folders=folders, progress=progress, began=began

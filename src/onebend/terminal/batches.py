@@ -27,4 +27,6 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
         for item, why in rows[:MOST]:
             table.add_row(one_line(item.name), one_line(why))
         console.print(table)
-    console.print(f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, nuisances.parquet", markup=False)
+    console.print(
+        f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, nuisances.parquet", markup=False
+    )
