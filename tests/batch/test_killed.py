@@ -59,5 +59,5 @@ def test_killed_in_its_middle_nothing_is_lost_and_nothing_done_twice(tmp_path: P
 
 def test_no_scheduler_at_the_address_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("onebend.batch.engine.WAIT", "1s")
-    with pytest.raises(ResultsError, match="no scheduler answers at tcp://127.0.0.1:1"), cluster("tcp://127.0.0.1:1"):
+    with pytest.raises(ResultsError, match="no scheduler answers at tcp"), cluster("tcp://127.0.0.1:1"):
         pass

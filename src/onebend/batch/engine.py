@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
 from uuid import uuid4
 
-import onebend
 from onebend.batch.listing import Item
 from onebend.batch.task import TaskResult, TaskSettings, do
 from onebend.errors import ResultsError
@@ -89,7 +89,7 @@ def results_of(client: Any, items: Sequence[Item], settings: TaskSettings) -> It
 
 def here(item: Item, settings: TaskSettings) -> TaskResult:
     """`task.do` by the onebend of the machine that this runs on."""
-    return do(item, settings, version=onebend.__version__)
+    return do(item, settings, version=version("onebend"))
 
 
 def _result(future: Any, library: Any) -> TaskResult:

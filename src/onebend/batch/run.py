@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import onebend
 from onebend.batch.engine import cluster, dashboard_of, results_of
 from onebend.batch.listing import Item, items_of
 from onebend.batch.outcome import BatchOutcome, outcome_of
@@ -58,7 +58,7 @@ def run_batch(
     place = enter(target, BATCH_FORMAT)
     try:
         _take(target)
-        settings = TaskSettings(target, onebend.__version__, folders)
+        settings = TaskSettings(target, version("onebend"), folders)
         with cluster(scheduler, workers, processes=processes) as client:
             began(dashboard_of(client))
             results = _all(client, items, settings, progress)
@@ -77,7 +77,7 @@ def _take(out: Path) -> None:
         return
     if out.exists() and any(out.iterdir()):
         raise ResultsError(f"{out}: holds files that are not of a batch. Choose another -o")
-    write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {onebend.__version__}"}) + "\n")
+    write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {version('onebend')}"}) + "\n")
 
 
 def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: Progress) -> list[TaskResult]:

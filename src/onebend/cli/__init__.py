@@ -46,7 +46,7 @@ COMMANDS = {
         "examples/linear-beam/train -o out/linear-beam --force",
     ),
     "batch": Place(
-        "batching",
+        "long_runs",
         "batch",
         "Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped.",
         "out/stems -o out/stems-learned",
@@ -169,7 +169,7 @@ COMMANDS = {
         "linear --push free --sensor wrist -o out/released",
     ),
     "reproduce": Place(
-        "reproducing",
+        "long_runs",
         "reproduce",
         "Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report.",
         "-o out/paper --quick --without-video",
