@@ -24,7 +24,7 @@ def main(count: int = COUNT) -> None:
         stems, out = Path(name) / "stems", Path(name) / "out"
         for i in range(count):
             stem(stems / f"group-{i % 2}" / f"stem-{i}", scale=1.0 + i % 2, seed=i)
-        alone = [_timed(lambda i=i: learn(stems / f"group-{i % 2}" / f"stem-{i}")) for i in range(ALONE)]  # type: ignore[misc]
+        alone = [_timed(lambda i=i: learn(stems / f"group-{i % 2}" / f"stem-{i}")) for i in range(ALONE)]
         began = time.perf_counter()
         outcome = run_batch(stems, out, workers=1)
         whole = time.perf_counter() - began
