@@ -14,6 +14,7 @@ from onebend.batch.task import TaskResult, TaskSettings, do
 from onebend.errors import ResultsError
 from onebend.workers import available_cores, leave_interrupts_to_parent
 
+ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
 WAIT = "30s"  # for a scheduler to answer
 
 
@@ -51,10 +52,9 @@ def cluster(address: str | None = None, workers: int | None = None, *, processes
             client.close()
         return
     count = workers or available_cores()
-    dashboard = "127.0.0.1:0" if find_spec("bokeh") else None
     with (
         library.LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=processes, dashboard_address=dashboard, memory_limit=0
+            n_workers=count, threads_per_worker=1, processes=processes, dashboard_address=ANY_PORT, memory_limit=0
         ) as local,
         library.Client(local) as client,
     ):
