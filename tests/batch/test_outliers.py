@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 from scipy.special import ndtri
 
-from onebend.batch.outliers import FAR, scores
+from onebend.batch.outliers import FALSE_ALARMS, limit_of, scores
 from onebend.batch.record import PLACES
 
 
@@ -25,8 +26,22 @@ def test_level_and_shape_that_stand_out_are_told_with_their_reason() -> None:
     found = scores(log_k, sd, ["g"] * len(log_k))
     assert re.match(r"k is (1\.9|2|2\.1) times", found.reasons[4])
     assert "shape of k(s)" in found.reasons[7]
-    assert found.shape[7] > FAR
+    assert found.shape[7] > limit_of(len(log_k))
     assert [i for i, why in enumerate(found.reasons) if why] == [4, 7]
+
+
+@pytest.mark.parametrize("count", [5, 17, 100, 1200])
+def test_few_groups_in_which_nothing_differs_name_one(count: int) -> None:
+    rng, groups = np.random.default_rng(count), 100_000 // (count + 50) + 60
+    level, shape = 0, 0
+    for _ in range(groups):
+        one, slope = rng.standard_normal((2, count, 1))
+        found = scores(0.1 * one + 0.05 * slope * (PLACES - 0.5), np.full((count, 101), 1e-9), ["g"] * count)
+        level += bool(np.any(np.abs(found.level) > limit_of(count)))
+        shape += bool(np.any(found.shape > limit_of(count)))
+    far = 4.0 * np.sqrt(FALSE_ALARMS / groups)
+    for alarms in (level / groups, shape / groups):
+        assert FALSE_ALARMS - far < alarms < FALSE_ALARMS + far
 
 
 def test_groups_are_compared_apart_and_small_ones_not_at_all() -> None:

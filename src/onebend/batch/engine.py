@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib.metadata import version
 from importlib.util import find_spec
+from logging import getLogger
 from typing import Any
 from uuid import uuid4
 
@@ -16,6 +18,8 @@ from onebend.workers import available_cores, leave_interrupts_to_parent
 
 ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
 WAIT = "30s"  # for a scheduler to answer
+Work = Callable[[Item, TaskSettings], TaskResult]
+LOST = "the scheduler of the cluster is lost. Start it and its workers again"
 
 
 def distributed() -> Any:
@@ -59,8 +63,21 @@ def cluster(address: str | None = None, workers: int | None = None, *, processes
         library.Client(local) as client,
     ):
         if processes:
-            client.run(leave_interrupts_to_parent)
+            client.register_plugin(_prepared(library))
         yield client
+
+
+def _prepared(library: Any) -> Any:
+    """A plugin for workers here, those that take the place of lost ones included."""
+
+    class Prepared(library.WorkerPlugin):  # type: ignore[misc]
+        name = "onebend"
+
+        def setup(self, worker: Any) -> None:  # noqa: ARG002
+            leave_interrupts_to_parent()
+            getLogger("distributed").setLevel("CRITICAL")
+
+    return Prepared()
 
 
 def dashboard_of(client: Any) -> str:
@@ -68,7 +85,14 @@ def dashboard_of(client: Any) -> str:
     return str(client.dashboard_link or "") if find_spec("bokeh") else ""
 
 
-def results_of(client: Any, items: Sequence[Item], settings: TaskSettings) -> Iterator[tuple[int, TaskResult]]:
+def here(item: Item, settings: TaskSettings) -> TaskResult:
+    """`task.do` by the onebend of the machine that this runs on."""
+    return do(item, settings, version=version("onebend"))
+
+
+def results_of(
+    client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
+) -> Iterator[tuple[int, TaskResult]]:
     """Every item's number and result, as they come. A task whose worker is lost goes to another one.
 
     Raises:
@@ -76,20 +100,17 @@ def results_of(client: Any, items: Sequence[Item], settings: TaskSettings) -> It
     """
     library, batch = distributed(), uuid4().hex
     futures = {}
-    for i, item in enumerate(items):
-        key = f"onebend-{batch}-{i}"
-        futures[client.submit(here, item, settings, key=key, pure=False)] = i
     try:
+        for i, item in enumerate(items):
+            key = f"onebend-{batch}-{i}"
+            futures[client.submit(work, item, settings, key=key, pure=False)] = i
         for future in library.as_completed(futures):
             yield futures[future], _result(future, library)
+    except (OSError, CancelledError) as error:
+        raise ResultsError(LOST) from error
     finally:
         if client.status == "running":
             client.cancel(list(futures), force=True)
-
-
-def here(item: Item, settings: TaskSettings) -> TaskResult:
-    """`task.do` by the onebend of the machine that this runs on."""
-    return do(item, settings, version=version("onebend"))
 
 
 def _result(future: Any, library: Any) -> TaskResult:
@@ -101,4 +122,4 @@ def _result(future: Any, library: Any) -> TaskResult:
         if isinstance(error, library.KilledWorker):
             return TaskResult("", True, "the workers that learned from it were lost: too little memory?")
         return TaskResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
-    raise ResultsError("the scheduler of the cluster is lost")
+    raise ResultsError(LOST)

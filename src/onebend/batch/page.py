@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from onebend.batch.outcome import BatchOutcome
-from onebend.batch.outliers import FAR
+from onebend.batch.outliers import FALSE_ALARMS
 from onebend.batch.record import PLACES, Record
 from onebend.batch.tables import recordings_table
 from onebend.escaping import one_line
@@ -31,7 +31,7 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
         "cards": _cards(outcome),
         "outliers": [(one_line(item.name), why) for item, why in outcome.outliers],
         "failed": [(one_line(item.name), one_line(why)) for item, why in outcome.failed],
-        "far": FAR,
+        "alarms": significant(200.0 * FALSE_ALARMS),
         **_table(outcome),
         "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
         "least": significant(least),
