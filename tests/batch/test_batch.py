@@ -16,7 +16,7 @@ import pytest
 from onebend.batch import run as running
 from onebend.batch.engine import cluster
 from onebend.batch.outcome import BatchOutcome
-from onebend.batch.record import PLACES, RECORDS, read_record, record_path, write_record
+from onebend.batch.record import EVERY, PLACES, RECORDS, read_record, record_path, write_record
 from onebend.batch.run import run_batch
 from onebend.batch.writing import summary_of, write_batch
 from onebend.errors import ResultsError
@@ -69,6 +69,11 @@ def test_every_recording_is_a_row_as_learn_finds_it(stems: Path, done: BatchOutc
     assert alone.posterior is not None
     assert np.array_equal(k, alone.posterior.stiffness.band(PLACES).k)
     assert table["dry/one"]["k_at_0.5_N_m"] == k[50]
+    rows = [row for row in pq.read_table(done.out / "covariances.parquet").to_pylist() if row["name"] == "dry/one"]
+    covariance = np.array([[row[f"with_{s:.3g}"] for s in PLACES[::EVERY]] for row in rows])
+    sd = np.sqrt(covariance.diagonal() + table["dry/one"]["gain_sd"] ** 2)
+    band = np.array([(row["k_lo_N_m"], row["k_hi_N_m"]) for row in curves if row["name"] == "dry/one"])
+    assert np.allclose(np.log(band[::EVERY, 1] / band[::EVERY, 0]), 2.0 * 1.959964 * sd, rtol=1e-5)
     for name, scale in (("dry/one", 1.0), ("wet/two", 0.5)):
         row = table[name]
         assert row["k_lo_at_0.5_N_m"] < scale * np.mean(K) < row["k_hi_at_0.5_N_m"]

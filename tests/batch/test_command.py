@@ -17,7 +17,15 @@ from onebend.batch import run as running
 from onebend.batch.engine import cluster
 from tests.batch.stems import stem
 
-FILES = {"batch.json", "curves.parquet", "index.html", "nuisances.parquet", "recordings.parquet", "summary.json"}
+FILES = {
+    "batch.json",
+    "covariances.parquet",
+    "curves.parquet",
+    "index.html",
+    "nuisances.parquet",
+    "recordings.parquet",
+    "summary.json",
+}
 
 
 def run(*arguments: object) -> Result:

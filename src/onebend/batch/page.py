@@ -18,7 +18,7 @@ from onebend.report.wording import UNKNOWN, significant
 
 LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns of the Parquet table that the page does not show
 WIDE, HIGH = 100.0, 60.0  # of a small picture
-EVERY = 4  # of PLACES: points of a small picture
+STEP = 4  # of PLACES: points of a small picture
 
 
 def page(outcome: BatchOutcome, *, version: str) -> str:
@@ -85,9 +85,9 @@ def _group(outcome: BatchOutcome, name: str, least: float, most: float) -> dict[
     for item, one, why in zip(outcome.items, outcome.records, outcome.scores.reasons, strict=True):
         if item.group != name or one.k is None or one.low is None or one.high is None:
             continue
-        s = PLACES[::EVERY]
-        band = [*_points(s, one.low[::EVERY], least, most), *_points(s, one.high[::EVERY], least, most)[::-1]]
-        curve = _points(s, one.k[::EVERY], least, most)
+        s = PLACES[::STEP]
+        band = [*_points(s, one.low[::STEP], least, most), *_points(s, one.high[::STEP], least, most)[::-1]]
+        curve = _points(s, one.k[::STEP], least, most)
         pictures.append(
             {"name": one_line(item.name), "far": bool(why), "band": " ".join(band), "curve": " ".join(curve)}
         )

@@ -19,9 +19,10 @@ from onebend.report.findings import all_remarks
 from onebend.report.verdict import verdict_of
 from onebend.strict_json import to_json
 
-FORMAT = "onebend-batch-record-1"
+FORMAT = "onebend-batch-record-2"
 RECORDS = ".records"  # in the results folder
 PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
+EVERY = 5  # of PLACES: where a record has the covariance of log k
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Record:
     low: Array | None = None  # (101,) N m, of the 95 % band
     high: Array | None = None  # (101,) N m
     identified: Array | None = None  # (101,) bool
+    covariance: Array | None = None  # (21, 21) of log k at every fifth of PLACES, without what is common to all of k
+    gain_sd: float = np.nan  # of log k: what the force sensor's scale does to all of k, in every recording alike
     grade: str = ""  # of the verdict
     headline: str = ""
     error: float = np.nan  # m RMS of the worst tag
@@ -68,6 +71,8 @@ def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record
         low=band.low,
         high=band.high,
         identified=np.asarray(band.identified),
+        covariance=run.posterior.stiffness.log_covariance(PLACES[::EVERY]),
+        gain_sd=run.posterior.stiffness.gain_sd,
         grade=verdict.grade,
         headline=verdict.headline,
         error=verdict.error,
@@ -100,13 +105,17 @@ def read_record(out: Path, hashed: str) -> Record | None:
         known = None if data["identified"] is None else np.array(data["identified"], dtype=bool)
         if any(curve is not None and curve.shape != PLACES.shape for curve in (*curves.values(), known)):
             return None
+        covariance = None if data["covariance"] is None else np.array(data["covariance"], dtype=float)
+        if covariance is not None and covariance.shape != (len(PLACES[::EVERY]),) * 2:
+            return None
         return Record(
             **data
             | curves
-            | {name: _number(data[name]) for name in ("length", "error", "seconds")}
+            | {name: _number(data[name]) for name in ("length", "gain_sd", "error", "seconds")}
             | {name: tuple(data[name]) for name in ("doubts", "warnings")}
             | {
                 "identified": known,
+                "covariance": covariance,
                 "nuisances": tuple((n, unit, *map(_number, values)) for n, unit, *values in data["nuisances"]),
             }
         )

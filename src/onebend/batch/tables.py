@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from onebend.batch.outcome import BatchOutcome
-from onebend.batch.record import PLACES, Record
+from onebend.batch.record import EVERY, PLACES, Record
 from onebend.errors import RecordingError
 from onebend.escaping import is_number
 from onebend.text_files import quoted
@@ -54,6 +54,22 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
     )
 
 
+def covariances_table(outcome: BatchOutcome) -> pa.Table:
+    """A row a recording and place: `name, s`, and the covariance of log k there with that at each of 21 places,
+    `with_0` to `with_1`; what the force sensor's scale does to all of k is apart (`gain_sd`).
+    """
+    there = [
+        (i.name, one.covariance) for i, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None
+    ]
+    places = PLACES[::EVERY]
+    rows = np.concatenate([np.zeros((0, len(places))), *(one for _, one in there if one is not None)])
+    columns = {
+        "name": pa.array([name for name, _ in there for _ in places], pa.string()),
+        "s": np.tile(places, len(there)),
+    }
+    return pa.table(columns | {f"with_{s:.3g}": rows[:, i] for i, s in enumerate(places)})
+
+
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
     rows = [
@@ -90,6 +106,7 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
             found[f"{name}_at_{PLACES[i]:g}_N_m"] = np.array([_at(one, field, i) for one in records])
     return found | {
         "identified": np.array([np.nan if one.identified is None else one.identified.mean() for one in records]),
+        "gain_sd": np.array([one.gain_sd for one in records]),
         "error_m": np.array([one.error for one in records]),
         "level_z": outcome.scores.level,
         "shape_z": outcome.scores.shape,

@@ -7,7 +7,7 @@ from typing import Any
 from onebend.batch.outcome import BatchOutcome
 from onebend.batch.page import page
 from onebend.batch.run import BATCH_FORMAT
-from onebend.batch.tables import as_parquet, curves_table, nuisances_table, recordings_table
+from onebend.batch.tables import as_parquet, covariances_table, curves_table, nuisances_table, recordings_table
 from onebend.files.single_file import write_file
 from onebend.strict_json import to_json
 
@@ -38,6 +38,7 @@ def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str)
     made: dict[str, str | bytes] = {
         "recordings.parquet": as_parquet(recordings_table(outcome)),
         "curves.parquet": as_parquet(curves_table(outcome)),
+        "covariances.parquet": as_parquet(covariances_table(outcome)),
         "nuisances.parquet": as_parquet(nuisances_table(outcome)),
         "index.html": page(outcome, version=version),
         SUMMARY: to_json(summary) + "\n",

@@ -64,5 +64,6 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
             table.add_row(one_line(item.name), one_line(why))
         console.print(table)
     console.print(
-        f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, nuisances.parquet", markup=False
+        f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
+        markup=False,
     )
