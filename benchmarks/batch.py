@@ -19,7 +19,7 @@ from onebend.batch.outcome import BatchOutcome
 from onebend.batch.outliers import scores
 from onebend.batch.record import PLACES
 from onebend.batch.run import run_batch
-from onebend.batch.task import TaskResult, TaskSettings
+from onebend.batch.task import ItemResult, TaskSettings
 from onebend.batch.writing import summary_of, write_batch
 from onebend.pipeline import learn
 from tests.batch.stems import stem
@@ -115,9 +115,9 @@ def queue() -> None:
     print()
 
 
-def nothing(item: Item, settings: TaskSettings) -> TaskResult:  # noqa: ARG001
+def nothing(item: Item, settings: TaskSettings) -> ItemResult:  # noqa: ARG001
     """In place of the learning."""
-    return TaskResult("done", False)
+    return ItemResult("done", False)
 
 
 def alarms(outcome: BatchOutcome) -> None:

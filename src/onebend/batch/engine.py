@@ -12,13 +12,13 @@ from typing import Any
 from uuid import uuid4
 
 from onebend.batch.listing import Item
-from onebend.batch.task import TaskResult, TaskSettings, do
+from onebend.batch.task import ItemResult, TaskSettings, do
 from onebend.errors import ResultsError
 from onebend.workers import available_cores, leave_interrupts_to_parent
 
 ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
 WAIT = "30s"  # for a scheduler to answer
-Work = Callable[[Item, TaskSettings], TaskResult]
+Work = Callable[[Item, TaskSettings], ItemResult]
 LOST = "the scheduler of the cluster is lost. Start it and its workers again"
 
 
@@ -85,14 +85,14 @@ def dashboard_of(client: Any) -> str:
     return str(client.dashboard_link or "") if find_spec("bokeh") else ""
 
 
-def here(item: Item, settings: TaskSettings) -> TaskResult:
+def here(item: Item, settings: TaskSettings) -> ItemResult:
     """`task.do` by the onebend of the machine that this runs on."""
     return do(item, settings, version=version("onebend"))
 
 
 def results_of(
     client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
-) -> Iterator[tuple[int, TaskResult]]:
+) -> Iterator[tuple[int, ItemResult]]:
     """Every item's number and result, as they come. A task whose worker is lost goes to another one.
 
     Raises:
@@ -113,13 +113,13 @@ def results_of(
             client.cancel(list(futures), force=True)
 
 
-def _result(future: Any, library: Any) -> TaskResult:
+def _result(future: Any, library: Any) -> ItemResult:
     if future.status == "finished":
-        found: TaskResult = future.result()
+        found: ItemResult = future.result()
         return found
     if future.status == "error":
         error = future.exception()
         if isinstance(error, library.KilledWorker):
-            return TaskResult("", True, "the workers that learned from it were lost: too little memory?")
-        return TaskResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
+            return ItemResult("", True, "the workers that learned from it were lost: too little memory?")
+        return ItemResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
     raise ResultsError(LOST)

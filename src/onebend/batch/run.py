@@ -12,7 +12,7 @@ from onebend.batch.engine import cluster, dashboard_of, results_of
 from onebend.batch.listing import Item, items_of
 from onebend.batch.outcome import BatchOutcome, outcome_of
 from onebend.batch.record import RECORDS, Record, read_record
-from onebend.batch.task import TaskResult, TaskSettings, folder_path
+from onebend.batch.task import ItemResult, TaskSettings, folder_path
 from onebend.errors import ResultsError
 from onebend.files.single_file import write_file
 from onebend.files.target import check_place
@@ -80,8 +80,8 @@ def _take(out: Path) -> None:
     write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {version('onebend')}"}) + "\n")
 
 
-def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: Progress) -> list[TaskResult]:
-    found: dict[int, TaskResult] = {}
+def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: Progress) -> list[ItemResult]:
+    found: dict[int, ItemResult] = {}
     try:
         for i, result in track(progress, "Recordings", results_of(client, items, settings), len(items)):
             found[i] = result
@@ -94,7 +94,7 @@ def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: P
     return [found[i] for i in range(len(items))]
 
 
-def _record(out: Path, item: Item, result: TaskResult) -> Record:
+def _record(out: Path, item: Item, result: ItemResult) -> Record:
     if not result.hash:
         return Record(hash="", reason=result.reason)
     record = read_record(out, result.hash)

@@ -41,7 +41,7 @@ class TaskSettings:
 
 
 @dataclass(frozen=True)
-class TaskResult:
+class ItemResult:
     """What a task says to who asked: the record itself stands in the results folder."""
 
     hash: str  # empty: there is no record
@@ -49,7 +49,7 @@ class TaskResult:
     reason: str = ""  # why there is no record
 
 
-def do(item: Item, settings: TaskSettings, *, version: str) -> TaskResult:
+def do(item: Item, settings: TaskSettings, *, version: str) -> ItemResult:
     """Learn from the recording, unless its record is there; write the record.
 
     A recording that cannot be learned from has a record with the reason. Where the reason may be another one the next
@@ -60,18 +60,18 @@ def do(item: Item, settings: TaskSettings, *, version: str) -> TaskResult:
     """
     if version != settings.version:
         text = f"the worker has onebend {version}, but onebend {settings.version} asks. Install the same on both"
-        return TaskResult("", False, text)
+        return ItemResult("", False, text)
     try:
         return _do(item, settings)
     except OSError as error:
-        return TaskResult("", True, f"{error.filename or item.folder}: {error.strerror or error}")
+        return ItemResult("", True, f"{error.filename or item.folder}: {error.strerror or error}")
     except ResultsError as error:
-        return TaskResult("", True, told(error))
+        return ItemResult("", True, told(error))
     except Exception as error:  # one recording, whatever is wrong with it, does not end thousands
-        return TaskResult("", True, f"a fault of onebend: {type(error).__name__}: {error}")
+        return ItemResult("", True, f"a fault of onebend: {type(error).__name__}: {error}")
 
 
-def _do(item: Item, settings: TaskSettings) -> TaskResult:
+def _do(item: Item, settings: TaskSettings) -> ItemResult:
     stated = {(table, key): value for table, key, value in item.stated}
     unread = ""
     recording = None
@@ -89,15 +89,15 @@ def _do(item: Item, settings: TaskSettings) -> TaskResult:
     hashed = hash_of([one.path for one in files], made_with)
     known = read_record(settings.out, hashed)
     if known is not None and (not settings.folders or known.reason or _has_folder(item, settings.out, hashed)):
-        return TaskResult(hashed, False)
+        return ItemResult(hashed, False)
     record, run = _learned(recording, unread, hashed, settings)
     changed = [one.path for one in files if not one.is_still_there()]
     if changed:
-        return TaskResult("", True, f"{changed[0]} was changed while it was read. Run again to learn from it as it is")
+        return ItemResult("", True, f"{changed[0]} was changed while it was read. Run again to learn from it as it is")
     if settings.folders and run is not None:
         _write_folder(item, run, settings, files, hashed)
     write_record(settings.out, record)
-    return TaskResult(hashed, True)
+    return ItemResult(hashed, True)
 
 
 def _learned(
