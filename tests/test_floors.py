@@ -22,7 +22,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("report", "export", "estimators"),
     ("results",),
     ("pipeline", "forecast"),
-    ("studies",),
+    ("studies", "batch"),
     ("terminal",),
     ("design", "paper"),
     ("__init__",),
@@ -72,7 +72,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("designs", "tag_errors", "effects"),
         ("design_file", "expected", "virtual", "fabrication"),
         ("direct_observation", "filming", "random_effects"),
-        ("film_request",),
+        ("film_request", "marker_folder"),
         ("random_bench",),
     ),
     "report": (

@@ -72,8 +72,8 @@ class Run:
 
 @one_blas_thread
 def learn(
-    folder: Path | str,
-    *more: Path | str,
+    folder: Recording | Path | str,
+    *more: Recording | Path | str,
     settings: RegressionSettings = RegressionSettings(),
     fitting: FitSettings | None = FitSettings(),
     observing: ObserveSettings = ObserveSettings(),
@@ -83,6 +83,8 @@ def learn(
 ) -> Run:
     """Learn k(s) from the recording in `folder` (and `more` of the same beam), then compare it with `validate_on`.
 
+    What is a `Recording` already is learned from as it was read.
+
     The paper's regression learns from the first recording; the fit begins there and uses all. `fitting` None: only the
     regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video.
 
@@ -90,7 +92,7 @@ def learn(
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
     folders, others = (folder, *more), tuple(validate_on)
-    wanted = [read_recording(one) for one in folders]
+    wanted = [one if isinstance(one, Recording) else read_recording(one) for one in folders]
     for one in others:
         read_recording(one)
     check_together(wanted, fitting)

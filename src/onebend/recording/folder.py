@@ -5,8 +5,10 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from onebend.errors import RecordingError
@@ -81,14 +83,20 @@ def folder_of(path: Path | str) -> Path:
     return path.parent if path.name == FILE_NAME and not path.is_dir() else path
 
 
-def read_recording(folder: Path | str) -> Recording:
+def read_recording(folder: Path | str, stated: Mapping[tuple[str, str], Any] = MappingProxyType({})) -> Recording:
     """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
+
+    Args:
+        stated: values by table and key, in the file's units, that take the place of those in the file.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
     """
     folder = folder_of(folder)
     content, data = load(folder)
+    for (table, name), value in stated.items():
+        if isinstance(data.setdefault(table, {}), dict):  # what is no table is a mistake, which is told below
+            data[table][name] = value
     mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
     check_top(data, mistakes)
     if mistakes.found:
