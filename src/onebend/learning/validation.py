@@ -7,7 +7,7 @@ import numpy as np
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import has_mass, make_problem
 from onebend.beam.statics.sensitivity import of_force, respond
@@ -85,6 +85,30 @@ def validate(
         remarks=remarks + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
+
+
+def marker_misfit(
+    beam: Beam, observations: Observations, frames: BoolArray, rest: AtRest, near: Equilibrium | None = None
+) -> tuple[Array, Equilibrium]:
+    """RMS (m,) [m] of each tag in a few frames, as `validate` has it, and the equilibria; NaN where the beam snaps
+    through in one of them. `near`: those of a similar beam, to begin at.
+
+    Raises:
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    if weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    problem = make_problem(beam, loads_of(observations, frames), resolution_of(observations))
+    if observations.static:
+        solved = shapes_of(observations, frames, problem)
+    elif near is not None and np.array_equal(near.problem.grid.nodes, problem.grid.nodes):
+        solved = refine(problem, near.q)
+    else:
+        solved = follow(problem)
+    predicted = _predicted([solved], observations, frames, rest.offset)
+    if not np.all(solved.converged):
+        return np.full(len(observations.marker_s), np.nan), solved
+    return marker_rms(from_the_clamp(observations, frames, predicted) - predicted), solved
 
 
 def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:

@@ -57,9 +57,14 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
     rested = resting(track)
     slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
-    if not any(evidence(rested, rows, offset, lag, prior) > 0.0 for lag in slow[1::2]):
+    found = {}
+    for lag in slow[1::2]:
+        found[lag] = evidence(rested, rows, offset, lag, prior)
+        if found[lag] > 0.0:
+            break
+    else:
         return None
-    logs = np.array([evidence(rested, rows, offset, lag, prior) for lag in slow])
+    logs = np.array([found[lag] if lag in found else evidence(rested, rows, offset, lag, prior) for lag in slow])
     best = int(np.argmax(logs))
     if best + 1 >= len(slow) or not float(logs[best]) > CERTAIN:
         return None  # at the end of the range it is something else
