@@ -31,7 +31,7 @@ class Lineariser:
         self._pushed = 1.0  # place of the last push
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the grids, which are a hundred times as large as all else and are made again where they are wanted."""
+        """Without the grids: they are a hundred times as large as all else, and are made again where wanted."""
         return vars(self) | {"_grids": {}}
 
     def _grid(self, push_s: float) -> PushGrid:

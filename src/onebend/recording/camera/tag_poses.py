@@ -31,9 +31,7 @@ def part(poses: Poses, tags: slice) -> Poses:
     return Poses(poses.xy[:, tags], poses.angle[:, tags], poses.covariance[:, tags])
 
 
-def measure_poses(
-    view: View, corners: Array, size: float, *, noise: float | None = None
-) -> tuple[Poses, Array, View]:
+def measure_poses(view: View, corners: Array, size: float, *, noise: float | None = None) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
 
     The noise is that of the residuals, or `noise` [px, one sd] where it is known from other frames.

@@ -124,7 +124,7 @@ class Tracker:
         if any(one == time for one, _ in self._rows):
             raise ObservationError(f"a picture of {time:.6f} s was given before")
         if len(self._rows) == LOOK_EVERY and time < self._rows[0][0]:
-            raise ObservationError(f"a picture of {time:.6f} s is too late: those of {LOOK_EVERY} later ones were given")
+            raise ObservationError(f"a picture of {time:.6f} s is too late: {LOOK_EVERY} later ones were given")
         self._shape = (picture.shape[0], picture.shape[1])
 
     def _look(self, picture: Picture, row: Array) -> list[Sighting] | None:
