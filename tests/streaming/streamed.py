@@ -27,7 +27,7 @@ _NOISE = 0.001  # N
 def force_at(time: Array) -> Array:
     """(N, 2) N on the beam at times (N,) s of the film."""
     part = np.clip((time - REST) / (DURATION - 2 * REST), 0.0, 1.0)
-    return np.sin(np.pi * part)[:, None] ** 2 * np.array([0.03, 0.2])
+    return np.asarray(np.sin(np.pi * part)[:, None] ** 2 * np.array([0.03, 0.2]))
 
 
 @cache

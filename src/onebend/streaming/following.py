@@ -15,7 +15,7 @@ from onebend.streaming.reading import FrameReader
 from onebend.streaming.review import HALF, Later, Reviewed, logged_at, teach
 
 _BEHIND = 2  # frames that came during a review, of which its learner is taught with each new one
-_MOST_WAITING = 4  # frames, before there is a learner
+_FEW_WAITING, _MOST_WAITING = 4, 300  # frames, before there is a learner and then
 
 Frame = tuple[float, Array]  # time [s, the frames' clock] and corners (m, 4, 2) px
 
@@ -55,6 +55,12 @@ class Following:
         self._waiting: deque[Frame] = deque()  # the newest of them, whose force is not there yet
 
     @property
+    def behind(self) -> float:
+        """s: how far the frame that waits longest for its force is behind the newest; 0 where there is no learner."""
+        waits = self.learning is not None and len(self._waiting) > 0
+        return self._waiting[-1][0] - self._waiting[0][0] if waits else 0.0
+
+    @property
     def kept(self) -> dict[str, int]:
         """Counts of the frames that are kept."""
         behind = 0 if self._coming is None else len(self._coming.behind)
@@ -70,14 +76,14 @@ class Following:
         """Teach the frames whose force is there, or that waited long enough."""
         learning = self.learning or self._coming
         if learning is None:
-            while len(self._waiting) > _MOST_WAITING:
+            while len(self._waiting) > _FEW_WAITING:
                 self._waiting.popleft()
             return
         newest = float(self._log.rows[-1, 0]) if len(self._log) else -math.inf
         while self._waiting:
             time, corners = self._waiting[0]
             there = newest >= time + learning.reader.offset + HALF
-            if not there and self._waiting[-1][0] - time < self._wait:
+            if not there and self._waiting[-1][0] - time < self._wait and len(self._waiting) < _MOST_WAITING:
                 return
             self._waiting.popleft()
             if self.learning is not None:

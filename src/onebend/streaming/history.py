@@ -33,6 +33,7 @@ class FrameHistory:
         self._looks = 0
         self._strangers: deque[int] = deque(maxlen=_MOST_SIGHTINGS)
         self._doubles: deque[tuple[int, int]] = deque(maxlen=_MOST_SIGHTINGS)
+        self._shifts: dict[tuple[int, float], Array] = {}  # (4, 2) px, by tag and by when it came where it stands
         self.count = 0  # of all frames so far
 
     def __len__(self) -> int:
@@ -44,6 +45,8 @@ class FrameHistory:
         self._strangers.extend(frame.strangers)
         self._doubles.extend((self.count, tag) for tag in frame.doubles)
         self.count += 1
+        for i in np.flatnonzero(np.isfinite(frame.still_since)).tolist():
+            self._shifts[i, float(frame.still_since[i])] = frame.corners[i] - frame.detected[i]
         if self._frames and frame.time < self._frames[-1].time:
             self._frames.insert(bisect_left(self._frames, frame.time, key=lambda one: one.time), frame)
         elif self._skipped + 1 >= self._every:
@@ -55,20 +58,29 @@ class FrameHistory:
             pairs = zip(self._frames[1::2], self._frames[2::2], strict=False)
             self._frames = [self._frames[0], *(_changed(after, before.change) for before, after in pairs)]
             self._every *= 2
+            kept = {(i, since) for one in self._frames for i, since in enumerate(one.still_since.tolist())}
+            self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
 
     def tracks(self) -> tuple[BlockTracks, BoolArray]:
         """The frames kept (T), and those that differ in nothing from the one before, but for what packing makes of it;
-        as in a film that was recorded."""
+        as in a film that was recorded. A tag at rest is corrected in all its frames by what the last of them say."""
         frames, changes = self._frames, [one.change for one in self._frames]
         tracks = BlockTracks(
             time=np.array([one.time for one in frames]),
-            corners=np.stack([one.corners for one in frames]),
+            corners=np.stack([self._corrected(one) for one in frames]),
             shape=frames[0].shape,
             looks=self._looks,
             strangers=tuple(self._strangers),
             doubles=tuple(self._doubles),
         )
         return tracks, repeated(changes)
+
+    def _corrected(self, frame: TrackedFrame) -> Array:
+        """(m, 4, 2) px."""
+        corners = frame.detected.copy()
+        for i, since in enumerate(frame.still_since.tolist()):
+            corners[i] += self._shifts.get((i, since), 0.0)
+        return corners
 
 
 def _changed(frame: TrackedFrame, change: float) -> TrackedFrame:
@@ -112,13 +124,13 @@ class ForceHistory:
     def mean_near(self, time: float, half: float, longest_gap: float) -> Array:
         """(c - 1,) mean of the rows within `half` [s] of `time`, else of the nearest one that is not farther than
         `longest_gap` [s]; NaN where there is none."""
-        times = self._rows[: self._used, 0]
-        low, high = np.searchsorted(times, (time - half, time + half))
-        part = self._rows[low:high, 1:]
+        rows = self.rows
+        low, high = np.searchsorted(rows[:, 0], (time - half, time + half))
+        part = rows[low:high, 1:]
         part = part[np.isfinite(part).all(axis=1)]
         if len(part):
             return np.asarray(part.mean(axis=0))
-        near = self._rows[max(low - 1, 0) : high + 1]
+        near = rows[max(low - 1, 0) : high + 1]
         near = near[np.isfinite(near).all(axis=1)]
         away = np.abs(near[:, 0] - time)
         if not len(near) or away.min() > longest_gap:

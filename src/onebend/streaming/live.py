@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from onebend.blas import one_blas_thread
 from onebend.errors import ObservationError, RecordingError
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.live.settings import OnlineSettings
 from onebend.pipeline import Run, learn_observed
 from onebend.progress import Progress, Silent
@@ -28,6 +29,8 @@ from onebend.streaming.review import Reviewed, Seen, observed_in
 from onebend.streaming.reviewer import Reviewer, ReviewerBeside, ReviewerHere
 from onebend.streaming.state import NOTHING_YET, SOON, Counts, LiveState, live_verdict
 
+_LATE = 0.2  # s: a force that comes later is said to
+
 
 @dataclass(frozen=True)
 class LiveSettings:
@@ -38,7 +41,7 @@ class LiveSettings:
     first_review: float = 1.0  # s of frames before the first review
     review_growth: float = 1.25  # each review when the stream is so many times as long as at the last one,
     least_apart: float = 1.0  # and s longer
-    wait: float = 0.03  # s: a frame waits no longer for the force at its time
+    wait: float = 2.0  # s: a frame waits no longer for the force at its time, and is then left to the next review
     observing: ObserveSettings = field(default_factory=ObserveSettings)
     learning: OnlineSettings = field(default_factory=OnlineSettings)
 
@@ -167,6 +170,11 @@ class Live:
         return self._following.until + self._begin
 
     @property
+    def review_seconds(self) -> float:
+        """s of this process's time that reviews took so far: none where another process makes them."""
+        return self._reviewer.spent
+
+    @property
     def kept(self) -> dict[str, int]:
         """Counts of all that is kept of the stream; each is bounded, however long it runs."""
         return {
@@ -186,6 +194,9 @@ class Live:
         waiting = [] if stiffness is not None else [f"k(s): {why or SOON}"]
         if known.clock is None:
             waiting.append(f"clock offset: {why or SOON}")
+        if self._following.behind > _LATE:
+            late = f"{self._following.behind:.2g} s late, or not at all"
+            waiting.append(f"the newest frames: samples of the force come {late}, and k(s) follows them")
         if not known.rested:
             waiting.append("drift of the force log: it shows in a rest after the push")
         return LiveState(
@@ -206,7 +217,7 @@ class Live:
             remarks=known.remarks,
         )
 
-    def finish(self, *, progress: Progress = Silent()) -> Run:
+    def finish(self, *, fitting: FitSettings = FitSettings(), progress: Progress = Silent()) -> Run:
         """Learn from all that came, as `learn` does from a recording; nothing more may come. It takes some seconds.
 
         Raises:
@@ -216,7 +227,7 @@ class Live:
         self.close()
         if not len(self._frames):
             raise ObservationError(f"{self.recording.name}: {NOTHING_YET}")
-        return learn_observed(observed_in(self._seen(), self.settings.observing), progress=progress)
+        return learn_observed(observed_in(self._seen(), self.settings.observing), fitting=fitting, progress=progress)
 
     def close(self) -> None:
         """End the process beside this one; nothing more may come."""

@@ -123,27 +123,32 @@ class Followed:
     frame: Array  # (T,) s, processor time of `Live.frame`
     force: Array  # (T,) s, processor time of `Live.force` since the frame before
     tags_latency: Array  # (T,) s, from its coming in until its tags are known
-    latency: Array  # (T,) s, the same until k(s) has it in it; NaN where it never had
+    latency: (
+        Array  # (T,) s, the same until k(s) has it in it; NaN where that was no matter: before there is a k(s), late
+    )
 
 
 def follow(live: Live, arrivals: Iterable[Arrival], *, at_pace: bool = False) -> Followed:
     """Give a stream all that comes in, and measure: what a frame costs, and how long after it came it is in k(s).
 
-    What comes in while the one before is worked on waits, as it would live. Time is that of the stamps, and what takes
-    no processor time takes none; with `at_pace` it is the clock's, and all comes in as fast as it was recorded.
+    What comes in while the one before is worked on waits, as it would live. Time is that of the stamps and the
+    processor's, without that of reviews, as if another process had made them; with `at_pace` it is the clock's, and all
+    comes in as fast as it was recorded.
     """
     stamps, came, frame_cost, force_cost, tags, latency = [], [], [], [], [], []
-    now, between, pending, zero = -np.inf, 0.0, 0, np.nan
+    now, between, zero = -np.inf, 0.0, np.nan
+    waiting: list[int] = []  # frames that are not in k(s)
     for arrival in arrivals:
         if at_pace:
             zero = clock.perf_counter() - arrival.at if np.isnan(zero) else zero
             clock.sleep(max(0.0, arrival.at + zero - clock.perf_counter()))
-        begun = clock.thread_time()
+        until, begun = live.learned_until, clock.thread_time() - live.review_seconds
+        learning = not np.isnan(until)
         if arrival.picture is None:
             live.force(arrival.stamp, arrival.rows[:, :2], arrival.rows[:, 2] if arrival.rows.shape[1] > 2 else None)
         else:
             live.frame(arrival.picture, float(arrival.stamp))
-        cost = clock.thread_time() - begun
+        cost = clock.thread_time() - live.review_seconds - begun
         now = clock.perf_counter() - zero if at_pace else max(now, arrival.at) + cost
         if arrival.picture is None:
             between += cost
@@ -155,8 +160,8 @@ def follow(live: Live, arrivals: Iterable[Arrival], *, at_pace: bool = False) ->
             tags.append(now - arrival.at)
             latency.append(np.nan)
             between = 0.0
-        until = live.learned_until
-        while pending < len(stamps) and stamps[pending] <= until:
-            latency[pending] = now - came[pending]
-            pending += 1
+            waiting += [len(stamps) - 1] if learning and stamps[-1] > until else []
+        for i in [i for i in waiting if stamps[i] <= live.learned_until]:
+            latency[i] = now - came[i]
+            waiting.remove(i)
     return Followed(*(np.array(one) for one in (stamps, frame_cost, force_cost, tags, latency)))

@@ -42,7 +42,7 @@ class FrameReader:
     def poses(self, corners: Array) -> tuple[Array, Array, Array]:
         """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + m, 4, 2) px."""
         noise = max(self.view.corner_sd, _LEAST_SD)
-        poses, misfit, _ = measure_poses(self.view, corners[None], self.tag_size, noise=noise)
+        poses, misfit, _ = measure_poses(self.view, corners[None], self.tag_size, noise=noise, refinements=1)
         poses = drop(poses, misfit > _WRONG * noise)
         poses = Poses(poses.xy, poses.angle - self.turn, poses.covariance)
         base = len(self.base_s)

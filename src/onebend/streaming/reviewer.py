@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -41,6 +42,11 @@ class Reviewer(Protocol):
         """The review, once it is made; `since` gives what came after its last frame. Does not wait."""
         ...
 
+    @property
+    def spent(self) -> float:
+        """s of this process's time that reviews took so far."""
+        ...
+
     def close(self) -> None:
         """End it; nothing more may be begun."""
         ...
@@ -52,17 +58,24 @@ class ReviewerHere:
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
         self._settings = observing, learning
         self._made: Reviewed | None = None
+        self._spent = 0.0
 
     @property
     def busy(self) -> bool:
         return self._made is not None
 
     def begin(self, seen: Seen) -> None:
+        begun = time.thread_time()
         self._made = review(seen, *self._settings)
+        self._spent += time.thread_time() - begun
 
     def result(self, since: Callable[[Reviewed], Later]) -> Reviewed | None:  # noqa: ARG002 (nothing came meanwhile)
         made, self._made = self._made, None
         return made
+
+    @property
+    def spent(self) -> float:
+        return self._spent
 
     def close(self) -> None:
         self._made = None
@@ -99,7 +112,7 @@ class ReviewerBeside:
         except Empty:
             return None
         if made is None:
-            self._busy, self._process = False, None
+            self.close()
             return Reviewed(self._until, ENDED)
         if self._caught_up or made.reader is None:
             self._busy = False
@@ -107,6 +120,10 @@ class ReviewerBeside:
         self._caught_up = True
         self._send(since(made))
         return None
+
+    @property
+    def spent(self) -> float:
+        return 0.0
 
     def close(self) -> None:
         if self._process is not None:
@@ -134,20 +151,20 @@ class ReviewerBeside:
 
 def _write(stream: IO[bytes], messages: SimpleQueue[bytes]) -> None:
     """Pass on what is to be sent: a pipe takes no more at once than the other side reads. Empty bytes are the end."""
-    with suppress(OSError, ValueError):  # the process ended: `_listen` notices
+    with suppress(OSError):  # the process ended: `_listen` notices
         while data := messages.get():
             stream.write(data)
             stream.flush()
+    with suppress(OSError):
+        stream.close()
 
 
 def _listen(stream: IO[bytes], answers: SimpleQueue[Reviewed | None]) -> None:
     """Pass on what the process answers; None when it ends."""
-    while True:
-        try:
+    with suppress(EOFError, OSError, pickle.UnpicklingError), stream:
+        while True:
             answers.put(pickle.load(stream))
-        except (EOFError, OSError, ValueError, pickle.UnpicklingError):
-            answers.put(None)
-            return
+    answers.put(None)
 
 
 def serve() -> None:

@@ -31,7 +31,9 @@ def part(poses: Poses, tags: slice) -> Poses:
     return Poses(poses.xy[:, tags], poses.angle[:, tags], poses.covariance[:, tags])
 
 
-def measure_poses(view: View, corners: Array, size: float, *, noise: float | None = None) -> tuple[Poses, Array, View]:
+def measure_poses(
+    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = REFINEMENTS
+) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
 
     The noise is that of the residuals, or `noise` [px, one sd] where it is known from other frames.
@@ -41,7 +43,7 @@ def measure_poses(view: View, corners: Array, size: float, *, noise: float | Non
     """
     xy, angle = lay_square(to_plane(view, corners))
     weight = corner_weight(corners)
-    for _ in range(REFINEMENTS):
+    for _ in range(refinements):
         jacobian, residual = linearise(view, xy, angle, corners, size)
         step = weighted_step(jacobian, residual, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]

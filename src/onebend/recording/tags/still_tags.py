@@ -17,6 +17,7 @@ FITS = (8, 32, 64)  # pictures of a tag at one place, after which its pattern is
 class _Window:
     """The pictures of one tag since it last moved, summed."""
 
+    since: float  # s, of the first of them
     part: tuple[slice, slice]  # rows and columns of the picture
     grey: Array  # their sum
     corners: Array  # (4, 2) px, likewise
@@ -33,22 +34,26 @@ class StillTags:
     shifts: dict[int, Array] = field(default_factory=dict)  # (4, 2) px, by the tag's place in the list
     windows: dict[int, _Window] = field(default_factory=dict)
 
-    def correct(self, picture: Picture, corners: Array) -> Array:
-        """`corners` (m, 4, 2) px as the detector found them in the newest picture, those of tags that stand still moved
-        by what their patterns say."""
+    def correct(self, picture: Picture, corners: Array, time: float) -> tuple[Array, Array]:
+        """`corners` (m, 4, 2) px as the detector found them in the newest picture, at `time` [s], those of tags that
+        stand still moved by what their patterns say; and (m,) s, since when each stands where it is, NaN where it was
+        not seen. What a later picture says of the same stand holds for all of it."""
+        since = np.full(len(corners), np.nan)
         if self.cells is None:
-            return corners
+            return corners, since
         corrected, due = corners.copy(), -1
         for i in np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))).tolist():
-            window = self._with(i, picture, corners[i])
+            window = self._with(i, picture, corners[i], time)
+            since[i] = window.since
             late = next((count for count in FITS if window.fitted < count <= window.count), 0)
             due = i if due < 0 and late else due
-            corrected[i] += self.shifts.get(i, 0.0)
         if due >= 0:
             self._fit(due)
-        return corrected
+        for i, shift in self.shifts.items():
+            corrected[i] += shift  # a tag that is not seen stays NaN
+        return corrected, since
 
-    def _with(self, i: int, picture: Picture, corners: Array) -> _Window:
+    def _with(self, i: int, picture: Picture, corners: Array, time: float) -> _Window:
         """The window of tag `i`, this picture added; a new one where the tag has moved."""
         window = self.windows.get(i)
         if window is not None and np.abs(corners - window.corners / window.count).max() > STILL:
@@ -57,7 +62,7 @@ class StillTags:
         if window is None:
             part = part_around(corners, picture.shape)
             shape = tuple(one.stop - one.start for one in part)
-            window = self.windows[i] = _Window(part, np.zeros(shape), np.zeros((4, 2)))
+            window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)))
         window.grey += picture[window.part]
         window.corners = window.corners + corners
         window.count += 1

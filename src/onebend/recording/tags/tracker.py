@@ -34,6 +34,8 @@ class TrackedFrame:
 
     time: float  # s, the camera's own clock
     corners: Array  # (m, 4, 2) px, as in `records.Detections`; NaN where not seen
+    detected: Array  # (m, 4, 2) px, the same before the patterns of tags at rest corrected them
+    still_since: Array  # (m,) s, when each tag came to where it stands; NaN where it was not seen
     shape: tuple[int, int]  # height, width, px
     change: float = math.inf  # mean difference of the grey levels from the picture before; infinite where unknown
     looked: bool = False  # the whole picture, or a part of it, was searched
@@ -90,9 +92,9 @@ class Tracker:
             take(tracks[t], sightings or [], self.tag_id)
         self._rows.insert(t, (time, tracks[t]))
         del self._rows[:-LOOK_EVERY]
-        corners, change = tracks[t], math.inf
+        corners, since, change = tracks[t], np.full(len(self.tag_id), np.nan), math.inf
         if newest:
-            corners = self._still.correct(picture, tracks[t])
+            corners, since = self._still.correct(picture, tracks[t], time)
             seen = np.isfinite(tracks[t]).all(axis=(1, 2))
             self._last[seen] = tracks[t]
             coarse = coarse_of(picture)
@@ -101,6 +103,8 @@ class Tracker:
         return TrackedFrame(
             time=time,
             corners=corners,
+            detected=tracks[t],
+            still_since=since,
             shape=(picture.shape[0], picture.shape[1]),
             change=change,
             looked=sightings is not None,
