@@ -22,6 +22,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("report", "export", "estimators"),
     ("results",),
     ("pipeline", "forecast"),
+    ("streaming",),
     ("studies", "batch"),
     ("terminal",),
     ("design", "paper"),
@@ -74,6 +75,13 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("direct_observation", "filming", "random_effects"),
         ("film_request", "marker_folder"),
         ("random_bench",),
+    ),
+    "streaming": (
+        ("history", "reading"),
+        ("review",),
+        ("reviewer", "following", "state"),
+        ("live",),
+        ("played",),
     ),
     "report": (
         ("findings", "kinds"),

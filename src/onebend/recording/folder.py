@@ -83,11 +83,14 @@ def folder_of(path: Path | str) -> Path:
     return path.parent if path.name == FILE_NAME and not path.is_dir() else path
 
 
-def read_recording(folder: Path | str, stated: Mapping[tuple[str, str], Any] = MappingProxyType({})) -> Recording:
+def read_recording(
+    folder: Path | str, stated: Mapping[tuple[str, str], Any] = MappingProxyType({}), *, filmed: bool = True
+) -> Recording:
     """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
 
     Args:
         stated: values by table and key, in the file's units, that take the place of those in the file.
+        filmed: False: film and force log are still to be made, so that their files need not be there.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
@@ -114,9 +117,10 @@ def read_recording(folder: Path | str, stated: Mapping[tuple[str, str], Any] = M
     if isinstance(sections["camera"], UncalibratedEntry):
         sections["camera"] = None
     beam = with_paths(beam, "beam", folder, mistakes)
-    entries = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
+    to_come = () if filmed else BAGS
+    entries = {name: with_paths(entry, name, folder, mistakes, name in to_come) for name, entry in sections.items()}
     check_together(entries, data, mistakes)
-    if not mistakes.found:
+    if not mistakes.found and filmed:
         for name in BAGS:
             if entries[name] is not None:
                 check_bag(name, entries[name], data[name], mistakes)
@@ -139,7 +143,7 @@ def read_recording(folder: Path | str, stated: Mapping[tuple[str, str], Any] = M
         frequencies=swung,
         **entries,
     )
-    return with_bags(rec, data)
+    return with_bags(rec, data) if filmed else rec
 
 
 def load(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -260,8 +264,8 @@ def refuse_unprinted(family: object, lists: dict[str, tuple[TagEntry, ...]], mis
                 mistakes.add(("tags", group, i, "id"), f"{text} Correct the id or the family.")
 
 
-def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
-    """`entry` with the files it names made whole paths; each must exist."""
+def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come: bool = False) -> Any:
+    """`entry` with the files it names made whole paths; each must exist, but for those `to_come`."""
     if entry is None:
         return None
     for field_name in (
@@ -280,7 +284,7 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
         path = folder / written
         wants_folder = field_name in ("folder", "definitions")
         exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
-        if not exists:
+        if not exists and not to_come:
             what = "folder" if wants_folder else "file"
             similar = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
             hint = f"Did you mean {similar[0]}?" if similar else "Put it there, or correct the name."
