@@ -138,7 +138,8 @@ def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some
     )
     shapes: list[Array | None] = [None] * len(whole.recordings)
     for i, few, prediction in zip(some, problem.recordings, near.predictions, strict=True):
-        if np.array_equal(few.frames, whole.recordings[i].frames):
+        same = np.array_equal(few.frames, whole.recordings[i].frames)
+        if same and np.array_equal(few.problem.grid.nodes, whole.recordings[i].problem.grid.nodes):
             shapes[i] = prediction.solved.q
     begin = estimate_at(whole, x, shapes)
     return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))
