@@ -94,7 +94,7 @@ def test_error_falls_with_the_fourth_order_for_two_nodes_a_panel() -> None:
 
 def test_error_falls_spectrally_with_the_nodes_of_one_panel() -> None:
     force = push((0.02, 0.2))
-    reference = equilibrium(SOFT, force).xy(S)
+    reference = equilibrium(SOFT, force, resolution=Resolution(32)).xy(S)
     errors = [
         np.max(np.abs(follow(make_problem(SOFT, force, Resolution(order=n))).xy(S) - reference))
         for n in (4, 8, 12, 16, 20)

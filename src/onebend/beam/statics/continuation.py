@@ -18,8 +18,9 @@ from onebend.beam.grid import apply, transposed
 from onebend.beam.loads import Loads
 from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, tangent
 from onebend.beam.statics.newton import correct, solve_batch
+from onebend.beam.statics.nodal_beam import MOST_HALVINGS, RESOLVED_ANGLES
 from onebend.beam.statics.nodal_forces import nodal_forces
-from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
+from onebend.beam.statics.problem import Problem, Resolution, Rod, first_resolution, make_problem
 from onebend.beam.statics.snap_through import Side, let_fall
 from onebend.blas import one_blas_thread
 from onebend.records import Array, IntArray
@@ -41,7 +42,7 @@ class ContinuationSettings:
 
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
-_MAX_HALVINGS = 5  # halvings of the panels
+_AS_ROUGH = 3.0  # times the roughness of the beam's own curvatures: what a load may make of it
 
 
 _HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
@@ -76,34 +77,47 @@ def equilibrium(
 ) -> Equilibrium:
     """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
 
-    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (see
-    `Equilibrium.resolved`) or a finer one moves their tips by less than 1e-11 L; measured tables of k(s), which are not
-    smooth, stop at the finest of `_MAX_HALVINGS` halvings, where the tip is good to about 1e-8 L.
+    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (their
+    angles then are good to 1e-10 rad) as it carries the beam's own, or a finer one moves their tips by less than
+    1e-11 L; measured tables of k(s), which are not smooth, stop at the finest of five halvings, where the tip is good
+    to about 1e-8 L. The grid depends on the beam and these loads alone, not on what was solved before.
 
     With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
 
     Raises:
         MechanicsError: k(s) is not positive somewhere.
     """
-    if resolution is None:
-        resolution = _resolve(beam, loads, settings, fall)
-    return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
+    if resolution is not None:
+        return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
+    return _on_fine_enough_grid(beam, loads, settings, fall)
 
 
-def _resolve(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Resolution:
-    """The coarsest resolution that is fine enough for the few frames that bend the beam most."""
-    resolution, tip = Resolution(), None
-    coarse = make_problem(beam, loads, resolution)
-    size = np.max(np.linalg.norm(coarse.dead_force, axis=-1), axis=1) * beam.length
-    size += np.max(np.abs(coarse.moment), axis=1) + np.sum(np.abs(coarse.follower), axis=(1, 2)) * beam.length
-    hardest = loads.spread(loads.size).take(np.sort(np.argsort(size)[-_PROBE_FRAMES:]))
-    for _ in range(_MAX_HALVINGS):
-        result = follow(make_problem(beam, hardest, resolution), settings=settings, fall=fall)
+def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
+    """On the coarsest grid that is fine enough for the few frames that bend the beam most."""
+    (resolution, roughness), tip = first_resolution(beam, loads), None
+    problem = make_problem(beam, loads, resolution)
+    chosen = _hardest(problem)
+    while True:
+        part = problem if chosen is None else problem.take(chosen)
+        result = follow(part, settings=settings, fall=fall)
+        tail = part.grid.legendre_tail(result.q)
+        if resolution.widest <= 0.5**MOST_HALVINGS or np.all(tail < max(RESOLVED_ANGLES, _AS_ROUGH * roughness)):
+            break
         there = result.xy(np.array([1.0]))
-        if np.all(result.resolved) or (tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length):
+        if tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length:
             break
         resolution, tip = resolution.finer(), there
-    return resolution
+        problem = make_problem(beam, loads, resolution)
+    return result if chosen is None else follow(problem, settings=settings, fall=fall)
+
+
+def _hardest(problem: Problem) -> IntArray | None:
+    """The few frames with the largest loads; None for all of them."""
+    if problem.size <= _PROBE_FRAMES:
+        return None
+    size = np.max(np.linalg.norm(problem.dead_force, axis=-1), axis=1) * float(problem.length)
+    size += np.max(np.abs(problem.moment), axis=1) + np.sum(np.abs(problem.follower), axis=(1, 2)) * problem.length
+    return np.sort(np.argsort(size)[-_PROBE_FRAMES:])
 
 
 def follow(
@@ -128,7 +142,8 @@ def follow(
     converged = state.factor >= 1.0
     stable = converged & ~state.lost
     doubtful = np.flatnonzero(converged & state.lost)
-    stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
+    if doubtful.size:
+        stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
     return Equilibrium(
         problem=problem,
         q=state.q,
@@ -184,7 +199,10 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
     state.iterations += count
     guarded = near & ~state.lost[frames]
     loses_stability = np.zeros_like(near)
-    loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
+    if np.all(guarded):
+        loses_stability = ~is_stable(part, corrected, target)
+    elif np.any(guarded):
+        loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
     at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost however short the step
     first = at_last & np.isnan(state.buckled_at[frames])
     state.buckled_at[frames[first]] = target[first]
@@ -221,9 +239,10 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
 
 def _by_load(problem: Problem, q: Array, factor: Array) -> Array:
     """(T, Q) minus the derivative of the gradient with the load factor, in which it is linear, or quadratic where
-    the beam stretches or shears: a difference over 1 is exact."""
+    the beam stretches or shears: a difference over 1 is then exact."""
     if problem.compliance is None:
-        return gradient(problem, q, 0.0) - gradient(problem, q, 1.0)
+        across = nodal_forces(problem, q).across
+        return problem.weights * problem.moment + apply(transposed(problem.to_nodes), across)
     return gradient(problem, q, factor - 0.5) - gradient(problem, q, factor + 0.5)
 
 
@@ -231,7 +250,8 @@ def _terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Arr
     """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
     if problem.follower.shape[1]:
         return np.zeros_like(q), np.zeros_like(q)
-    forces = nodal_forces(replace(problem, section=None, stretch=None, shear=None), q)
+    plain = problem if problem.compliance is None else replace(problem, section=None, stretch=None, shear=None)
+    forces = nodal_forces(plain, q)
     along, across, delta = forces.along, forces.across, problem.strain_lever
     back, stiff = transposed(problem.to_nodes), problem.weights * problem.k
     turn = apply(problem.to_nodes, slope)

@@ -42,6 +42,8 @@ def correct(
         q[todo] = q_now
         near[todo] = settled & ~strayed
         going = np.flatnonzero(~(settled | strayed))
+        if going.size == 0:
+            break
         if going.size < todo.size:
             todo, part = todo[going], part.take(going)
             q_now, moved, size = q_now[going], moved[going], size[going]

@@ -13,10 +13,19 @@ from typing import Protocol
 
 import numpy as np
 
-from onebend.beam.grid import Grid, apply, make_grid
+from onebend.beam.grid import Grid, apply
 from onebend.beam.loads import Loads
 from onebend.beam.profiles.rectangular import RectangularSection
-from onebend.beam.profiles.stiffness import Profile
+from onebend.beam.profiles.stiffness import Profile, knots_of
+from onebend.beam.statics.nodal_beam import (
+    GridMemory,
+    are_common,
+    check_positive,
+    first_grid,
+    grid_for,
+    loads_at_nodes,
+    nodal_beam,
+)
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
@@ -36,6 +45,8 @@ class Rod(Protocol):
     def mass_per_length(self) -> Profile: ...
     @property
     def section(self) -> RectangularSection | None: ...
+    @property
+    def memory(self) -> GridMemory: ...
 
 
 def has_mass(rod: Rod) -> bool:
@@ -55,6 +66,7 @@ class Resolution:
 
     order: int = 16
     widest: float = 1.0
+    at_knots: bool = False  # an edge also where a derivative of k(s) or q0(s) jumps
 
     def finer(self) -> Resolution:
         """Panels half as wide."""
@@ -103,6 +115,8 @@ class Problem:
             if self.stretch is not None or self.shear is not None:
                 raise MechanicsError("1/EA and 1/kGA follow from the section: give it or them, not both")
             return self.section.compliance(self.k, self.weights, self.length)
+        if self.stretch is None and self.shear is None:
+            return None
         given = [np.zeros(1) if x is None else x for x in (self.stretch, self.shear)]
         if not all(np.all(x >= 0.0) for x in given):
             raise MechanicsError("1/EA and 1/kGA must be 0 or more")
@@ -178,8 +192,32 @@ class Problem:
 
 
 def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
-    """The arrays of a beam under loads. Raises `MechanicsError` where k(s) is not positive at every node."""
-    return make_problems([beam], loads, resolution)
+    """The arrays of a beam under loads; the beam remembers those that do not depend on the loads.
+
+    Raises:
+        MechanicsError: k(s) is not positive at every node.
+    """
+    loads = loads.spread(loads.size)
+    places = loads.places
+    if not are_common(places):
+        return make_problems([beam], loads, resolution)
+    key = (*(float(place) for place in places[0]), resolution)
+    nodal = beam.memory.beams.get(key)
+    if nodal is None:
+        grid = grid_for(places, _edges([beam], resolution), resolution.order, resolution.widest)
+        nodal = nodal_beam(beam.length, beam.stiffness, beam.rest_curvature, beam.mass_per_length, grid)
+        beam.memory.keep(key, nodal)
+    return Problem(
+        grid=nodal.grid,
+        weights=nodal.weights,
+        to_nodes=nodal.to_nodes,
+        length=np.asarray(beam.length),
+        k=nodal.k,
+        q0=nodal.q0,
+        alpha0=np.asarray(beam.clamp_angle),
+        section=beam.section,
+        **loads_at_nodes(nodal.grid, nodal.nodes, loads, nodal.mass_beyond),
+    )
 
 
 def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
@@ -192,20 +230,14 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
     if len(beams) not in (1, size):
         raise MechanicsError(f"{len(beams)} beams do not fit loads for {size} frames")
     loads = loads.spread(size)
-    jumps = tuple(j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps)
-    grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
+    grid = grid_for(loads.places, _edges(beams, resolution), resolution.order, resolution.widest)
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
     shared = len(beams) == 1
     k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
-    _check_positive(k, nodes)
+    check_positive(k, nodes)
     length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
     alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
-    dead = np.einsum("tac,taq->tqc", loads.force, _beyond(nodes, loads.force_s))
-    if np.any(loads.gravity != 0.0):
-        line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
-        mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
-        dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
-    rows = grid.integral_to(loads.follower_s if loads.follower_s.size else np.zeros((size, 0)))
+    line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
     return Problem(
         grid=grid,
         weights=weights,
@@ -214,13 +246,38 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
         k=k,
         q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
         alpha0=alpha0,
-        dead_force=dead,
-        moment=np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s)),
-        follower=loads.follower,
-        follower_beyond=_beyond(nodes, loads.follower_s),
-        follower_rows=rows,
         section=_common_section(beams),
+        **loads_at_nodes(grid, nodes, loads, np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)),
     )
+
+
+def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
+    """The coarsest resolution that carries the beam's own curvatures, and the share of their last Legendre
+    coefficients there; the beam remembers it."""
+    places = loads.places
+    common = tuple(float(place) for place in places[0]) if are_common(places) else ()
+    first = beam.memory.first.get(common)
+    if first is None:
+        edges, knots = (*common, *_jumps([beam])), _knots([beam])
+        first = first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
+        beam.memory.first = {common: first}
+    return Resolution(first.order, first.widest, first.at_knots), first.roughness
+
+
+def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:
+    """Where a derivative of a profile of any of the beams jumps."""
+    return tuple(sorted({j for b in beams for p in (b.stiffness, b.rest_curvature) for j in knots_of(p)}))
+
+
+def _edges(beams: Sequence[Rod], resolution: Resolution) -> tuple[float, ...]:
+    """Where the beams ask for an edge between panels."""
+    return (*_jumps(beams), *_knots(beams)) if resolution.at_knots else _jumps(beams)
+
+
+def _jumps(beams: Sequence[Rod]) -> tuple[float, ...]:
+    """Where a profile of any of the beams jumps."""
+    jumps = {j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps}
+    return tuple(sorted(jumps))
 
 
 def _picked_section(section: RectangularSection, chosen: IntArray | BoolArray) -> RectangularSection:
@@ -241,36 +298,6 @@ def _common_section(beams: Sequence[Rod]) -> RectangularSection | None:
     return replace(first, thickness=np.array([[o.thickness] for o in (first, *others) if o is not None]))
 
 
-def _beyond(nodes: Array, places: Array) -> Array:
-    """(T, a, Q) 1 where a place lies beyond a node."""
-    return np.asarray(nodes[..., None, :] < places[..., :, None], dtype=float)
-
-
 def _stack(values: list[Array]) -> Array:
     """One beam's values as they are, several with a leading axis."""
     return values[0] if len(values) == 1 else np.stack(values)
-
-
-def _check_positive(k: Array, nodes: Array) -> None:
-    if not np.all(k > 0.0):
-        bad = np.flatnonzero(~(k > 0.0))[0]
-        where = np.broadcast_to(nodes, k.shape).flat[bad]
-        raise MechanicsError(
-            f"k(s) is not positive: {k.flat[bad]:.3g} N m at s = {where:.3f}; such a beam has no stable equilibrium"
-        )
-
-
-def _grid_for(places: Array, jumps: tuple[float, ...], resolution: Resolution) -> Grid:
-    """One grid for the batch where all frames have their loads at the same places, else one a frame."""
-    if places.shape[1] == 0 or np.all(places == places[:1]):
-        fixed = tuple(float(p) for p in places[0])
-        return make_grid((*fixed, *jumps), order=resolution.order, widest=resolution.widest)
-    common = make_grid(jumps, order=resolution.order, widest=resolution.widest).edges
-    inside = np.clip(places, 1e-6, 1.0 - 1e-6)
-    edges = np.sort(np.concatenate([np.broadcast_to(common, (places.shape[0], len(common))), inside], axis=1), axis=1)
-    # Equal edges are pulled apart by an invisible amount so that every frame has the same number of panels.
-    step = 1e-7 * np.arange(edges.shape[1])
-    edges = np.maximum.accumulate(edges - step, axis=1) + step
-    edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
-    edges[:, -1] = 1.0
-    return Grid(edges, resolution.order)

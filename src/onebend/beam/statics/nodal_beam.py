@@ -1,0 +1,162 @@
+"""What a beam is at the nodes of a grid: all of a problem that its loads do not change, remembered by the beam."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from onebend.beam.grid import Grid, make_grid, transposed
+from onebend.beam.loads import Loads
+from onebend.beam.profiles.stiffness import Profile
+from onebend.errors import MechanicsError
+from onebend.records import Array
+
+_REMEMBERED = 8  # grids a beam
+RESOLVED_ANGLES = _RESOLVED = (
+    1e-8  # share of the last Legendre coefficients of a curvature whose angles are good to 1e-10 rad
+)
+MOST_HALVINGS = 5  # of the panels
+_MOST_KNOTS, _FEW_KNOTS = 60, 10  # that get an edge each; of fewer, with panels of the full order
+_KNOT_HALVINGS = 1  # of panels between knots
+_SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
+_MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
+
+
+@dataclass(frozen=True)
+class NodalBeam:
+    """One beam at the Q nodes of one grid."""
+
+    grid: Grid
+    nodes: Array  # (Q,)
+    weights: Array  # (Q,)
+    to_nodes: Array  # (Q, Q): B
+    k: Array  # (Q,) N m
+    q0: Array  # (Q,) rad
+    mass_beyond: Array  # (Q,) kg
+
+
+@dataclass(frozen=True)
+class FirstGrid:
+    """The coarsest grid that carries the beam's own curvatures: at rest, and under the least of forces at its tip."""
+
+    order: int
+    widest: float
+    at_knots: bool  # an edge also where a derivative of k(s) or q0(s) jumps
+    roughness: float  # share of the last Legendre coefficients of those curvatures
+
+
+@dataclass
+class GridMemory:
+    """What a beam remembers from one call to the next: its arrays on the last few grids, and where to begin."""
+
+    beams: dict[Hashable, NodalBeam] = field(default_factory=dict)
+    first: dict[tuple[float, ...], FirstGrid] = field(default_factory=dict)  # by the places of the loads
+
+    def keep(self, key: Hashable, beam: NodalBeam) -> None:
+        """Remember one more, and forget the oldest where there are many."""
+        for oldest in list(self.beams)[: 1 - _REMEMBERED]:
+            self.beams.pop(oldest, None)
+        self.beams[key] = beam
+
+
+def nodal_beam(length: float, stiffness: Profile, rest_curvature: Profile, mass: Profile, grid: Grid) -> NodalBeam:
+    """Raises `MechanicsError` where k(s) is not positive at every node."""
+    nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
+    k = np.asarray(stiffness(nodes), dtype=float)
+    check_positive(k, nodes)
+    line = length * np.asarray(mass(nodes), dtype=float)
+    q0 = np.asarray(rest_curvature(nodes), dtype=float)
+    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, np.sum(weights * line) - to_nodes @ line)
+
+
+def first_grid(
+    stiffness: Profile, rest_curvature: Profile, edges: tuple[float, ...], knots: tuple[float, ...], order: int
+) -> FirstGrid:
+    """A grid on which q0 and (1 - s) / k are resolved, with an edge at `edges`, and at the `knots` if need be.
+
+    Where neither that nor halving the panels resolves them, the first that turns and moves the tip as the one before.
+    The beam bends by (1 - s) / k under a small force across its tip: what k(s) asks of the grid, without a solve.
+    """
+    if 0 < len(knots) <= _MOST_KNOTS and _own(stiffness, rest_curvature, make_grid(edges, order=order))[0] > _RESOLVED:
+        fewer, widest = order if len(knots) < _FEW_KNOTS else order // 2, 1.0
+        for _ in range(_KNOT_HALVINGS + 1):
+            grid = make_grid((*edges, *knots), order=fewer, widest=widest)
+            tail, _ = _own(stiffness, rest_curvature, grid)
+            widest = float(np.max(np.diff(grid.edges)))
+            if tail < _RESOLVED:
+                return FirstGrid(fewer, widest, True, tail)
+            widest *= 0.5
+    tips = np.full((2, 3), np.nan)
+    for halvings in range(MOST_HALVINGS + 1):
+        before = tips
+        tail, tips = _own(stiffness, rest_curvature, make_grid(edges, order=order, widest=0.5**halvings))
+        same = np.all(np.abs(tips - before) <= _SAME_TIP * np.array([[tips[0, 0]], [1.0]]))
+        if tail < _RESOLVED or same:
+            break
+    return FirstGrid(order, 0.5**halvings, False, tail)
+
+
+def _own(stiffness: Profile, rest_curvature: Profile, grid: Grid) -> tuple[float, Array]:
+    """Of (1 - s) / k and q0: the share of their last Legendre coefficients; (2, 3) turn and way of the tip by them."""
+    arm = 1.0 - grid.nodes
+    k = np.asarray(stiffness(grid.nodes), dtype=float)
+    check_positive(k, grid.nodes)
+    bent = np.stack([arm / k, np.asarray(rest_curvature(grid.nodes), dtype=float)])
+    return float(np.max(grid.legendre_tail(bent))), bent @ (grid.weights * arm**_MOMENTS).T
+
+
+def check_positive(k: Array, nodes: Array) -> None:
+    """Raises `MechanicsError` where k (..., Q) is not positive."""
+    if not np.all(k > 0.0):
+        bad = np.flatnonzero(~(k > 0.0))[0]
+        where = np.broadcast_to(nodes, k.shape).flat[bad]
+        raise MechanicsError(
+            f"k(s) is not positive: {k.flat[bad]:.3g} N m at s = {where:.3f}; such a beam has no stable equilibrium"
+        )
+
+
+def loads_at_nodes(grid: Grid, nodes: Array, loads: Loads, mass_beyond: Array) -> dict[str, Array]:
+    """The entries of a `Problem` for the loads of T frames; `mass_beyond` (Q,) or (T, Q) kg weighs where gravity is."""
+    size, frames = loads.size, nodes.shape[-1]
+    dead = transposed(_beyond(nodes, loads.force_s)) @ loads.force
+    if np.any(loads.gravity != 0.0):
+        dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
+    moment = np.zeros((size, frames))
+    if loads.moment.shape[1]:
+        moment = np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s))
+    follows = loads.follower.shape[1] > 0
+    return {
+        "dead_force": dead,
+        "moment": moment,
+        "follower": loads.follower,
+        "follower_beyond": _beyond(nodes, loads.follower_s) if follows else np.zeros((size, 0, frames)),
+        "follower_rows": grid.integral_to(loads.follower_s) if follows else np.zeros((size, 0, frames)),
+    }
+
+
+def _beyond(nodes: Array, places: Array) -> Array:
+    """(T, a, Q) 1 where a place lies beyond a node."""
+    return np.asarray(nodes[..., None, :] < places[..., :, None], dtype=float)
+
+
+def are_common(places: Array) -> bool:
+    """Whether all frames have their loads at the same places."""
+    return len(places) == 1 or places.shape[1] == 0 or bool(np.all(places == places[:1]))
+
+
+def grid_for(places: Array, jumps: tuple[float, ...], order: int, widest: float) -> Grid:
+    """One grid for the batch where all frames have their loads at the same places, else one a frame."""
+    if are_common(places):
+        fixed = tuple(float(p) for p in places[0])
+        return make_grid((*fixed, *jumps), order=order, widest=widest)
+    common = make_grid(jumps, order=order, widest=widest).edges
+    inside = np.clip(places, 1e-6, 1.0 - 1e-6)
+    edges = np.sort(np.concatenate([np.broadcast_to(common, (places.shape[0], len(common))), inside], axis=1), axis=1)
+    # Equal edges are pulled apart by an invisible amount so that every frame has the same number of panels.
+    step = 1e-7 * np.arange(edges.shape[1])
+    edges = np.maximum.accumulate(edges - step, axis=1) + step
+    edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
+    edges[:, -1] = 1.0
+    return Grid(edges, order)
