@@ -19,6 +19,7 @@ RESOLVED_ANGLES = _RESOLVED = (
 )
 MOST_HALVINGS = 5  # of the panels
 _MOST_KNOTS, _FEW_KNOTS = 60, 10  # that get an edge each; of fewer, with panels of the full order
+_FEWER_NODES = 10  # a panel, between many knots
 _KNOT_HALVINGS = 1  # of panels between knots
 _SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
 _MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
@@ -80,7 +81,7 @@ def first_grid(
     The beam bends by (1 - s) / k under a small force across its tip: what k(s) asks of the grid, without a solve.
     """
     if 0 < len(knots) <= _MOST_KNOTS and _own(stiffness, rest_curvature, make_grid(edges, order=order))[0] > _RESOLVED:
-        fewer, widest = order if len(knots) < _FEW_KNOTS else order // 2, 1.0
+        fewer, widest = order if len(knots) < _FEW_KNOTS else min(order, _FEWER_NODES), 1.0
         for _ in range(_KNOT_HALVINGS + 1):
             grid = make_grid((*edges, *knots), order=fewer, widest=widest)
             tail, _ = _own(stiffness, rest_curvature, grid)

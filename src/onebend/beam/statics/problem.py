@@ -252,8 +252,7 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
 
 
 def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
-    """The coarsest resolution that carries the beam's own curvatures, and the share of their last Legendre
-    coefficients there; the beam remembers it."""
+    """The coarsest that carries the beam's own curvatures, and the share of their last Legendre coefficients there."""
     places = loads.places
     common = tuple(float(place) for place in places[0]) if are_common(places) else ()
     first = beam.memory.first.get(common)
@@ -270,7 +269,6 @@ def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:
 
 
 def _edges(beams: Sequence[Rod], resolution: Resolution) -> tuple[float, ...]:
-    """Where the beams ask for an edge between panels."""
     return (*_jumps(beams), *_knots(beams)) if resolution.at_knots else _jumps(beams)
 
 
@@ -299,5 +297,4 @@ def _common_section(beams: Sequence[Rod]) -> RectangularSection | None:
 
 
 def _stack(values: list[Array]) -> Array:
-    """One beam's values as they are, several with a leading axis."""
     return values[0] if len(values) == 1 else np.stack(values)
