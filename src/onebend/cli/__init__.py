@@ -64,6 +64,12 @@ COMMANDS = {
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
+    "frequencies": Place(
+        "motion",
+        "frequencies",
+        "Find the natural frequencies in a free swing, to be written in recording.toml.",
+        "examples/ruler/swing.csv",
+    ),
     "reach": Place(
         "control",
         "reach",

@@ -11,7 +11,7 @@ from onebend.beam.grid import Grid, make_grid, transposed
 from onebend.beam.loads import Loads
 from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import MechanicsError
-from onebend.records import Array
+from onebend.records import Array, PointMass
 
 _REMEMBERED = 8  # grids a beam
 RESOLVED_ANGLES = _RESOLVED = (
@@ -35,7 +35,7 @@ class NodalBeam:
     to_nodes: Array  # (Q, Q): B
     k: Array  # (Q,) N m
     q0: Array  # (Q,) rad
-    mass_beyond: Array  # (Q,) kg
+    mass_beyond: Array  # (Q,) kg, with what rides on the beam
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,25 @@ class GridMemory:
         self.beams[key] = beam
 
 
-def nodal_beam(length: float, stiffness: Profile, rest_curvature: Profile, mass: Profile, grid: Grid) -> NodalBeam:
+def nodal_beam(
+    length: float, stiffness: Profile, rest_curvature: Profile, mass: Profile, riding: tuple[PointMass, ...], grid: Grid
+) -> NodalBeam:
     """Raises `MechanicsError` where k(s) is not positive at every node."""
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
     k = np.asarray(stiffness(nodes), dtype=float)
     check_positive(k, nodes)
     line = length * np.asarray(mass(nodes), dtype=float)
     q0 = np.asarray(rest_curvature(nodes), dtype=float)
-    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, np.sum(weights * line) - to_nodes @ line)
+    mass_beyond = np.sum(weights * line) - to_nodes @ line + riding_beyond(nodes, riding)
+    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond)
+
+
+def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
+    """(..., Q) kg, of the masses that ride on a beam beyond each node."""
+    out = np.zeros(nodes.shape)
+    for one in masses:
+        out += one.mass * (nodes < one.s)
+    return out
 
 
 def first_grid(

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.beam.grid import Grid, apply
 from onebend.beam.loads import Loads
-from onebend.beam.profiles.rectangular import RectangularSection
+from onebend.beam.profiles.rectangular import RectangularSection, common_section
 from onebend.beam.profiles.stiffness import Profile, knots_of
 from onebend.beam.statics.nodal_beam import (
     GridMemory,
@@ -25,9 +25,10 @@ from onebend.beam.statics.nodal_beam import (
     grid_for,
     loads_at_nodes,
     nodal_beam,
+    riding_beyond,
 )
 from onebend.errors import MechanicsError
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, PointMass
 
 
 class Rod(Protocol):
@@ -47,10 +48,12 @@ class Rod(Protocol):
     def section(self) -> RectangularSection | None: ...
     @property
     def memory(self) -> GridMemory: ...
+    @property
+    def masses(self) -> tuple[PointMass, ...]: ...
 
 
 def has_mass(rod: Rod) -> bool:
-    """Whether it weighs anything: without, gravity does nothing and nothing swings."""
+    """Whether it has a mass of its own: without, gravity does nothing and nothing swings."""
     return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
 
 
@@ -185,7 +188,7 @@ class Problem:
             follower=self.follower[chosen],
             follower_beyond=self.follower_beyond[chosen],
             follower_rows=self.follower_rows[chosen],
-            section=self.section if self.section is None else _picked_section(self.section, chosen),
+            section=None if self.section is None else self.section.take(chosen),
             stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
             shear=self.shear if self.shear is None else pick(self.shear, 1),
         )
@@ -205,7 +208,7 @@ def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution())
     nodal = beam.memory.beams.get(key)
     if nodal is None:
         grid = grid_for(places, _edges([beam], resolution), resolution.order, resolution.widest)
-        nodal = nodal_beam(beam.length, beam.stiffness, beam.rest_curvature, beam.mass_per_length, grid)
+        nodal = nodal_beam(beam.length, beam.stiffness, beam.rest_curvature, beam.mass_per_length, beam.masses, grid)
         beam.memory.keep(key, nodal)
     return Problem(
         grid=nodal.grid,
@@ -237,7 +240,11 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
     check_positive(k, nodes)
     length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
     alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
-    line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
+    mass_beyond = np.zeros(nodes.shape)
+    if np.any(loads.gravity != 0.0):
+        line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
+        mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
+        mass_beyond = mass_beyond + _stack([riding_beyond(nodes, b.masses) for b in beams])
     return Problem(
         grid=grid,
         weights=weights,
@@ -246,8 +253,8 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
         k=k,
         q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
         alpha0=alpha0,
-        section=_common_section(beams),
-        **loads_at_nodes(grid, nodes, loads, np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)),
+        section=common_section([beam.section for beam in beams]),
+        **loads_at_nodes(grid, nodes, loads, mass_beyond),
     )
 
 
@@ -273,27 +280,9 @@ def _edges(beams: Sequence[Rod], resolution: Resolution) -> tuple[float, ...]:
 
 
 def _jumps(beams: Sequence[Rod]) -> tuple[float, ...]:
-    """Where a profile of any of the beams jumps."""
+    """Where a profile of any of the beams jumps, and where a mass rides."""
     jumps = {j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps}
-    return tuple(sorted(jumps))
-
-
-def _picked_section(section: RectangularSection, chosen: IntArray | BoolArray) -> RectangularSection:
-    """That of some frames of the batch."""
-    h = section.thickness
-    return section if np.ndim(h) == 0 else replace(section, thickness=np.asarray(h)[chosen])
-
-
-def _common_section(beams: Sequence[Rod]) -> RectangularSection | None:
-    """One section for the batch, of thickness (T, 1) where several beams differ in it."""
-    first, *others = (beam.section for beam in beams)
-    if first is None or not others or all(other == first for other in others):
-        if any(other is not None for other in others) and first is None:
-            raise MechanicsError("some beams of the batch have a thickness, others none: solve them apart")
-        return first
-    if any(o is None or (o.poisson, o.varies) != (first.poisson, first.varies) for o in others):
-        raise MechanicsError("beams of one batch share Poisson's ratio and what varies; solve the others apart")
-    return replace(first, thickness=np.array([[o.thickness] for o in (first, *others) if o is not None]))
+    return tuple(sorted(jumps.union(one.s for b in beams for one in b.masses)))
 
 
 def _stack(values: list[Array]) -> Array:
