@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from onebend.errors import MechanicsError
 from onebend.records import Array, PointMass
 
 _REMEMBERED = 8  # grids a beam
-RESOLVED_ANGLES = _RESOLVED = (
-    1e-8  # share of the last Legendre coefficients of a curvature whose angles are good to 1e-10 rad
-)
-MOST_HALVINGS = 5  # of the panels
-_MOST_KNOTS, _FEW_KNOTS = 60, 10  # that get an edge each; of fewer, with panels of the full order
-_FEWER_NODES = 10  # a panel, between many knots
-_KNOT_HALVINGS = 1  # of panels between knots
+RESOLVED = 3e-10  # share of a curvature that angles may miss; positions miss less
+NARROW = 1.0 / 32.0  # panels that are not halved again
+AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a load may make of it
+_MOST_KNOTS = 60  # that get an edge each
+_BETWEEN_KNOTS = ((4, 1.0), (6, 1.0), (8, 1.0), (10, 1.0), (12, 1.0), (16, 1.0), (16, 0.5))  # nodes, share of widest
+_MOMENT_ORDER = 16  # of a moment's polynomials
+_FEWEST_NODES = 2.0  # for each unknown in moments, for which they are worth their while
 _SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
 _MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
 
@@ -36,6 +37,29 @@ class NodalBeam:
     k: Array  # (Q,) N m
     q0: Array  # (Q,) rad
     mass_beyond: Array  # (Q,) kg, with what rides on the beam
+    places: tuple[float, ...]  # of all loads
+
+    @cached_property
+    def basis(self) -> MomentBasis | None:
+        """For loads at `places`; None where it has not much fewer unknowns than there are nodes."""
+        coarse = make_grid(self.places, order=_MOMENT_ORDER)
+        columns = coarse.value_at(self.nodes) / self.k[:, None]
+        if np.any(self.q0 != 0.0):
+            columns = np.column_stack([columns, self.q0])
+        if len(self.nodes) < _FEWEST_NODES * columns.shape[1]:
+            return None
+        root = np.sqrt(self.weights * self.k)
+        modes = np.linalg.qr(root[:, None] * columns)[0] / root[:, None]
+        return MomentBasis(modes, self.to_nodes @ modes, (root**2 * self.q0) @ modes)
+
+
+@dataclass(frozen=True)
+class MomentBasis:
+    """n curvatures that are orthonormal in the bending energy, of moments that are polynomials between loads."""
+
+    modes: Array  # (Q, n): R
+    turned: Array  # (Q, n): B R, the angles
+    rest: Array  # (n,): q0 in the basis, which holds it exactly
 
 
 @dataclass(frozen=True)
@@ -45,7 +69,7 @@ class FirstGrid:
     order: int
     widest: float
     at_knots: bool  # an edge also where a derivative of k(s) or q0(s) jumps
-    roughness: float  # share of the last Legendre coefficients of those curvatures
+    missed: float  # share of those curvatures by which angles are off
 
 
 @dataclass
@@ -63,16 +87,23 @@ class GridMemory:
 
 
 def nodal_beam(
-    length: float, stiffness: Profile, rest_curvature: Profile, mass: Profile, riding: tuple[PointMass, ...], grid: Grid
+    length: float,
+    stiffness: Profile,
+    rest_curvature: Profile,
+    mass: Profile,
+    riding: tuple[PointMass, ...],
+    grid: Grid,
+    places: tuple[float, ...],
 ) -> NodalBeam:
-    """Raises `MechanicsError` where k(s) is not positive at every node."""
+    """Arrays for loads at `places`. Raises `MechanicsError` where k(s) is not positive at every node."""
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
     k = np.asarray(stiffness(nodes), dtype=float)
     check_positive(k, nodes)
     line = length * np.asarray(mass(nodes), dtype=float)
     q0 = np.asarray(rest_curvature(nodes), dtype=float)
     mass_beyond = np.sum(weights * line) - to_nodes @ line + riding_beyond(nodes, riding)
-    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond)
+    loaded = (*places, *(one.s for one in riding))
+    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond, loaded)
 
 
 def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
@@ -91,32 +122,43 @@ def first_grid(
     Where neither that nor halving the panels resolves them, the first that turns and moves the tip as the one before.
     The beam bends by (1 - s) / k under a small force across its tip: what k(s) asks of the grid, without a solve.
     """
-    if 0 < len(knots) <= _MOST_KNOTS and _own(stiffness, rest_curvature, make_grid(edges, order=order))[0] > _RESOLVED:
-        fewer, widest = order if len(knots) < _FEW_KNOTS else min(order, _FEWER_NODES), 1.0
-        for _ in range(_KNOT_HALVINGS + 1):
-            grid = make_grid((*edges, *knots), order=fewer, widest=widest)
-            tail, _ = _own(stiffness, rest_curvature, grid)
-            widest = float(np.max(np.diff(grid.edges)))
-            if tail < _RESOLVED:
-                return FirstGrid(fewer, widest, True, tail)
-            widest *= 0.5
-    tips = np.full((2, 3), np.nan)
-    for halvings in range(MOST_HALVINGS + 1):
-        before = tips
-        tail, tips = _own(stiffness, rest_curvature, make_grid(edges, order=order, widest=0.5**halvings))
+    if 0 < len(knots) <= _MOST_KNOTS and _own(stiffness, rest_curvature, make_grid(edges, order=order))[0] > RESOLVED:
+        between = _widest((*edges, *knots))
+        for fewer, share in _BETWEEN_KNOTS:
+            grid = make_grid((*edges, *knots), order=fewer, widest=share * between)
+            missed, _ = _own(stiffness, rest_curvature, grid)
+            if AS_ROUGH * missed < RESOLVED:
+                return FirstGrid(fewer, share * between, True, missed)
+    tips, widest = np.full((2, 3), np.nan), 2.0 * _widest(edges)
+    while widest > NARROW:
+        before, widest = tips, 0.5 * widest
+        missed, tips = _own(stiffness, rest_curvature, make_grid(edges, order=order, widest=widest))
         same = np.all(np.abs(tips - before) <= _SAME_TIP * np.array([[tips[0, 0]], [1.0]]))
-        if tail < _RESOLVED or same:
+        if missed < RESOLVED or same:
             break
-    return FirstGrid(order, 0.5**halvings, False, tail)
+    return FirstGrid(order, widest, False, missed)
+
+
+def _widest(edges: tuple[float, ...]) -> float:
+    """Of the panels between edges."""
+    return float(np.max(np.diff(make_grid(edges).edges)))
+
+
+def missed_by_angles(grid: Grid, q: Array) -> Array:
+    """(...) share of curvatures q (..., Q) by which their angles at the nodes may be off.
+
+    The last Legendre coefficient of a panel of width h turns the beam by up to h / (2 order + 1) of it.
+    """
+    return grid.legendre_tail(q) * float(np.max(np.diff(grid.edges))) / (2 * grid.order + 1)
 
 
 def _own(stiffness: Profile, rest_curvature: Profile, grid: Grid) -> tuple[float, Array]:
-    """Of (1 - s) / k and q0: the share of their last Legendre coefficients; (2, 3) turn and way of the tip by them."""
+    """Of (1 - s) / k and q0: the share that angles miss; (2, 3) turn and way of the tip by them."""
     arm = 1.0 - grid.nodes
     k = np.asarray(stiffness(grid.nodes), dtype=float)
     check_positive(k, grid.nodes)
     bent = np.stack([arm / k, np.asarray(rest_curvature(grid.nodes), dtype=float)])
-    return float(np.max(grid.legendre_tail(bent))), bent @ (grid.weights * arm**_MOMENTS).T
+    return float(np.max(missed_by_angles(grid, bent))), bent @ (grid.weights * arm**_MOMENTS).T
 
 
 def check_positive(k: Array, nodes: Array) -> None:

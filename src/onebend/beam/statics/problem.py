@@ -9,16 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from onebend.beam.grid import Grid, apply
 from onebend.beam.loads import Loads
 from onebend.beam.profiles.rectangular import RectangularSection, common_section
-from onebend.beam.profiles.stiffness import Profile, knots_of
+from onebend.beam.profiles.stiffness import knots_of
 from onebend.beam.statics.nodal_beam import (
-    GridMemory,
+    NodalBeam,
     are_common,
     check_positive,
     first_grid,
@@ -27,40 +26,9 @@ from onebend.beam.statics.nodal_beam import (
     nodal_beam,
     riding_beyond,
 )
+from onebend.beam.statics.rod import Rod
 from onebend.errors import MechanicsError
-from onebend.records import Array, BoolArray, IntArray, PointMass
-
-
-class Rod(Protocol):
-    """What mechanics needs to know of a beam; `model.Beam` is one."""
-
-    @property
-    def length(self) -> float: ...
-    @property
-    def stiffness(self) -> Profile: ...
-    @property
-    def rest_curvature(self) -> Profile: ...
-    @property
-    def clamp_angle(self) -> float: ...
-    @property
-    def mass_per_length(self) -> Profile: ...
-    @property
-    def section(self) -> RectangularSection | None: ...
-    @property
-    def memory(self) -> GridMemory: ...
-    @property
-    def masses(self) -> tuple[PointMass, ...]: ...
-
-
-def has_mass(rod: Rod) -> bool:
-    """Whether it has a mass of its own: without, gravity does nothing and nothing swings."""
-    return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
-
-
-def refuse_section(rod: Rod, who: str) -> None:
-    """Raises `MechanicsError` where a beam has a thickness and `who` does not know stretch and shear."""
-    if rod.section is not None:
-        raise MechanicsError(f"{who} takes beams that neither stretch nor shear: give the beam without its thickness")
+from onebend.records import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -99,6 +67,7 @@ class Problem:
     section: RectangularSection | None = None
     stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA, where there is no section
     shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA, where there is no section
+    modes: Array | None = None  # (Q, n): then unknowns, q0 and columns of B are of these curvatures, not of the nodes
 
     @property
     def size(self) -> int:
@@ -110,6 +79,17 @@ class Problem:
         """(T, Q) N m each: the dead force beyond the nodes times L w, its components x and y."""
         lw = self.length * self.weights
         return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
+
+    @cached_property
+    def stiff(self) -> Array:
+        """(Q,) or (T, Q) N m: w k; (n,) 1 for modes, which are orthonormal in it."""
+        return self.weights * self.k if self.modes is None else np.ones(self.modes.shape[-1])
+
+    @cached_property
+    def couple(self) -> Array:
+        """(T, Q) or (T, n) N m: w times the point moments beyond the nodes, their work for each unknown."""
+        out = self.weights * self.moment
+        return out if self.modes is None else out @ self.modes
 
     @cached_property
     def compliance(self) -> tuple[Array, Array] | None:
@@ -189,9 +169,24 @@ class Problem:
             follower_beyond=self.follower_beyond[chosen],
             follower_rows=self.follower_rows[chosen],
             section=None if self.section is None else self.section.take(chosen),
+            modes=self.modes,
             stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
             shear=self.shear if self.shear is None else pick(self.shear, 1),
         )
+
+
+def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
+    """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame."""
+    if not are_common(loads.places):
+        return None
+    places = tuple(float(place) for place in loads.places[0])
+    nodal = beam.memory.beams.get((*places, resolution))
+    if nodal is None:
+        grid = grid_for(loads.places, _edges([beam], resolution), resolution.order, resolution.widest)
+        line = (beam.stiffness, beam.rest_curvature, beam.mass_per_length)
+        nodal = nodal_beam(beam.length, *line, beam.masses, grid, places)
+        beam.memory.keep((*places, resolution), nodal)
+    return nodal
 
 
 def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
@@ -201,15 +196,9 @@ def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution())
         MechanicsError: k(s) is not positive at every node.
     """
     loads = loads.spread(loads.size)
-    places = loads.places
-    if not are_common(places):
-        return make_problems([beam], loads, resolution)
-    key = (*(float(place) for place in places[0]), resolution)
-    nodal = beam.memory.beams.get(key)
+    nodal = remembered(beam, loads, resolution)
     if nodal is None:
-        grid = grid_for(places, _edges([beam], resolution), resolution.order, resolution.widest)
-        nodal = nodal_beam(beam.length, beam.stiffness, beam.rest_curvature, beam.mass_per_length, beam.masses, grid)
-        beam.memory.keep(key, nodal)
+        return make_problems([beam], loads, resolution)
     return Problem(
         grid=nodal.grid,
         weights=nodal.weights,
@@ -259,7 +248,7 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
 
 
 def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
-    """The coarsest that carries the beam's own curvatures, and the share of their last Legendre coefficients there."""
+    """The coarsest that carries the beam's own curvatures, and the share of them by which its angles are off."""
     places = loads.places
     common = tuple(float(place) for place in places[0]) if are_common(places) else ()
     first = beam.memory.first.get(common)
@@ -267,7 +256,7 @@ def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
         edges, knots = (*common, *_jumps([beam])), _knots([beam])
         first = first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
         beam.memory.first = {common: first}
-    return Resolution(first.order, first.widest, first.at_knots), first.roughness
+    return Resolution(first.order, first.widest, first.at_knots), first.missed
 
 
 def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:

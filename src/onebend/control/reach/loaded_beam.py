@@ -16,7 +16,8 @@ from scipy.linalg.lapack import dgesv, dposv, dpotrf
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Problem, Resolution, make_problem, refuse_section
+from onebend.beam.statics.problem import Problem, Resolution, make_problem
+from onebend.beam.statics.rod import refuse_section
 from onebend.errors import ControlError
 from onebend.records import Array
 
