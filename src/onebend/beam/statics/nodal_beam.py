@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import MechanicsError
 from onebend.records import Array, PointMass
 
-_REMEMBERED = 8  # grids a beam
+_Made = TypeVar("_Made")
+_REMEMBERED = 16  # grids a beam
 RESOLVED = 3e-10  # share of a curvature that angles may miss; positions miss less
 NARROW = 1.0 / 32.0  # panels that are not halved again
 AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a load may make of it
@@ -78,12 +80,21 @@ class GridMemory:
 
     beams: dict[Hashable, NodalBeam] = field(default_factory=dict)
     first: dict[tuple[float, ...], FirstGrid] = field(default_factory=dict)  # by the places of the loads
+    made: dict[Hashable, Any] = field(default_factory=dict)  # by others, for their own calls
 
     def keep(self, key: Hashable, beam: NodalBeam) -> None:
         """Remember one more, and forget the oldest where there are many."""
         for oldest in list(self.beams)[: 1 - _REMEMBERED]:
             self.beams.pop(oldest, None)
         self.beams[key] = beam
+
+    def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """What `make` gives for the key, made once; the oldest is forgotten where there are many."""
+        if key not in self.made:
+            for oldest in list(self.made)[: 1 - _REMEMBERED]:
+                self.made.pop(oldest, None)
+            self.made[key] = make()
+        return cast(_Made, self.made[key])
 
 
 def nodal_beam(
