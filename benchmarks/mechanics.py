@@ -140,7 +140,19 @@ def speed() -> list[Row]:
             "us",
             "",
         ),
+        *public_calls(force[FRAMES // 4]),
         *derivatives(force),
+    ]
+
+
+def public_calls(force: Array) -> list[Row]:
+    """`Beam.equilibrium` as users call it, grid and checks included: one force, and a thousand."""
+    many, exact = pushes(1000), equilibrium(BEAM, push(force), resolution=Resolution(32)).xy(TIP)[0, 0]
+    off = float(np.linalg.norm(BEAM.equilibrium(force).xy(1.0) - exact)) / BEAM.length
+    return [
+        Row("Beam.equilibrium, one force", 1e3 * best_of(lambda: BEAM.equilibrium(force), 50), "ms", "<= 0.8"),
+        Row("its error at the tip", off, "L", "<= 1e-8"),
+        Row("Beam.equilibrium, 1000 forces", 1e3 * best_of(lambda: BEAM.equilibrium(many)), "ms", "<= 12"),
     ]
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from onebend.beam.statics.perturbation import Perturbation as Perturbation
     from onebend.beam.statics.problem import Problem as Problem
     from onebend.beam.statics.problem import Resolution as Resolution
-    from onebend.beam.statics.problem import Rod as Rod
+    from onebend.beam.statics.rod import Rod as Rod
     from onebend.records import PointMass as PointMass
 else:
     __getattr__, __dir__, __all__ = lazy_names(

@@ -9,7 +9,8 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import has_mass, make_problem
+from onebend.beam.statics.problem import make_problem
+from onebend.beam.statics.rod import has_mass
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
