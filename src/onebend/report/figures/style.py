@@ -84,8 +84,8 @@ def png_of(figure: Figure, *, software: str | None = None) -> bytes:
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        assert isinstance(figure.canvas, FigureCanvasAgg)  # from `blank`
-        figure.canvas.print_png(stream, metadata={"Software": software})  # type: ignore[no-untyped-call]
+        canvas = figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
+        canvas.print_png(stream, metadata={"Software": software})  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 
