@@ -16,7 +16,7 @@ from onebend.errors import MechanicsError
 from onebend.records import Array, PointMass
 
 _Made = TypeVar("_Made")
-_REMEMBERED = 16  # grids a beam
+_REMEMBERED, _MADE = 8, 24  # grids a beam, and what others made
 RESOLVED = 3e-10  # share of a curvature that angles may miss; positions miss less
 NARROW = 1.0 / 32.0  # panels that are not halved again
 AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a load may make of it
@@ -76,11 +76,10 @@ class FirstGrid:
 
 @dataclass
 class GridMemory:
-    """What a beam remembers from one call to the next: its arrays on the last few grids, and where to begin."""
+    """What a beam remembers from one call to the next: its arrays on the last few grids, and what calls begin with."""
 
     beams: dict[Hashable, NodalBeam] = field(default_factory=dict)
-    first: dict[tuple[float, ...], FirstGrid] = field(default_factory=dict)  # by the places of the loads
-    made: dict[Hashable, Any] = field(default_factory=dict)  # by others, for their own calls
+    made: dict[Hashable, Any] = field(default_factory=dict)  # whatever else calls want again
 
     def keep(self, key: Hashable, beam: NodalBeam) -> None:
         """Remember one more, and forget the oldest where there are many."""
@@ -90,11 +89,12 @@ class GridMemory:
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
         """What `make` gives for the key, made once; the oldest is forgotten where there are many."""
-        if key not in self.made:
-            for oldest in list(self.made)[: 1 - _REMEMBERED]:
+        found = self.made.get(key)
+        if found is None:
+            for oldest in list(self.made)[: 1 - _MADE]:
                 self.made.pop(oldest, None)
-            self.made[key] = make()
-        return cast(_Made, self.made[key])
+            found = self.made[key] = make()
+        return cast(_Made, found)
 
 
 def nodal_beam(

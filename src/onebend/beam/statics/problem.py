@@ -17,6 +17,7 @@ from onebend.beam.loads import Loads
 from onebend.beam.profiles.rectangular import RectangularSection, common_section
 from onebend.beam.profiles.stiffness import knots_of
 from onebend.beam.statics.nodal_beam import (
+    FirstGrid,
     NodalBeam,
     are_common,
     check_positive,
@@ -251,11 +252,12 @@ def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
     """The coarsest that carries the beam's own curvatures, and the share of them by which its angles are off."""
     places = loads.places
     common = tuple(float(place) for place in places[0]) if are_common(places) else ()
-    first = beam.memory.first.get(common)
-    if first is None:
+
+    def make() -> FirstGrid:
         edges, knots = (*common, *_jumps([beam])), _knots([beam])
-        first = first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
-        beam.memory.first = {common: first}
+        return first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
+
+    first = beam.memory.once((FirstGrid, common), make)
     return Resolution(first.order, first.widest, first.at_knots), first.missed
 
 
