@@ -22,7 +22,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("report", "export", "estimators"),
     ("results",),
     ("pipeline", "forecast"),
-    ("studies", "batch"),
+    ("studies", "batch", "population"),
     ("terminal",),
     ("design", "paper"),
     ("__init__",),
