@@ -55,4 +55,5 @@ def made(truth: Truth, seed: int) -> Made:
     smooth = np.exp(-0.5 * ((s[:, None] - s) / 0.2) ** 2) + 1e-6 * np.eye(len(s))
     covariance = sd[:, :, None] * sd[:, None, :] * smooth
     log_k = log_k + sd * (rng.standard_normal(log_k.shape) @ np.linalg.cholesky(smooth).T)
-    return Made(PopulationTrial(s, log_k, covariance, object_of, group_of), means, objects)
+    alike = np.zeros((len(truth.sizes), len(s), len(s)))
+    return Made(PopulationTrial(s, log_k, covariance, object_of, group_of, alike), means, objects)

@@ -34,13 +34,13 @@ class Objects:
 
 def group_means(fit: Fit) -> Curves:
     """The groups' means, with what all recordings share in the band."""
-    return _banded(fit, fit.mean, _variances(fit.covariance) + fit.trial.common_sd**2)
+    return _banded(fit, fit.mean, _variances(fit.covariance + fit.trial.alike) + fit.trial.common_sd**2)
 
 
 def differences(fit: Fit, pairs: list[tuple[int, int]]) -> Curves:
     """The first group's log k less the second's; what all recordings share drops out."""
     first, second = [list(one) for one in zip(*pairs, strict=True)]
-    variance = _variances(fit.covariance)
+    variance = _variances(fit.covariance + fit.trial.alike)
     return _banded(fit, fit.mean[:, first] - fit.mean[:, second], variance[:, first] + variance[:, second])
 
 
@@ -61,7 +61,10 @@ def within(fit: Fit) -> Array:
 
 @one_blas_thread
 def shrunken(fit: Fit) -> Objects:
-    """Every object's own log k: its recordings drawn towards its group's mean, as far as they are the less certain."""
+    """Every object's own log k: its recordings drawn towards its group's mean, as far as they are the less certain.
+
+    What all fits of a group are off by alike is in the covariances.
+    """
     trial, spreads = fit.trial, fit.spreads
     size = (len(fit.weight), trial.objects, len(trial.s))
     step = max(1, 4_000_000 // (len(trial.log_k) * size[-1] ** 2))
@@ -72,7 +75,7 @@ def shrunken(fit: Fit) -> Objects:
         share = fit.weight[rows]
         total += np.tensordot(share, mean, axes=1)
         square += np.einsum("n,noi,noj->oij", share, mean, mean) + np.tensordot(share, cov, axes=1)
-    return Objects(total, square - total[:, :, None] * total[:, None, :])
+    return Objects(total, square - total[:, :, None] * total[:, None, :] + trial.alike[trial.group_of])
 
 
 def _drawn(fit: Fit, spreads: Spreads, rows: slice) -> tuple[Array, Array]:
@@ -96,4 +99,4 @@ def banded(objects: Objects, common_sd: float) -> Curves:
 def next_object(fit: Fit) -> Objects:
     """log k of one more object of each group, before it is recorded."""
     spread = fit.spreads.lasting[:, None, None, None] * covariance(fit.spreads, fit.trial.s)[:, None]
-    return Objects(*moments(fit.weight, fit.mean, fit.covariance + spread))
+    return Objects(*moments(fit.weight, fit.mean, fit.covariance + fit.trial.alike + spread))

@@ -40,7 +40,8 @@ def foretold(fit: Fit, means: Curves, group: int, places: BoolArray) -> Array:
     freedom = np.maximum(rest + numbers - now, 1)
     quantile = stdtrit(freedom.astype(float), 0.975)
     own = quantile**2 * float(np.median(variance)) / numbers
-    common = (1.959963984540054 * trial.common_sd) ** 2
+    alike = float(np.median(np.diagonal(trial.alike[group])[places]))  # no number of objects averages this out
+    common = 1.959963984540054**2 * (trial.common_sd**2 + alike)
     found = max(half_band(means, group, places) ** 2 - common, 0.0)
     return np.asarray(np.sqrt(own * found / own[now - 1] + common))
 

@@ -17,9 +17,10 @@ class PopulationTrial:
 
     s: Array  # (S,)
     log_k: Array  # (R, S) log(N m)
-    covariance: Array  # (R, S, S) of a recording's fit, what is common to all recordings apart
+    covariance: Array  # (R, S, S) of a recording's fit, what it shares with others apart
     object_of: IntArray  # (R,) number of its object
     group_of: IntArray  # (O,) number of its group
+    alike: Array  # (G, S, S) of what all fits of a group are off by alike, as by their prior
     common_sd: float = 0.0  # of log k: an error that all recordings share, as of the force sensor's scale
 
     @property

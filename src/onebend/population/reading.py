@@ -61,13 +61,16 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
             f"{folder}: {len(objects)} objects in {len(groups)} groups tell nothing of the spread within groups. "
             "Give some group two objects or more, or choose another --by"
         )
-    s, log_k, covariance, identified = _curves(folder, tables, [row["name"] for row in used])
+    s, log_k, covariance, prior, identified = _curves(folder, tables, [row["name"] for row in used])
     number, place = ({name: i for i, name in enumerate(names)} for names in (objects, groups))
     object_of = np.array([number[_text(row[same]) if same else row["name"]] for row in used])
     group_of = np.array([place[one] for one in groups_of.values()])
     common = max((float(row["gain_sd"]) for row in used), default=0.0)
-    trial = PopulationTrial(s, log_k, covariance, object_of, group_of, common)
-    shares = np.array([identified[group_of[object_of] == i].mean(axis=0) for i in range(len(groups))])
+    alike, shares = (
+        np.array([one[group_of[object_of] == i].mean(axis=0) for i in range(len(groups))])
+        for one in (prior, identified)
+    )
+    trial = PopulationTrial(s, log_k, covariance - prior, object_of, group_of, alike, common)
     return Named(trial, tuple(row["name"] for row in used), objects, groups, shares, left_out)
 
 
@@ -112,7 +115,7 @@ def _text(cell: Any) -> str:
     return "" if cell is None else str(cell)
 
 
-def _curves(folder: Path, tables: Mapping[str, pa.Table], names: Sequence[str]) -> tuple[Array, Array, Array, Array]:
+def _curves(folder: Path, tables: Mapping[str, pa.Table], names: Sequence[str]) -> tuple[Array, ...]:
     table = tables["covariances"]
     columns = [name for name in table.column_names if name.startswith("with_")]
     count = len(columns)
@@ -121,11 +124,14 @@ def _curves(folder: Path, tables: Mapping[str, pa.Table], names: Sequence[str]) 
     if lacking or not names or len(table) != count * len(order):
         raise ResultsError(f"{folder}: the tables do not belong together. Run `onebend batch` again")
     rows = [order[name] for name in names]
-    covariance = np.stack([table[name].to_numpy() for name in columns], axis=1).reshape(-1, count, count)[rows]
+    covariance, prior = (
+        np.stack([table[f"{head}{name}"].to_numpy() for name in columns], axis=1).reshape(-1, count, count)[rows]
+        for head in ("", "prior_")
+    )
     s = table["s"].to_numpy()[:count]
     curves = tables["curves"]
     places = curves["s"].to_numpy().reshape(len(order), -1)[0]
     at = [int(np.argmin(np.abs(places - one))) for one in s]
     log_k = np.log(curves["k_N_m"].to_numpy()).reshape(len(order), -1)[rows][:, at]
     identified = np.array(curves["identified"].to_pylist(), dtype=float).reshape(len(order), -1)[rows][:, at]
-    return np.asarray(s), log_k, covariance, identified
+    return np.asarray(s), log_k, covariance, prior, identified
