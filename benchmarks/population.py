@@ -135,13 +135,8 @@ def foretelling(trials: int) -> None:
         large = made(truth, 30_000 + i).trial
         whole = half_band(group_means(fit(large)), 0, everywhere)
         rows = np.arange(6)
-        few = replace(
-            large,
-            log_k=large.log_k[rows],
-            covariance=large.covariance[rows],
-            object_of=rows,
-            group_of=large.group_of[rows],
-        )
+        log_k, covariance = large.log_k[rows], large.covariance[rows]
+        few = replace(large, log_k=log_k, covariance=covariance, object_of=rows, group_of=large.group_of[rows])
         small = fit(few)
         found.append(foretold(small, group_means(small), 0, everywhere)[19] / whole)
     low, middle, high = np.quantile(found, [0.1, 0.5, 0.9])

@@ -132,7 +132,6 @@ def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     refused(run(tmp_path / "learned", "--by", "name", *out), "8 objects in 8 groups")
     refused(run(tmp_path / "learned", "--tolerance", tmp_path / "none.csv", *out), "none.csv")
     assert not (tmp_path / "out").exists()
-    both = {"plant": [*(f"plant {i % 4}" for i in range(8)), "plant 0"]}
-    batch(tmp_path / "mixed", **both)
+    batch(tmp_path / "mixed", plant=[*(f"plant {i % 4}" for i in range(8)), "plant 0"])
     with pytest.raises(ResultsError, match="the object 'plant 0' is in the groups"):
         read_batch(tmp_path / "mixed", "group", "plant")

@@ -56,8 +56,8 @@ COMMANDS = {
         "long_runs",
         "population",
         "Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers.",
-        "out/stems-learned --by group -o out/stems-population",
-        "onebend batch out/stems -o out/stems-learned",
+        "out/pushes-learned --by group -o out/population",
+        "onebend batch examples/linear-beam -o out/pushes-learned",
     ),
     "validate": Place(
         "learning",

@@ -44,7 +44,7 @@ def prior_part(problem: FitProblem, optimum: Optimum, s: Array) -> Array:
     The fit's log k is off by `C P^-1 (m - k)`, drawn towards the prior's mean m, plus what errors of the data do; C is
     the covariance, P the prior's. Over the beams that the prior expects, the first has the covariance `C P^-1 C`. A
     second recording of this beam, or of one like it, is off by the same. P is that of the mean sizes of the prior's
-    parts; the part is never more than the whole.
+    parts; the part is never more than the covariance of the spline's coefficients.
     """
     layout = problem.layout
     p, fine = layout.spline.count, layout.spline.finer

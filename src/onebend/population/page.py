@@ -55,7 +55,7 @@ def percent(share: float) -> str:
 
 def count_words(number: float) -> str:
     """A number of objects."""
-    return f"{number:.0f}" if np.isfinite(number) else "no number"
+    return f"{number:.0f} objects" if np.isfinite(number) else "no number of them"
 
 
 def group_name(name: str) -> str:

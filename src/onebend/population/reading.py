@@ -70,8 +70,14 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
         np.array([one[group_of[object_of] == i].mean(axis=0) for i in range(len(groups))])
         for one in (prior, identified)
     )
-    trial = PopulationTrial(s, log_k, covariance - prior, object_of, group_of, alike, common)
+    trial = PopulationTrial(s, log_k, _not_negative(covariance - prior), object_of, group_of, alike, common)
     return Named(trial, tuple(row["name"] for row in used), objects, groups, shares, left_out)
+
+
+def _not_negative(matrices: Array) -> Array:
+    """The matrices with eigenvalues below zero at zero: rounding, and what else the parts of a covariance share."""
+    values, vectors = np.linalg.eigh(0.5 * (matrices + np.swapaxes(matrices, -1, -2)))
+    return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
 def _table(folder: Path, name: str) -> pa.Table:

@@ -85,7 +85,7 @@ def show_population(console: Console, outcome: PopulationOutcome, output: Path) 
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]
         count = str(int(np.sum(named.trial.group_of == i)))
         half = percent(float(np.expm1(outcome.half[i])))
-        table.add_row(group_name(name), count, *values, half, f"{count_words(outcome.needed[i])} objects")
+        table.add_row(group_name(name), count, *values, half, count_words(outcome.needed[i]))
     console.print(table)
     for key, one in vars(outcome.shares).items():
         what, of_log_k = SPREAD[key]
