@@ -17,7 +17,7 @@ from onebend.batch.engine import cluster, results_of
 from onebend.batch.listing import Item
 from onebend.batch.outcome import BatchOutcome
 from onebend.batch.outliers import scores
-from onebend.batch.record import PLACES
+from onebend.batch.record import EVERY
 from onebend.batch.run import run_batch
 from onebend.batch.task import ItemResult, TaskSettings
 from onebend.batch.writing import summary_of, write_batch
@@ -123,9 +123,9 @@ def nothing(item: Item, settings: TaskSettings) -> ItemResult:  # noqa: ARG001
 def alarms(outcome: BatchOutcome) -> None:
     """Outliers among learned stems that are alike but for 10 % in level, and those that are then made different."""
     rng = np.random.default_rng(1)
-    there = [(one.k, one.low, one.high) for one in outcome.records]
-    k, low, high = np.moveaxis(np.array(there, dtype=float), 1, 0)
-    curves, sd = np.log(k), np.log(high / low) / (2.0 * 1.959964)
+    curves = np.log(np.array([one.k for one in outcome.records], dtype=float))[:, ::EVERY]
+    known = np.array([one.covariance for one in outcome.records], dtype=float)
+    tip_at = np.linspace(0.0, 1.0, curves.shape[1]) > 0.6
     print("## Unlike the others\n")
     print("Groups drawn from the learned k(s) above (their true level varies by 10 %), 400 of each size.\n")
     print(f"| recordings of a group | groups that name one where none differs [%] | {_heads()} |")
@@ -134,11 +134,11 @@ def alarms(outcome: BatchOutcome) -> None:
         falsely, found = 0, dict.fromkeys(DIFFERENT, 0)
         for _ in range(400):
             rows = rng.choice(len(curves), size, replace=False)
-            falsely += named(curves[rows], sd[rows])
+            falsely += named(curves[rows], known[rows])
             for name, (factor, tip) in DIFFERENT.items():
                 changed = curves[rows].copy()
-                changed[0] += np.log(factor) + tip * (PLACES > 0.6)
-                found[name] += bool(scores(changed, sd[rows], ["g"] * size).reasons[0])
+                changed[0] += np.log(factor) + tip * tip_at
+                found[name] += bool(scores(changed, known[rows], ["g"] * size).reasons[0])
         shares = " | ".join(f"{one / 4:.0f}" for one in found.values())
         print(f"| {size} | {falsely / 4:.1f} | {shares} |")
     print()
@@ -148,9 +148,9 @@ def _heads() -> str:
     return " | ".join(f"found: {name} [%]" for name in DIFFERENT)
 
 
-def named(log_k: Any, sd: Any) -> bool:
+def named(log_k: Any, covariance: Any) -> bool:
     """Whether any is an outlier."""
-    return any(scores(log_k, sd, ["g"] * len(log_k)).reasons)
+    return any(scores(log_k, covariance, ["g"] * len(log_k)).reasons)
 
 
 def noted(starts: list[float]) -> Callable[[str], None]:

@@ -23,7 +23,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("results",),
     ("pipeline", "forecast"),
     ("streaming",),
-    ("studies", "batch"),
+    ("studies", "batch", "population"),
     ("terminal",),
     ("design", "paper"),
     ("__init__",),

@@ -10,9 +10,7 @@ import numpy as np
 
 from onebend.batch.listing import Item
 from onebend.batch.outliers import Scores, scores
-from onebend.batch.record import PLACES, Record
-
-LOG_BAND = 2.0 * 1.959963984540054  # widths of a 95 % band of log k in sd
+from onebend.batch.record import EVERY, PLACES, Record
 
 
 @dataclass(frozen=True)
@@ -38,10 +36,10 @@ class BatchOutcome:
 
 def outcome_of(out: Path, items: Sequence[Item], records: Sequence[Record], learned_now: int) -> BatchOutcome:
     """The records, and how each is beside the others."""
-    blank = np.full(len(PLACES), np.nan)
-    log_k = np.array([blank if one.k is None else np.log(one.k) for one in records])
-    sd = np.array(
-        [blank if one.low is None or one.high is None else np.log(one.high / one.low) / LOG_BAND for one in records]
-    )
-    found = scores(log_k, sd, [item.group for item in items])
+    count = len(PLACES[::EVERY])
+    log_k, covariance = np.full((len(records), count), np.nan), np.full((len(records), count, count), np.nan)
+    for i, one in enumerate(records):
+        if one.k is not None and one.covariance is not None:
+            log_k[i], covariance[i] = np.log(one.k[::EVERY]), one.covariance
+    found = scores(log_k, covariance, [item.group for item in items])
     return BatchOutcome(out, tuple(items), tuple(records), found, learned_now)

@@ -19,7 +19,7 @@ from onebend.report.findings import all_remarks
 from onebend.report.verdict import verdict_of
 from onebend.strict_json import to_json
 
-FORMAT = "onebend-batch-record-2"
+FORMAT = "onebend-batch-record-3"
 RECORDS = ".records"  # in the results folder
 PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
 EVERY = 5  # of PLACES: where a record has the covariance of log k
@@ -37,6 +37,7 @@ class Record:
     high: Array | None = None  # (101,) N m
     identified: Array | None = None  # (101,) bool
     covariance: Array | None = None  # (21, 21) of log k at every fifth of PLACES, without what is common to all of k
+    prior_part: Array | None = None  # (21, 21) of that covariance, what comes from the prior and not from the data
     gain_sd: float = np.nan  # of log k: what the force sensor's scale does to all of k, in every recording alike
     grade: str = ""  # of the verdict
     headline: str = ""
@@ -72,6 +73,7 @@ def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record
         high=band.high,
         identified=np.asarray(band.identified),
         covariance=run.posterior.stiffness.log_covariance(PLACES[::EVERY]),
+        prior_part=run.posterior.prior_part(PLACES[::EVERY]),
         gain_sd=run.posterior.stiffness.gain_sd,
         grade=verdict.grade,
         headline=verdict.headline,
@@ -105,17 +107,17 @@ def read_record(out: Path, hashed: str) -> Record | None:
         known = None if data["identified"] is None else np.array(data["identified"], dtype=bool)
         if any(curve is not None and curve.shape != PLACES.shape for curve in (*curves.values(), known)):
             return None
-        covariance = None if data["covariance"] is None else np.array(data["covariance"], dtype=float)
-        if covariance is not None and covariance.shape != (len(PLACES[::EVERY]),) * 2:
+        squares = {n: None if data[n] is None else np.array(data[n], dtype=float) for n in ("covariance", "prior_part")}
+        if any(one is not None and one.shape != (len(PLACES[::EVERY]),) * 2 for one in squares.values()):
             return None
         return Record(
             **data
             | curves
+            | squares
             | {name: _number(data[name]) for name in ("length", "gain_sd", "error", "seconds")}
             | {name: tuple(data[name]) for name in ("doubts", "warnings")}
             | {
                 "identified": known,
-                "covariance": covariance,
                 "nuisances": tuple((n, unit, *map(_number, values)) for n, unit, *values in data["nuisances"]),
             }
         )

@@ -56,18 +56,19 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
 
 def covariances_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and place: `name, s`, and the covariance of log k there with that at each of 21 places,
-    `with_0` to `with_1`; what the force sensor's scale does to all of k is apart (`gain_sd`).
+    `with_0` to `with_1`, and the part of it that comes from the prior, `prior_with_0` to `prior_with_1`; what the force
+    sensor's scale does to all of k is apart (`gain_sd`).
     """
-    there = [
-        (i.name, one.covariance) for i, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None
-    ]
+    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
     places = PLACES[::EVERY]
-    rows = np.concatenate([np.zeros((0, len(places))), *(one for _, one in there if one is not None)])
-    columns = {
+    columns: dict[str, Any] = {
         "name": pa.array([name for name, _ in there for _ in places], pa.string()),
         "s": np.tile(places, len(there)),
     }
-    return pa.table(columns | {f"with_{s:.3g}": rows[:, i] for i, s in enumerate(places)})
+    for head, field in (("with", "covariance"), ("prior_with", "prior_part")):
+        rows = np.concatenate([np.zeros((0, len(places))), *(getattr(one, field) for _, one in there)])
+        columns |= {f"{head}_{s:.3g}": rows[:, i] for i, s in enumerate(places)}
+    return pa.table(columns)
 
 
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:

@@ -52,6 +52,13 @@ COMMANDS = {
         "out/stems -o out/stems-learned",
         "onebend film linear --markers -o out/stems/dry/stem-1",
     ),
+    "population": Place(
+        "long_runs",
+        "population",
+        "Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers.",
+        "out/pushes-learned --by group -o out/population",
+        "onebend batch examples/linear-beam -o out/pushes-learned",
+    ),
     "validate": Place(
         "learning",
         "validate",

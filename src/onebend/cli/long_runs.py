@@ -1,4 +1,4 @@
-"""Commands over many recordings: the paper's experiments made again, and batches."""
+"""Commands over many recordings: the paper's experiments made again, batches, populations."""
 
 from __future__ import annotations
 
@@ -23,11 +23,18 @@ from onebend.cli.common import (
 )
 from onebend.cli.options import Json, Overwrite, Quiet
 from onebend.errors import ResultsError
+from onebend.population import writing as populations
+from onebend.population.figures import draw_figures as draw_figures_of
+from onebend.population.outcome import PopulationSettings
+from onebend.population.outcome import population as outcome_of
+from onebend.population.reading import TABLES, read_batch
+from onebend.population.tolerance import read_tolerance
+from onebend.results.provenance import inputs_of
 from onebend.studies.figures import draw_figures
 from onebend.studies.run import reproduce as run
 from onebend.studies.settings import SensorKind, StudySettings
 from onebend.studies.writing import REPRODUCE_FORMAT, summary_of, writer
-from onebend.terminal.long_runs import show_batch, show_reproduced
+from onebend.terminal.long_runs import show_batch, show_population, show_reproduced
 
 ReproduceOut = Annotated[
     Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")
@@ -123,3 +130,56 @@ def batch(
         print_json({**summary, "output": str(output)})
     else:
         show_batch(screen(), outcome)
+
+
+Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
+By = Annotated[str, typer.Option("--by", metavar="COLUMN", help="Of recordings.parquet, that names the group.")]
+Object = Annotated[
+    str | None,
+    typer.Option("--object", metavar="COLUMN", help="That names the object; default: every recording has its own."),
+]
+PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
+Band = Annotated[
+    float, typer.Option("--band", min=0.01, metavar="PERCENT", help="Wished half band of the means, of k.")
+]
+ToleranceFile = Annotated[
+    Path | None,
+    typer.Option("--tolerance", metavar="CSV", help="With s, low_N_m, high_N_m: objects pass or fail against it."),
+]
+Passes = Annotated[
+    float,
+    typer.Option("--pass-from", min=0.01, max=0.99, metavar="P", help="Probability of lying inside that passes."),
+]
+
+
+def population(
+    results: Batch,
+    *,
+    output: PopulationOut,
+    by: By = "group",
+    same: Object = None,
+    band: Band = 5.0,
+    tolerance: ToleranceFile = None,
+    passes: Passes = 0.5,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
+    with (
+        clean_errors(),
+        workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
+        progress_of(quiet) as progress,
+    ):
+        limits = None if tolerance is None else read_tolerance(tolerance)
+        setting = PopulationSettings(by, same, band / 100.0, limits, passes)
+        inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
+        found = outcome_of(read_batch(results, by, same), setting)
+        pictures = draw_figures_of(found, progress=progress)
+        summary = populations.summary_of(found, written_by=BY)
+        write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
+        put_in_place(place, write, pictures, inputs=inputs)
+    if as_json:
+        print_json(summary | {"output": str(output)})
+    else:
+        show_population(screen(), found, output)

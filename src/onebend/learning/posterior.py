@@ -54,7 +54,7 @@ from onebend.learning.model.frames import check_same_beam
 from onebend.learning.model.mass import LearnedMass
 from onebend.learning.model.parameters import Layout
 from onebend.learning.start import start_of
-from onebend.learning.stiffness_band import stiffness_of
+from onebend.learning.stiffness_band import prior_part, stiffness_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
@@ -161,6 +161,10 @@ class Posterior:
     def stiffness(self) -> UncertainStiffness:
         """k(s), its band, and the doubts about both; the force's declared gain widens all of it alike."""
         return replace(stiffness_of(self.problem, self.optimum, self.gain_sd), doubts=self.doubts)
+
+    def prior_part(self, s: Array) -> Array:
+        """(S, S) the part of log k's covariance at `s` that comes from the prior: recordings of like beams share it."""
+        return prior_part(self.problem, self.optimum, s)
 
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) with its band."""

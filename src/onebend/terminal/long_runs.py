@@ -1,15 +1,18 @@
-"""What `onebend reproduce` and `onebend batch` say in the end."""
+"""What `onebend reproduce`, `onebend batch` and `onebend population` say in the end."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from onebend.batch.outcome import BatchOutcome
 from onebend.escaping import one_line
-from onebend.report.wording import UNKNOWN, millimetres
+from onebend.population.outcome import PopulationOutcome
+from onebend.population.page import SPREAD, count_words, group_name, judged_words, percent
+from onebend.report.wording import UNKNOWN, millimetres, significant
 from onebend.studies.assumed import quick_words
 from onebend.studies.outcome import StudyOutcome
 from onebend.studies.printed import printed_m3
@@ -67,3 +70,36 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
     )
+
+
+def show_population(console: Console, outcome: PopulationOutcome, output: Path) -> None:
+    """The groups' means, the spread, what is unlike the others, and where the report is."""
+    named = outcome.named
+    middle = len(named.trial.s) // 2
+    table = Table(title="mean k(s)", title_justify="left", box=None, pad_edge=False)
+    table.add_column("group")
+    for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
+        table.add_column(head, justify="right")
+    for i, name in enumerate(named.groups):
+        curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
+        values = [significant(float(np.exp(one[i, middle]))) for one in curves]
+        count = str(int(np.sum(named.trial.group_of == i)))
+        half = percent(float(np.expm1(outcome.half[i])))
+        table.add_row(group_name(name), count, *values, half, count_words(outcome.needed[i]))
+    console.print(table)
+    for key, one in vars(outcome.shares).items():
+        what, of_log_k = SPREAD[key]
+        numbers = [np.expm1(value) if of_log_k else value for value in (one.value, one.low, one.high)]
+        if np.isfinite(numbers[0]):
+            text = f"{what}: {percent(numbers[0])} (95 %: {percent(numbers[1])} to {percent(numbers[2])})"
+            console.print(text, markup=False)
+    rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
+    for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
+        if shown:
+            listed = Table("name", "why", title=f"{title}: {len(shown)}", title_justify="left")
+            for name, why in shown[:MOST]:
+                listed.add_row(one_line(name), one_line(why))
+            console.print(listed)
+    if words := judged_words(outcome):
+        console.print(words, markup=False)
+    console.print(f"Wrote {output / 'report.html'}", markup=False)
