@@ -57,7 +57,7 @@ def main() -> None:
         spent = [seconds for seconds, _, _ in runs]
         stages = stages or runs[0][2]
         print(
-            f"| `learn {' '.join(options)}` | {statistics.median(spent):.1f} | {min(spent):.1f} | {goal:g} "
+            f"| `{' '.join(('learn', *options))}` | {statistics.median(spent):.1f} | {min(spent):.1f} | {goal:g} "
             f"| {max(mb for _, mb, _ in runs):.0f} |",
             flush=True,
         )
