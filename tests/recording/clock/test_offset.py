@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock.offset import fit_clock
+from onebend.recording.clock.offset import ClockSettings, averaged, fit_clock
 from onebend.recording.clock.polynomial_features import levers
 from onebend.recording.force.noise import fit_noise, linear_model, log_evidence
 from onebend.recording.force.noise_factor import banded_factor, dense_factor, noise_factor
@@ -155,6 +155,31 @@ def test_banded_covariance_is_the_dense_one(white: float) -> None:
     assert factor.log_root == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1], rel=1e-10)
     dense = dense_factor(noise, time, walked)
     np.testing.assert_allclose(dense.inner(columns), direct, rtol=1e-8, atol=1e-9 * np.abs(direct).max())
+
+
+def test_film_of_very_many_frames_is_averaged_and_tells_the_same() -> None:
+    pushed = Pushed(seed=25, film=8.0)
+    markers = pushed.markers()
+    most = len(markers.time) // 2 + 1
+    whole, fewer = (
+        fit_clock(markers, pushed.log(), 250.0, 2.0, settings=ClockSettings(most_frames=number)).clock
+        for number in (4000, most)
+    )
+    for clock in (whole, fewer):
+        assert clock.offset == pytest.approx(pushed.offset, abs=2.5 * clock.sd)
+    assert fewer.sd == pytest.approx(whole.sd, rel=0.5)
+
+
+def test_averaged_frames_are_missing_where_half_of_their_neighbours_are() -> None:
+    markers = Pushed().markers()
+    xy = markers.xy.copy()
+    xy[0, 0], xy[4:6, 0] = np.nan, np.nan
+    found = averaged(replace(markers, xy=xy), len(markers.time) // 4 + 1)
+    assert len(found.time) == len(markers.time) // 4
+    np.testing.assert_allclose(found.time[1], markers.time[4:8].mean())
+    np.testing.assert_allclose(found.xy[0, 0], xy[1:4, 0].mean(axis=0))
+    assert np.isnan(found.xy[1, 0]).all()
+    assert averaged(markers, len(markers.time)) is markers
 
 
 def test_columns_that_axes_share_stand_once() -> None:

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from onebend.recording.clock.binned_log import BinnedLog
 from onebend.recording.clock.feature_search import coarse_search
 from onebend.recording.clock.moment_posterior import Prior
-from onebend.recording.clock.offset import ClockSettings, compared_rows, displacements, tracks
+from onebend.recording.clock.offset import ClockSettings, averaged, compared_rows, displacements, tracks
 from onebend.recording.clock.polynomial_features import Track
 from onebend.recording.signals import bandwidth, low_pass, outliers, step
 from onebend.records import ClockOffset, ForceLog, Markers
@@ -45,6 +45,7 @@ def slow_sensor(
     """The lag of the sensor that wrote `log`, where it is certain; `log` and `push_s` as for `fit_clock`, which found
     the `clock`."""
     rate = bandwidth(markers.time, displacements(markers))
+    markers = averaged(markers, settings.most_frames)
     within = (clock.offset - REACH * SLOW[-1] - MARGIN, clock.offset + MARGIN)
     rows = compared_rows(markers, log, rate, within, settings) if clock.found and np.isfinite(rate) else None
     feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= FEWEST]
