@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.truth import parser_of, read_truth
 from onebend.pipeline import learn
 from onebend.recording.pairing import read_log
+from onebend.recording.signals import step
 from onebend.recording.video import read_frames
 from onebend.records import Array
 from onebend.streaming.live import Live
@@ -21,6 +22,7 @@ BEAMS, KINDS = ("linear", "quadratic", "cubic"), ("train", "fast", "s08", "s06")
 S = np.linspace(0.05, 0.9, 60)
 ON_THE_WAY = Disturbances(frames_lost=0.01, frames_late=0.01, frame_delay=0.01, samples_lost=0.01, samples_late=0.02)
 FLOOR = 0.05  # s, of the latency
+PACKET = 0.01  # s of samples that come together
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ def row(folder: Path, repeats: int) -> Row:
     assert whole is not None
     assert clock is not None
     frames = list(read_frames(video))
-    arrivals = list(play(frames, log, clock.offset, ON_THE_WAY, seed=1))
+    together = max(1, round(PACKET / step(log.time)))
+    arrivals = list(play(frames, log, clock.offset, replace(ON_THE_WAY, samples_each=together), seed=1))
     paced = follow(live, arrivals, at_pace=True)
     last = live.state().stiffness
     begun = time.perf_counter()

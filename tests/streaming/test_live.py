@@ -17,7 +17,7 @@ import pytest
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.inference.stages import FitSettings
 from onebend.pipeline import learn, learn_observed
-from onebend.recording.observe import observe_tracked
+from onebend.recording.observe import markers_of, observe_markers
 from onebend.recording.pairing import read_log
 from onebend.recording.tags.detection import in_blocks
 from onebend.recording.tags.finder import Finder
@@ -100,7 +100,7 @@ def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     film, finder = frames(), Finder("tag36h11")
     corners = np.concatenate([track_block(part, range(4), finder).corners for part in in_blocks(film, 32)])
     found = Detections(np.array([one.time for one in film]), np.arange(4), corners, *film[0].luma.shape[::-1])
-    whole = learn_observed(observe_tracked(described(), found, log()), fitting=QUICK).posterior
+    whole = learn_observed(observe_markers(described(), markers_of(described(), found), log()), fitting=QUICK).posterior
     assert whole is not None
     (here, sd), (there, batch_sd) = run.posterior.stiffness.log_at(S), whole.stiffness.log_at(S)
     assert abs(np.median(sd / batch_sd) - 1.0) < 0.15
