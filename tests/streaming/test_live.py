@@ -27,8 +27,8 @@ from onebend.recording.video import read_frames
 from onebend.records import Detections
 from onebend.streaming.live import Live, LiveSettings
 from onebend.streaming.played import Arrival, Disturbances, Followed, follow, play
-from onebend.streaming.review import Later, Reviewed, Seen, go_on, review
-from onebend.streaming.reviewer import ENDED, ReviewerBeside
+from onebend.streaming.review import ENDED, Later, Reviewed, Seen, go_on, review
+from onebend.streaming.reviewer import ReviewerBeside
 from onebend.streaming.state import LiveState
 from tests.streaming.streamed import BEAM, OFFSET, described, frames, log
 
@@ -155,6 +155,8 @@ def test_what_is_not_known_yet_is_said() -> None:
     state = live.state()
     assert "has not moved yet" in state.verdict.headline
     assert state.verdict.next == "keep the beam at rest for three seconds, then push it slowly"
+    live.frame(np.zeros((360, 640, 3), np.uint8), 3.0)
+    assert any("must be a grey array" in words for words in live.state().waiting)
     dark = Live(described(), settings=LiveSettings(first_review=0.1), beside=False)
     for i in range(4):
         dark.frame(np.zeros((360, 640), np.uint8), i / 10)

@@ -31,6 +31,7 @@ from onebend.streaming.reading import FrameReader, reader_of
 
 NO_TAGS = "no tag of recording.toml is in the picture"
 NO_PUSH = "the beam has not moved yet"
+ENDED = "the process that reviews the push ended; what was known goes on, and the next review starts another"
 HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
 LONGEST_GAP = 0.1  # s, to the nearest row where none is
 
