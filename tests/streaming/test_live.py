@@ -17,7 +17,7 @@ import pytest
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.inference.stages import FitSettings
 from onebend.pipeline import learn, learn_observed
-from onebend.recording.observe import observe_tracked
+from onebend.recording.observe import markers_of, observe_markers
 from onebend.recording.pairing import read_log
 from onebend.recording.tags.detection import in_blocks
 from onebend.recording.tags.finder import Finder
@@ -27,8 +27,8 @@ from onebend.recording.video import read_frames
 from onebend.records import Detections
 from onebend.streaming.live import Live, LiveSettings
 from onebend.streaming.played import Arrival, Disturbances, Followed, follow, play
-from onebend.streaming.review import Later, Reviewed, Seen, go_on, review
-from onebend.streaming.reviewer import ENDED, ReviewerBeside
+from onebend.streaming.review import ENDED, Later, Reviewed, Seen, go_on, review
+from onebend.streaming.reviewer import ReviewerBeside
 from onebend.streaming.state import LiveState
 from tests.streaming.streamed import BEAM, OFFSET, described, frames, log
 
@@ -100,7 +100,7 @@ def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     film, finder = frames(), Finder("tag36h11")
     corners = np.concatenate([track_block(part, range(4), finder).corners for part in in_blocks(film, 32)])
     found = Detections(np.array([one.time for one in film]), np.arange(4), corners, *film[0].luma.shape[::-1])
-    whole = learn_observed(observe_tracked(described(), found, log()), fitting=QUICK).posterior
+    whole = learn_observed(observe_markers(described(), markers_of(described(), found), log()), fitting=QUICK).posterior
     assert whole is not None
     (here, sd), (there, batch_sd) = run.posterior.stiffness.log_at(S), whole.stiffness.log_at(S)
     assert abs(np.median(sd / batch_sd) - 1.0) < 0.15
@@ -155,6 +155,8 @@ def test_what_is_not_known_yet_is_said() -> None:
     state = live.state()
     assert "has not moved yet" in state.verdict.headline
     assert state.verdict.next == "keep the beam at rest for three seconds, then push it slowly"
+    live.frame(np.zeros((360, 640, 3), np.uint8), 3.0)
+    assert any("must be a grey array" in words for words in live.state().waiting)
     dark = Live(described(), settings=LiveSettings(first_review=0.1), beside=False)
     for i in range(4):
         dark.frame(np.zeros((360, 640), np.uint8), i / 10)

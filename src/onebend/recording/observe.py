@@ -123,12 +123,23 @@ def _shown(
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
-    markers = _markers(rec, detections)
+    markers = markers_of(rec, detections)
     return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
 
 
-def observe_tracked(
-    rec: Recording, detections: Detections, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
+def markers_of(rec: Recording, detections: Detections) -> Markers:
+    """The tags in metres, turned as recording.toml says.
+
+    Raises:
+        ObservationError: they are turned otherwise, or no plane explains them.
+    """
+    markers = measure_markers(detections, rec)
+    check_turns(markers, rec)
+    return markers
+
+
+def observe_markers(
+    rec: Recording, markers: Markers, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
 ) -> Observations:
     """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
 
@@ -137,14 +148,7 @@ def observe_tracked(
     Raises:
         ObservationError: as `observe`.
     """
-    return with_frequencies(assemble(rec, _markers(rec, detections), log, None, settings), rec)
-
-
-def _markers(rec: Recording, detections: Detections) -> Markers:
-    """The tags in metres."""
-    markers = measure_markers(detections, rec)
-    check_turns(markers, rec)
-    return markers
+    return with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
 
 def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:

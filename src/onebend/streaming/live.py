@@ -94,6 +94,7 @@ class Live:
         self._due = settings.first_review
         self._following = Following(self._log, settings.wait, settings.most_frames)
         self._counts = Counts()
+        self._refused = ""  # why the newest frame was
         self._ended = False
 
     def __enter__(self) -> Self:
@@ -116,12 +117,12 @@ class Live:
             ObservationError: after `finish` or `close`.
         """
         self._check_open()
-        seen = None
+        seen, self._refused = None, "it was lost" if image is None else ""
         try:
             if image is not None:
                 seen = self._tracker.step(image, time)
-        except ObservationError:
-            seen = None
+        except ObservationError as error:
+            self._refused = str(error)
         if seen is None:
             self._counts = replace(self._counts, refused_frames=self._counts.refused_frames + 1)
             return None
@@ -192,6 +193,8 @@ class Live:
         why = NOTHING_YET if self._newest is None else SOON if known is None else known.why
         known = Reviewed(math.nan) if known is None else known
         waiting = [] if stiffness is not None else [f"k(s): {why or SOON}"]
+        if self._refused:
+            waiting.append(f"the newest frame is of no use: {self._refused}")
         if known.clock is None:
             waiting.append(f"clock offset: {why or SOON}")
         if self._following.behind > _LATE:

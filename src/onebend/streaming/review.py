@@ -18,17 +18,20 @@ from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.replay import replay
 from onebend.learning.start import start_of
+from onebend.recording.force.contact import find_contact
 from onebend.recording.force.force_log import FEWEST_ROWS, whole_log
-from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, observe_tracked
+from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of, observe_markers
 from onebend.recording.tags.detection import summary
 from onebend.recording.tags.tracking import BlockTracks
 from onebend.recording.toml.entries import Recording
-from onebend.records import Array, BoolArray, ClockOffset, ForceLog, Observations, Remark
+from onebend.recording.tracks.chords import with_angles
+from onebend.records import Array, BoolArray, ClockOffset, ForceLog, Markers, Observations, Remark
 from onebend.streaming.history import ForceHistory
 from onebend.streaming.reading import FrameReader, reader_of
 
 NO_TAGS = "no tag of recording.toml is in the picture"
 NO_PUSH = "the beam has not moved yet"
+ENDED = "the process that reviews the push ended; what was known goes on, and the next review starts another"
 HALF = 0.015  # s: the force of a frame is the mean of the rows that are as near
 LONGEST_GAP = 0.1  # s, to the nearest row where none is
 
@@ -77,6 +80,10 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Ob
     Raises:
         ObservationError: what is wrong with it, or not there yet.
     """
+    return observe_markers(seen.recording, _markers_in(seen), log_of(seen.recording, seen.rows), settings)
+
+
+def _markers_in(seen: Seen) -> Markers:
     rec, tracks = seen.recording, seen.tracks
     assert rec.video is not None
     if not np.isfinite(tracks.corners).all(axis=(2, 3)).any():
@@ -84,8 +91,7 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Ob
     if len(tracks.time) < FEWEST_FRAMES:
         raise ObservationError(f"{len(tracks.time)} frames came so far; at least {FEWEST_FRAMES} are needed")
     tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    found = summary(rec.video, rec.tags, tag_id, [tracks], seen.repeats)
-    return observe_tracked(rec, found, log_of(rec, seen.rows), settings)
+    return markers_of(rec, summary(rec.video, rec.tags, tag_id, [tracks], seen.repeats))
 
 
 def log_of(rec: Recording, rows: Array) -> ForceLog | None:
@@ -109,12 +115,18 @@ def review(
 
     A force that contradicts the bending is a doubt here, since a push that has just begun may look like that.
     """
+    moved = False
     try:
-        observed = observed_in(seen, replace(observing, check_force=False))
+        markers = _markers_in(seen)
+        log = log_of(seen.recording, seen.rows)
+        moved = bool(find_contact(with_angles(markers), settings=observing.contact).loaded.any())
+        if not moved:  # nothing else can be known yet
+            return Reviewed(seen.until, NO_PUSH, remarks=markers.remarks)
+        observed = observe_markers(seen.recording, markers, log, replace(observing, check_force=False))
     except OnebendError as error:
-        return Reviewed(seen.until, str(error))
+        return Reviewed(seen.until, str(error), moved=moved)
     source = observed.source
-    clean, moved = source.clean_force, bool(observed.loaded.any())
+    clean = source.clean_force
     known = Reviewed(
         until=seen.until,
         clock=source.clock if source.clock is not None and source.clock.found else None,
@@ -140,7 +152,7 @@ def _not_yet(rec: Recording, observed: Observations) -> str:
     if source.clean_force is None:
         return "there is no [force] in recording.toml"
     if not observed.loaded.any():
-        return NO_PUSH
+        return "the force log shows no push"
     if not len(source.clean_force.zero_time):
         return "no rest before the push was seen: the zero of the force is not known"
     if source.clock is not None and not source.clock.found:

@@ -8,9 +8,11 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
 
@@ -19,11 +21,10 @@ import numpy as np
 from onebend.learning.live.settings import OnlineSettings
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.signals import low_pass
-from onebend.streaming.review import Later, Reviewed, Seen, go_on, review
+from onebend.streaming.review import ENDED, Later, Reviewed, Seen, go_on, review
 from onebend.workers import leave_interrupts_to_parent
 
 NICE = 5  # added to the niceness of the process that reviews
-ENDED = "the process that reviews the push ended; k(s) goes on with what it knew"
 
 
 class Reviewer(Protocol):
@@ -126,27 +127,31 @@ class ReviewerBeside:
         return 0.0
 
     def close(self) -> None:
-        if self._process is not None:
-            self._messages.put(b"")
-            self._process.kill()
-            self._process.wait()
+        self._end()
         self._process, self._busy = None, False
 
     def _start(self) -> None:
         self._answers, self._messages = SimpleQueue(), SimpleQueue()
-        path = os.pathsep.join(one for one in sys.path if one)
+        path = os.pathsep.join(one or str(Path.cwd()) for one in sys.path)
         self._process = process = subprocess.Popen(
             [sys.executable, "-c", "from onebend.streaming.reviewer import serve; serve()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": path},
         )
+        self._end = weakref.finalize(self, _end, process, self._messages)
         threading.Thread(target=_listen, args=(process.stdout, self._answers), daemon=True).start()
         threading.Thread(target=_write, args=(process.stdin, self._messages), daemon=True).start()
         self._send(self._settings)
 
     def _send(self, message: object) -> None:
         self._messages.put(pickle.dumps(message))
+
+
+def _end(process: subprocess.Popen[bytes], messages: SimpleQueue[bytes]) -> None:
+    messages.put(b"")
+    process.kill()
+    process.wait()
 
 
 def _write(stream: IO[bytes], messages: SimpleQueue[bytes]) -> None:
@@ -170,7 +175,7 @@ def _listen(stream: IO[bytes], answers: SimpleQueue[Reviewed | None]) -> None:
 def serve() -> None:
     """The other process: settings first, then reviews, until there is nothing more to read."""
     leave_interrupts_to_parent()
-    with suppress(OSError):
+    with suppress(OSError, AttributeError):
         os.nice(NICE)
     inward, outward = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what is printed by mistake is no answer

@@ -13,7 +13,7 @@ from onebend.recording.tags.tracker import TrackedFrame
 from onebend.records import Array, ClockOffset, Remark
 from onebend.report.confidence import identified_ranges, identified_words, typical_half_width
 from onebend.report.wording import significant
-from onebend.streaming.review import NO_TAGS, Reviewed
+from onebend.streaming.review import ENDED, NO_TAGS, Reviewed
 
 NOTHING_YET = "no frame has come yet"
 SOON = "the frames so far are being read"
@@ -68,7 +68,7 @@ def live_verdict(
     step = _next(stiffness, why, known.moved, known.rested)
     if stiffness is None:
         return LiveVerdict("not yet", f"k(s) is not identifiable yet: {why or SOON}", "", step)
-    against = tuple(dict.fromkeys((*stiffness.doubts, *doubts, *said, *([why] if why else []))))
+    against = tuple(dict.fromkeys((*stiffness.doubts, *doubts, *said, *([why] if why not in ("", ENDED) else []))))
     words = _words(stiffness)
     if against:
         headline = f"k(s) is NOT TO BE TRUSTED: {'; '.join(against)}"
@@ -93,8 +93,8 @@ def _next(stiffness: UncertainStiffness | None, why: str, moved: bool, rested: b
         return "bring all tags into the picture, in focus and well lit"
     if not moved:
         return f"keep the beam at rest for {_STILL}, then push it slowly"
-    if stiffness is None or not (rested or identified_ranges(stiffness)):
+    if rested:
+        return "stop, and learn from the whole push: `finish()`"
+    if stiffness is None or not identified_ranges(stiffness):
         return "go on pushing, slowly and farther, then let go"
-    if not rested:
-        return f"let go, and keep the beam at rest for {_STILL}: the drift of the force log shows only then"
-    return "stop, and learn from the whole push: `finish()`"
+    return f"let go, and keep the beam at rest for {_STILL}: the drift of the force log shows only then"
