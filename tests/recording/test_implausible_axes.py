@@ -148,6 +148,6 @@ def test_an_error_that_comes_with_the_load_is_no_turn_of_the_axes(pushed: Virtua
 def test_axes_that_are_merely_turned_are_in_doubt(pushed: VirtualRecording) -> None:
     cos, sin = np.cos(radians(70.0)), np.sin(radians(70.0))
     turned = pushed.log.force @ np.array([[cos, sin], [-sin, cos]])
-    said = [one for one in observe_virtual(replace(pushed, log=replace(pushed.log, force=turned))).source.remarks]
+    said = observe_virtual(replace(pushed, log=replace(pushed.log, force=turned))).source.remarks
     assert [one.doubt for one in said if one.about == "axes"] == [True]
     assert not any("sensor's own error" in one.text for one in said)
