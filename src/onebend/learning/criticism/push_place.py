@@ -34,7 +34,7 @@ from onebend.records import Array
 MISTAKEN = 0.3  # of the weight before the data is for other places: not how often people err, but what the band holds
 AT_TIP = 0.5  # of that for the tip, where most pushes act; the rest is even between INNERMOST and the tip
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
-ACCUSED = 6.0  # of the log evidence: by so much more the written place is not believed. Right ones come to 2
+ACCUSED = 12.0  # of the log evidence: by so much more the written place is not believed. Right ones came to 9
 LIKELY = 0.05  # weight of a place, or of several together, that is worth a word
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
