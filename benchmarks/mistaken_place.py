@@ -193,7 +193,8 @@ def main() -> None:
     asked = parser.parse_args()
     wrong = [(asked.first + i, True) for i in range(asked.mistakes)]
     right = [(asked.first + i, False) for i in range(asked.right)]
-    done = study([*wrong, *right], asked.kept or kept())
+    both = sorted([*wrong, *right])  # in turn, so that a run that is cut short tells of both
+    done = study(both, asked.kept or kept())
     print(
         "| the place | recordings | refused | in doubt | trusted, with a warning of it | trusted | of them outside "
         "the band | half-width of the band, trusted [%] |"

@@ -23,7 +23,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.criticism.push_place import PlaceSearch, search_place, with_places, worth_asking
+from onebend.learning.criticism.push_place import PlaceSearch, doubtful, search_place, with_places
 from onebend.learning.frequencies.compared import GROSS, worst_off
 from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import PredictedFrequencies
@@ -81,7 +81,7 @@ class Posterior:
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
-    place: PlaceSearch | None = None  # other places of the push, where a test gave a reason to ask
+    place: PlaceSearch | None = None  # other places of the push, where they are worth a look
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -279,7 +279,8 @@ def _fit(
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
-    place = search_place(whole, optimum, settings) if known and optimum.converged and worth_asking(critic) else None
+    ask = known and optimum.converged
+    place = search_place(whole, optimum, settings, thorough=doubtful(critic)) if ask else None
     progress.done()
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
     return Posterior(whole, with_places(optimum, place), gain_sd, critic, left_out, place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -285,15 +286,30 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
         wants_folder = field_name in ("folder", "definitions")
         exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
         if not exists and not to_come:
-            what = "folder" if wants_folder else "file"
-            similar = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
+            what, other = "folder" if wants_folder else "file", "" if wants_folder else _no_file(path)
+            names = [item.name for item in folder.iterdir() if item.name != path.name]
+            similar = difflib.get_close_matches(str(written), names, n=1)
             hint = f"Did you mean {similar[0]}?" if similar else "Put it there, or correct the name."
             shown = ascii_only(str(path))
-            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {shown}. {hint}")
+            said = f"{shown} is {other}, and no file." if other else f"there is no {what} {shown}."
+            mistakes.add((name, field_name), f"[{name}] {field_name}: {said} {hint}")
         entry = replace(entry, **{field_name: path})
     if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
         entry = replace(entry, start_uncertainty=math.inf)
     return entry
+
+
+def _no_file(path: Path) -> str:
+    """What stands there in place of a file; empty where nothing does."""
+    if path.is_symlink() and not os.path.exists(path):  # noqa: PTH110  (`Path.exists` raises on a circle of links)
+        return "a link that leads nowhere"
+    kinds = {
+        "a folder": path.is_dir,
+        "a pipe": path.is_fifo,
+        "a device": path.is_char_device,
+        "a socket": path.is_socket,
+    }
+    return next((kind for kind, stands in kinds.items() if stands()), "")
 
 
 def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:

@@ -13,9 +13,9 @@ from onebend.learning.criticism.push_place import (
     MISTAKEN,
     _log_ratio,
     _weights,
+    doubtful,
     search_place,
     with_places,
-    worth_asking,
 )
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.verdict import fit_remarks
@@ -54,13 +54,15 @@ def test_a_right_place_is_neither_accused_nor_widened() -> None:
     assert np.all(np.diag(wider)[:20] < 1.2 * np.diag(one.optimum.covariance.of_shared)[:20])
 
 
-def test_it_is_asked_only_where_a_test_gives_a_reason() -> None:
-    critic = fitted(1.0, 1.0).criticism
+def test_a_quiet_fit_is_asked_beside_its_push_alone() -> None:
+    one = fitted(1.0, 1.0)
+    assert search_place(one.problem, one.optimum, SETTINGS, thorough=False) is None
+    critic = one.criticism
     quiet = [replace(f, score=replace(f.score, log10_p=-0.5)) for f in critic.findings]
-    assert not worth_asking(replace(critic, findings=tuple(quiet)))
+    assert not doubtful(replace(critic, findings=tuple(quiet)))
     place = next(i for i, f in enumerate(quiet) if f.score.suspect.name == "push place")
     quiet[place] = replace(quiet[place], score=replace(quiet[place].score, log10_p=-1.5))
-    assert worth_asking(replace(critic, findings=tuple(quiet)))
+    assert doubtful(replace(critic, findings=tuple(quiet)))
 
 
 def test_the_second_moment_of_the_places_stands_in_the_band() -> None:

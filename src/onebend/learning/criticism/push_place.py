@@ -9,7 +9,7 @@ A place that was written down is wrong with a small probability, and then may be
 with weights by that and by the evidence. About the fit at the written place its second moment is the posterior's
 covariance and `sum_j w_j d_j d_j'`, d_j being how far the parameters are from it with the push at place j. So what the
 recording cannot tell stands in the band; where another place has far more evidence, the written one is accused.
-It costs about as much as the fit, so it is asked only where a test of the fit's model gives a reason.
+Where no test of the fit's model gives a reason, places on either side are asked first, and mostly that is the end.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ from onebend.records import Array
 MISTAKEN = 0.3  # of the weight before the data is for other places: not how often people err, but what the band holds
 AT_TIP = 0.5  # of that for the tip, where most pushes act; the rest is even between INNERMOST and the tip
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
-ACCUSED = 6.0  # of the log evidence: by so much more the written place is not believed. Right ones come to 2
+ACCUSED = 12.0  # of the log evidence: by so much more the written place is not believed. Right ones came to 9
 LIKELY = 0.05  # weight of a place, or of several together, that is worth a word
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
+_FIRST = 0.1  # of the length: where it is asked first
+_WORSE = -3.0  # of the log evidence there: the written place is then well known
 _FRAMES = 50  # that are fitted
 _ROUNDS = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
 _HOPELESS = 12.0  # of the log evidence, below the best place: places beyond are worse still
@@ -83,16 +85,18 @@ class _Tried:
     log_evidence: float
 
 
-def worth_asking(criticism: Criticism) -> bool:
+def doubtful(criticism: Criticism) -> bool:
     """Whether a test of the fit's model gives a reason to doubt the place of the push."""
     places = [one.score.log10_p for one in criticism.findings if one.score.suspect.name == "push place"]
     return bool(criticism.striking) or any(p < _REASON for p in places)
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # on the way to places that cannot be
-def search_place(problem: FitProblem, optimum: Optimum, settings: FitSettings) -> PlaceSearch | None:
-    """The evidence at other places than the written one; None where nothing is written of one place, and where several
-    recordings are learned from."""
+def search_place(
+    problem: FitProblem, optimum: Optimum, settings: FitSettings, *, thorough: bool = True
+) -> PlaceSearch | None:
+    """The evidence at other places than the written one; None where nothing is written of one place, where several
+    recordings are learned from, or, unless `thorough`, where the places on either side are far less likely."""
     (first, *others), layout = problem.recordings, problem.layout
     block = layout.index["place", 0]
     places = first.push_s[np.any(first.force != 0.0, axis=1)]
@@ -104,7 +108,10 @@ def search_place(problem: FitProblem, optimum: Optimum, settings: FitSettings) -
     here = _tried(problem, found_there, written, written, few)
     if here is None:
         return None
-    found = [*_outwards(here, -1.0, few), *_outwards(here, 1.0, few)]
+    found = []
+    for side in (-1.0, 1.0):
+        if thorough or _likely_beside(here, side, few):
+            found += [*_outwards(here, side, few)]
     if not found:
         return None
     s = np.array([one.place for one in found])
@@ -113,6 +120,14 @@ def search_place(problem: FitProblem, optimum: Optimum, settings: FitSettings) -
     away = np.stack([_away(problem, here, one, length) for one in found])
     far = np.abs(s - written) * length > _TOLERANCES * block.prior_sd[0]
     return PlaceSearch(written, s, gain, weight, away, bool(np.max(gain[far], initial=0.0) > ACCUSED))
+
+
+def _likely_beside(here: _Tried, side: float, settings: FitSettings) -> bool:
+    place = min(here.place + side * _FIRST, 1.0)
+    if abs(place - here.place) < 0.5 * _STEPS[0]:
+        return False
+    beside = _tried(here.problem, here.estimate, here.place, place, settings)
+    return beside is not None and beside.log_evidence > here.log_evidence + _WORSE
 
 
 def with_places(optimum: Optimum, search: PlaceSearch | None) -> Optimum:
