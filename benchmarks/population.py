@@ -146,7 +146,7 @@ def foretelling(trials: int) -> None:
 
 
 def judgements(trials: int) -> None:
-    """Errors of pass and fail against those that are expected; the tolerance knows nothing of true means and spreads."""
+    """Errors of pass and fail against those that are expected; the tolerance knows nothing of the truth."""
     wrong, expected, count = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
     for i in range(trials):
         truth = replace(truth_of(np.random.default_rng([4, i])), sizes=(8,))
@@ -162,9 +162,8 @@ def judgements(trials: int) -> None:
             wrong[large, j] += np.sum(judged & (right if j else ~right))
             expected[large, j] += np.sum((inside if j else 1.0 - inside)[judged])
     print("## Pass and fail\n")
-    print(
-        f"{trials} trials of eight objects; limits 0.5 to 8 times the fits' errors either way, anywhere about the mean.\n"
-    )
+    print(f"{trials} trials of eight objects; limits 0.5 to 8 times the fits' errors either way, about a centre")
+    print("anywhere near the mean.\n")
     print("| spread within groups | judged | objects | wrong [%] | expected to be wrong [%] |")
     print("| --- | --- | --- | --- | --- |")
     for large, spread in enumerate(("below the fits' errors", "above")):
