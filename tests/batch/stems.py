@@ -19,7 +19,7 @@ def bench(beam: Beam, *, scale: float = 1.0, name: str = "") -> VirtualBench:
     return VirtualBench(
         beam=beam,
         push=PushProfile(0.5 * scale, before=0.8, rise=1.0, hold=0.2, fall=1.0, after=0.8),
-        sensor=ForceSensor(rate=100.0),
+        sensor=ForceSensor(rate=100.0, white_sd=0.003),
         fps=10.0,
         clock=VirtualClock(0.0, 0.0, 0.0),
         name=name,

@@ -82,6 +82,18 @@ def test_every_recording_is_a_row_as_learn_finds_it(stems: Path, done: BatchOutc
     assert {row["name"] for row in pq.read_table(done.out / "nuisances.parquet").to_pylist()} == {"dry/one", "wet/two"}
 
 
+def test_the_priors_part_is_a_part_of_the_covariance(done: BatchOutcome) -> None:
+    learned = [one for one in done.records if one.covariance is not None and one.prior_part is not None]
+    assert len(learned) == 2
+    for one in learned:
+        assert one.covariance is not None
+        assert one.prior_part is not None
+        share = one.prior_part.diagonal() / one.covariance.diagonal()
+        assert np.all((share > 0.0) & (share <= 1.0))
+        values = np.linalg.eigvalsh(one.covariance - one.prior_part)
+        assert values.min() > -0.1 * np.linalg.eigvalsh(one.covariance).max()
+
+
 def test_what_fails_is_a_row_with_its_reason(done: BatchOutcome) -> None:
     [(item, why)] = done.failed
     assert item.name == f"wet/{NASTY}"

@@ -29,8 +29,8 @@ def dense(trial: PopulationTrial, spreads: Spreads) -> tuple[Array, Array]:
     for i, noise in enumerate(trial.noise):
         rows = slice(i * size, (i + 1) * size)
         whole[rows, rows] += noise
-    design: Array = np.kron(np.eye(trial.groups)[trial.group_of[trial.object_of]], np.eye(size))
-    return np.asarray(whole), design
+    whose = trial.group_of[trial.object_of]
+    return np.asarray(whole), np.asarray(np.kron(np.eye(trial.groups)[whose], np.eye(size)), dtype=float)
 
 
 def test_means_and_evidence_are_those_of_dense_algebra() -> None:
