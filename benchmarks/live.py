@@ -123,7 +123,7 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--repeats", type=int, default=2, help="of each recording, for the time a frame takes")
     parser.add_argument("--pace", action="store_true", help="also with a process beside, in the recording's own time")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="of the recordings")
+    parser.add_argument("--only", nargs="*", metavar="NAME", help="of the recordings")
     parser.add_argument("--cost", nargs="*", metavar="NAME", help="of the recordings, those whose cost is measured")
     asked = parser.parse_args()
     names = [f"{beam}_{kind}" for beam in BEAMS for kind in KINDS] if asked.only is None else asked.only

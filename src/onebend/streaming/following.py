@@ -12,10 +12,12 @@ from onebend.learning.live.online_learner import OnlineLearner
 from onebend.records import Array
 from onebend.streaming.history import ForceHistory
 from onebend.streaming.reading import FrameReader
-from onebend.streaming.review import HALF, Later, Reviewed, logged_at, teach
+from onebend.streaming.review import HALF, LONGEST_GAP, Later, Reviewed, logged_at, teach
 
 _BEHIND = 2  # frames that came during a review, of which its learner is taught with each new one
 _FEW_WAITING, _MOST_WAITING = 4, 300  # frames, before there is a learner and then
+_AS_NEAR = 2.0  # sd of the clocks' offset: a force that is as near may be that of the frame
+_SOON = 0.03  # s of newer frames, after which it is taken for that
 
 Frame = tuple[float, Array]  # time [s, the frames' clock] and corners (m, 4, 2) px
 
@@ -82,8 +84,7 @@ class Following:
         newest = float(self._log.rows[-1, 0]) if len(self._log) else -math.inf
         while self._waiting:
             time, corners = self._waiting[0]
-            there = newest >= time + learning.reader.offset + HALF
-            if not there and self._waiting[-1][0] - time < self._wait and len(self._waiting) < _MOST_WAITING:
+            if not self._there(time, newest, learning.reader) and len(self._waiting) < _MOST_WAITING:
                 return
             self._waiting.popleft()
             if self.learning is not None:
@@ -92,6 +93,12 @@ class Following:
                 self._coming.behind.append((time, corners))
                 self._catch_up(self._coming)
             self.until = time
+
+    def _there(self, time: float, newest: float, reader: FrameReader) -> bool:
+        """Whether a frame at `time` need not wait for more of the log, which has come up to `newest` [s]."""
+        waited, lacks = self._waiting[-1][0] - time, time + reader.offset - newest
+        near = min(_AS_NEAR * reader.offset_sd, LONGEST_GAP)
+        return lacks <= -HALF or (waited >= _SOON and lacks <= near) or waited >= self._wait
 
     def later(self, made: Reviewed) -> Later:
         """What came after the last frame of a review, and is not waiting for its force."""

@@ -67,7 +67,7 @@ class FrameHistory:
         frames, changes = self._frames, [one.change for one in self._frames]
         tracks = BlockTracks(
             time=np.array([one.time for one in frames]),
-            corners=np.stack([self._corrected(one) for one in frames]),
+            corners=self._corrected(),
             shape=frames[0].shape,
             looks=self._looks,
             strangers=tuple(self._strangers),
@@ -75,11 +75,13 @@ class FrameHistory:
         )
         return tracks, repeated(changes)
 
-    def _corrected(self, frame: TrackedFrame) -> Array:
-        """(m, 4, 2) px."""
-        corners = frame.detected.copy()
-        for i, since in enumerate(frame.still_since.tolist()):
-            corners[i] += self._shifts.get((i, since), 0.0)
+    def _corrected(self) -> Array:
+        """(T, m, 4, 2) px."""
+        corners = np.stack([one.detected for one in self._frames])
+        since = np.stack([one.still_since for one in self._frames])
+        for (i, begun), shift in self._shifts.items():
+            if shift.any():
+                corners[since[:, i] == begun, i] += shift
         return corners
 
 

@@ -24,6 +24,7 @@ class FrameReader:
     """What turns a frame's corners and the log's rows into what the live learner takes."""
 
     offset: float  # s: log time less the frames' time
+    offset_sd: float  # s
     view: View  # of the beam's frame
     tag_size: float  # m
     turn: Array  # (b + m,) rad of the tags, as written
@@ -97,6 +98,7 @@ def reader_of(rec: Recording, seen: Observations) -> FrameReader:
     sign = -1.0 if force.acts_on == "robot" else 1.0
     return FrameReader(
         offset=clock.offset,
+        offset_sd=clock.sd,
         view=view,
         tag_size=rec.tags.size,
         turn=np.array([tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)]),

@@ -10,7 +10,9 @@ from onebend.recording.tags.pattern import MOST_SHIFT, STILL, fit_pattern, part_
 from onebend.recording.video import Picture
 from onebend.records import Array
 
-FITS = (8, 32, 64)  # pictures of a tag at one place, after which its pattern is fitted; after the last it begins anew
+# Pictures of a tag at one place, after which its pattern is fitted; after the last they are counted anew, and what was
+# fitted before holds until the last again.
+FITS = (8, 32, 64)
 
 
 @dataclass
@@ -59,10 +61,11 @@ class StillTags:
         if window is not None and np.abs(corners - window.corners / window.count).max() > STILL:
             self.shifts.pop(i, None)
             window = None
-        if window is None:
+        if window is None or window.count >= FITS[-1]:
             part = part_around(corners, picture.shape)
             shape = tuple(one.stop - one.start for one in part)
-            window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)))
+            fitted = 0 if window is None else FITS[-2]
+            window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)), 0, fitted)
         window.grey += picture[window.part]
         window.corners = window.corners + corners
         window.count += 1
@@ -78,5 +81,3 @@ class StillTags:
         if fitted is not None and np.abs(fitted + corner - mean).max() <= MOST_SHIFT:
             self.shifts[i] = fitted + corner - mean
         window.fitted = window.count
-        if window.count >= FITS[-1]:  # a tag that creeps is seen as still no longer than this
-            del self.windows[i]
