@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from onebend.beam.profiles.stiffness import Scaled as Scaled
     from onebend.beam.profiles.stiffness import Table as Table
     from onebend.beam.statics.equilibrium import Equilibrium as Equilibrium
+    from onebend.beam.statics.nodal_beam import FirstGrid as FirstGrid
+    from onebend.beam.statics.nodal_beam import GridMemory as GridMemory
+    from onebend.beam.statics.nodal_beam import MomentBasis as MomentBasis
+    from onebend.beam.statics.nodal_beam import NodalBeam as NodalBeam
     from onebend.beam.statics.nodal_forces import NodalForces as NodalForces
     from onebend.beam.statics.perturbation import Perturbation as Perturbation
     from onebend.beam.statics.problem import Problem as Problem
@@ -52,6 +56,7 @@ else:
             "onebend.beam.profiles.section": "SectionProfiles",
             "onebend.beam.profiles.stiffness": "Gaussians LogSpline Powers Profile Scaled Table",
             "onebend.beam.statics.equilibrium": "Equilibrium",
+            "onebend.beam.statics.nodal_beam": "FirstGrid GridMemory MomentBasis NodalBeam",
             "onebend.beam.statics.nodal_forces": "NodalForces",
             "onebend.beam.statics.perturbation": "Perturbation",
             "onebend.beam.statics.problem": "Problem Resolution Rod",
