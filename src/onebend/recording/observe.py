@@ -123,9 +123,32 @@ def _shown(
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
+    markers = markers_of(rec, detections)
+    return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
+
+
+def markers_of(rec: Recording, detections: Detections) -> Markers:
+    """The tags in metres, turned as recording.toml says.
+
+    Raises:
+        ObservationError: they are turned otherwise, or no plane explains them.
+    """
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
-    return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
+    return markers
+
+
+def observe_markers(
+    rec: Recording, markers: Markers, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
+) -> Observations:
+    """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
+
+    The film is not there to show the tool that pushes.
+
+    Raises:
+        ObservationError: as `observe`.
+    """
+    return with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
 
 def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:
