@@ -285,6 +285,7 @@ class Source:
     clock: ClockOffset | None = None  # between the force log and the video; None for static poses
     clean_force: CleanForce | None = None  # the log that `Observations.force` was read from
     remarks: tuple[Remark, ...] = ()
+    place_seen: bool = False  # the film shows the tool where the push is said to act
 
 
 @dataclass(frozen=True)

@@ -152,15 +152,18 @@ def observe_markers(
 
 
 def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:
-    """With a warning where the film shows the tool elsewhere than `at_s` says. `base_angle` (T,) is of every frame."""
+    """With what the film shows of the tool: a warning where it is elsewhere than `at_s` says. `base_angle` (T,) is of
+    every frame."""
     if rec.video is None or rec.push is None or not np.isfinite(rec.push.at) or not rec.video.file.exists():
         return seen
     markers = Markers(
         seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
         seen.source.view,
     )  # fmt: skip
-    remarks = tool_remarks(tool_in_film(rec, markers, seen.loaded, seen.frame), rec)
-    return replace(seen, source=replace(seen.source, remarks=(*seen.source.remarks, *remarks))) if remarks else seen
+    tool = tool_in_film(rec, markers, seen.loaded, seen.frame)
+    remarks = tool_remarks(tool, rec)
+    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
+    return replace(seen, source=source)
 
 
 def swing_signals(

@@ -10,6 +10,10 @@ with weights by that and by the evidence. About the fit at the written place its
 covariance and `sum_j w_j d_j d_j'`, d_j being how far the parameters are from it with the push at place j. So what the
 recording cannot tell stands in the band; where another place has far more evidence, the written one is accused.
 Where no test of the fit's model gives a reason, places on either side are asked first, and mostly that is the end.
+
+Farther out than the written place the fit has to explain tags that nothing bent, and what a real beam and bench do
+beyond the model speaks for such places by up to 22 of the log evidence where the written place was right. So out there
+only far more counts, and less than that does not widen the band.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ MISTAKEN = 0.3  # of the weight before the data is for other places: not how oft
 AT_TIP = 0.5  # of that for the tip, where most pushes act; the rest is even between INNERMOST and the tip
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
 ACCUSED = 12.0  # of the log evidence: by so much more the written place is not believed. Right ones came to 9
+ACCUSED_BEYOND = 40.0  # the same by places farther out
 LIKELY = 0.05  # weight of a place, or of several together, that is worth a word
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
@@ -116,10 +121,11 @@ def search_place(
         return None
     s = np.array([one.place for one in found])
     gain = np.array([one.log_evidence for one in found]) - here.log_evidence
-    weight = _weights(s, gain, written)
+    level = np.where(s > written, ACCUSED_BEYOND, ACCUSED)
+    weight = _weights(s, np.where((s > written) & (gain < level), -np.inf, gain), written)
     away = np.stack([_away(problem, here, one, length) for one in found])
     far = np.abs(s - written) * length > _TOLERANCES * block.prior_sd[0]
-    return PlaceSearch(written, s, gain, weight, away, bool(np.max(gain[far], initial=0.0) > ACCUSED))
+    return PlaceSearch(written, s, gain, weight, away, bool(np.any(far & (gain > level))))
 
 
 def _likely_beside(here: _Tried, side: float, settings: FitSettings) -> bool:
