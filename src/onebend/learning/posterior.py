@@ -279,8 +279,7 @@ def _fit(
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
-    seen = any(one.observations.source.place_seen for one in whole.recordings)
-    ask = known and optimum.converged and not seen
+    ask = known and optimum.converged
     place = search_place(whole, optimum, settings, thorough=doubtful(critic)) if ask else None
     progress.done()
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))

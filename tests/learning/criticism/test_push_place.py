@@ -9,10 +9,12 @@ import numpy as np
 
 from onebend.learning.criticism.push_place import (
     ACCUSED,
+    ACCUSED_BEYOND,
     INNERMOST,
     MISTAKEN,
     _log_ratio,
     _weights,
+    counted,
     doubtful,
     search_place,
     with_places,
@@ -87,6 +89,23 @@ def test_where_nothing_tells_the_places_keep_their_weights() -> None:
     far = _weights(s, np.array([-20.0, -20.0, 7.0, -20.0]), 0.9)
     assert far[2] > 0.9
     assert np.sum(far) < 1.0
+
+
+def test_farther_out_only_far_more_evidence_counts() -> None:
+    s, written = np.array([0.6, 0.7, 0.9, 1.0]), 0.8
+    gain = counted(s, np.array([3.0, 14.0, 39.0, 41.0]), written)
+    assert gain.tolist() == [3.0, 14.0, -np.inf, 41.0]
+    held = counted(s, np.array([-9.0, -5.0, 22.0, 39.0]), written)
+    assert np.sum(_weights(s, held, written)[2:]) == 0.0  # so the band is not widened by them
+    assert ACCUSED_BEYOND > ACCUSED
+
+
+def test_where_the_film_shows_the_tool_no_other_place_is_asked() -> None:
+    one = fitted(0.75, 1.0)
+    [seen] = one.recordings
+    o = seen.observations
+    shown = replace(seen, observations=replace(o, source=replace(o.source, place_seen=True)))
+    assert search_place(replace(one.problem, recordings=(shown,)), one.optimum, SETTINGS) is None
 
 
 def test_moments_of_pushes_at_two_places() -> None:

@@ -59,15 +59,10 @@ class PlaceSearch:
 
     written: float
     s: Array  # (n,) places that were tried
-    gain: Array  # (n,) of the log evidence, over the written place
+    gain: Array  # (n,) of the log evidence, over the written place; minus infinity where it does not count
     weight: Array  # (n,) probability of the places; that of the written one is what is left
     away: Array  # (n, P) of the parameters, from where they are with the push at the written place
     accused: bool  # the push hardly acts where it is said to
-
-    @property
-    def best(self) -> float:
-        """The other place of the greatest evidence."""
-        return float(self.s[np.argmax(self.gain)])
 
     @property
     def open(self) -> bool:
@@ -101,11 +96,13 @@ def search_place(
     problem: FitProblem, optimum: Optimum, settings: FitSettings, *, thorough: bool = True
 ) -> PlaceSearch | None:
     """The evidence at other places than the written one; None where nothing is written of one place, where several
-    recordings are learned from, or, unless `thorough`, where the places on either side are far less likely."""
+    recordings are learned from, where the film shows the tool at the written place, or, unless `thorough`, where the
+    places on either side are far less likely."""
     (first, *others), layout = problem.recordings, problem.layout
     block = layout.index["place", 0]
     places = first.push_s[np.any(first.force != 0.0, axis=1)]
-    if others or block.start < 0 or not len(places) or float(np.ptp(places)) > 0.0:
+    one_place = not others and block.start >= 0 and len(places) > 0 and float(np.ptp(places)) == 0.0
+    if not one_place or first.observations.source.place_seen:
         return None
     written, length = float(places[0]), first.observations.length
     few = replace(settings, first_frames=_FRAMES)
@@ -120,12 +117,16 @@ def search_place(
     if not found:
         return None
     s = np.array([one.place for one in found])
-    gain = np.array([one.log_evidence for one in found]) - here.log_evidence
-    level = np.where(s > written, ACCUSED_BEYOND, ACCUSED)
-    weight = _weights(s, np.where((s > written) & (gain < level), -np.inf, gain), written)
+    gain = counted(s, np.array([one.log_evidence for one in found]) - here.log_evidence, written)
     away = np.stack([_away(problem, here, one, length) for one in found])
     far = np.abs(s - written) * length > _TOLERANCES * block.prior_sd[0]
-    return PlaceSearch(written, s, gain, weight, away, bool(np.any(far & (gain > level))))
+    weight, accused = _weights(s, gain, written), bool(np.any(far & (gain > ACCUSED)))
+    return PlaceSearch(written, s, gain, weight, away, accused)
+
+
+def counted(s: Array, gain: Array, written: float) -> Array:
+    """(n,) the gains at places s (n,), without those farther out than the written place that are not large enough."""
+    return np.where((s > written) & (gain <= ACCUSED_BEYOND), -np.inf, gain)
 
 
 def _likely_beside(here: _Tried, side: float, settings: FitSettings) -> bool:
