@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from onebend.batch.outcome import BatchOutcome
 from onebend.batch.record import EVERY, PLACES, Record
@@ -82,13 +80,6 @@ def nuisances_table(outcome: BatchOutcome) -> pa.Table:
     kinds = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.float64(), pa.float64())
     names = ("name", "nuisance", "unit", "value", "sd", "prior_sd")
     return pa.table({name: pa.array(values, kind) for name, values, kind in zip(names, columns, kinds, strict=True)})
-
-
-def as_parquet(table: pa.Table) -> bytes:
-    """The content of the table's file."""
-    stream = io.BytesIO()
-    pq.write_table(table, stream)
-    return stream.getvalue()
 
 
 def _columns(outcome: BatchOutcome) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from typing import Any
 from onebend.batch.outcome import BatchOutcome
 from onebend.batch.page import page
 from onebend.batch.run import BATCH_FORMAT
-from onebend.batch.tables import as_parquet, covariances_table, curves_table, nuisances_table, recordings_table
+from onebend.batch.tables import covariances_table, curves_table, nuisances_table, recordings_table
+from onebend.files.arrow import as_parquet
 from onebend.files.single_file import write_file
 from onebend.strict_json import to_json
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pc
-import pyarrow.parquet as pq
 
 from onebend.population.curves import Curves
 from onebend.population.needed import NUMBERS
@@ -31,20 +28,6 @@ def tables(outcome: PopulationOutcome) -> dict[str, pa.Table]:
     """All of `TABLES`, by name."""
     made = (_groups, _means, _ratios, _spread, _objects, _curves, _needed, _left_out)
     return {name: pa.table(one(outcome)) for name, one in zip(TABLES, made, strict=True)}
-
-
-def as_parquet(table: pa.Table) -> bytes:
-    """The content of the table's file."""
-    stream = io.BytesIO()
-    pq.write_table(table, stream)
-    return stream.getvalue()
-
-
-def as_csv(table: pa.Table) -> bytes:
-    """The content of the table's file."""
-    stream = io.BytesIO()
-    pc.write_csv(table, stream)
-    return stream.getvalue()
 
 
 def _groups(outcome: PopulationOutcome) -> dict[str, Any]:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from onebend.files.arrow import as_csv, as_parquet
 from onebend.files.manifest import write_summary
 from onebend.population.outcome import PopulationOutcome
 from onebend.population.page import page
-from onebend.population.tables import as_csv, as_parquet, tables
+from onebend.population.tables import tables
 from onebend.report.figures.pictures import Pictures
 
 POPULATION_FORMAT = "onebend-population-1"
