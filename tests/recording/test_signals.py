@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-from onebend.recording.signals import FILTER_ORDER, at_times, bandwidth, bridged, butterworth, low_pass, outliers, runs
+from onebend.recording.signals import at_times, bandwidth, bridged, low_pass, outliers, runs
 
 
 def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
@@ -126,14 +125,3 @@ def test_runs_tell_the_mask(mask: list[bool]) -> None:
         assert not again[max(start - 1, 0) : stop].any()  # apart from one another
         again[start:stop] = True
     assert np.array_equal(again, mask)
-
-
-@pytest.mark.parametrize("cutoff", [0.002, 0.1, 0.44])
-def test_low_pass_is_that_of_scipy_there_and_back(cutoff: float) -> None:
-    values = np.cumsum(noise((3000, 2), 1), axis=0)
-    sos = butter(FILTER_ORDER, 2.0 * cutoff, output="sos")
-    begun = sosfilt_zi(sos)[:, :, None] * values[0]
-    np.testing.assert_allclose(butterworth(values, cutoff), sosfilt(sos, values, axis=0, zi=begun)[0], atol=1e-8)
-    found = low_pass(np.arange(3000.0), values, cutoff, longest_gap=2.0)
-    expected = sosfiltfilt(sos, values, axis=0, padtype="even", padlen=int(2.0 / cutoff))
-    np.testing.assert_allclose(found, expected, atol=1e-8)
