@@ -23,7 +23,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("results",),
     ("pipeline", "forecast"),
     ("streaming",),
-    ("studies", "batch", "population"),
+    ("studies", "batch", "population", "capture"),
     ("terminal",),
     ("design", "paper"),
     ("__init__",),

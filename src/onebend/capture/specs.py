@@ -1,0 +1,134 @@
+"""Sources as they are named on the command line: `kind:place,key=value,...`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from onebend.capture.played import OwnClock, played_camera, played_force
+from onebend.capture.sources import CameraSource, ForceSource
+from onebend.errors import RecordingError
+from onebend.streaming.played import Disturbances
+
+Options = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class CameraKind:
+    """One way to name a camera."""
+
+    example: str
+    says: str
+    keys: tuple[str, ...]
+    make: Callable[[str, Options], CameraSource]
+
+
+@dataclass(frozen=True)
+class ForceKind:
+    """One way to name a force sensor."""
+
+    example: str
+    says: str
+    keys: tuple[str, ...]
+    make: Callable[[str, Options], ForceSource]
+
+
+_ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
+
+
+def camera_of(spec: str) -> CameraSource:
+    """The camera that a spec names, not opened yet.
+
+    Raises:
+        RecordingError: there is no such kind, or a key that it does not know.
+    """
+    kind, place, options = _split(spec, CAMERAS, "--camera")
+    return CAMERAS[kind].make(place, options)
+
+
+def force_of(spec: str) -> ForceSource:
+    """The force sensor that a spec names, not opened yet.
+
+    Raises:
+        RecordingError: as `camera_of`.
+    """
+    kind, place, options = _split(spec, FORCES, "--force")
+    return FORCES[kind].make(place, options)
+
+
+def number(options: Options, key: str, default: float, *, least: float = -math.inf) -> float:
+    """A number of a spec's options.
+
+    Raises:
+        RecordingError: it is none.
+    """
+    if key not in options:
+        return default
+    try:
+        value = float(options[key])
+    except ValueError:
+        value = math.nan
+    if not least <= value < math.inf:
+        raise RecordingError(
+            f"{key}={options[key]}: this must be a number{'' if least == -math.inf else f' from {least:g}'}."
+        )
+    return value
+
+
+def _split(
+    spec: str, kinds: Mapping[str, CameraKind] | Mapping[str, ForceKind], option: str
+) -> tuple[str, str, dict[str, str]]:
+    head, *more = spec.split(",")
+    kind, colon, place = head.partition(":")
+    if not colon or kind not in kinds:
+        known = ", ".join(one.example for one in kinds.values())
+        raise RecordingError(f"{option} {spec}: there is no such source. Name one of: {known}.")
+    options = {}
+    for part in more:
+        key, _, value = part.partition("=")
+        if key not in kinds[kind].keys:
+            known = ", ".join(kinds[kind].keys) or "none"
+            raise RecordingError(f"{option} {spec}: {kind} has no key {key}. Its keys: {known}.")
+        options[key] = value
+    return kind, place, options
+
+
+def _disturbances(options: Options) -> Disturbances:
+    lost, late = number(options, "lost", 0.0, least=0.0), number(options, "late", 0.0, least=0.0)
+    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
+    return Disturbances(
+        frames_lost=lost,
+        frames_late=late,
+        frame_jitter=jitter,
+        samples_lost=lost,
+        samples_late=late,
+        sample_jitter=jitter,
+    )
+
+
+def _own(options: Options) -> OwnClock:
+    return OwnClock(
+        drift=1e-6 * number(options, "drift_ppm", 0.0), late=1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
+    )
+
+
+def _film(place: str, options: Options) -> CameraSource:
+    seed = int(number(options, "seed", 0, least=0))
+    return played_camera(Path(place), _disturbances(options), own=_own(options), seed=seed)
+
+
+def _log(place: str, options: Options) -> ForceSource:
+    seed, start = int(number(options, "seed", 0, least=0)), number(options, "start_s", math.nan)
+    return played_force(Path(place), _disturbances(options), start=start, own=_own(options), seed=seed)
+
+
+CAMERAS: dict[str, CameraKind] = {
+    "film": CameraKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
+}
+FORCES: dict[str, ForceKind] = {
+    "log": ForceKind(
+        "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
+    ),
+}
