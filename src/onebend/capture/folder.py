@@ -34,6 +34,7 @@ class RecordingPlaces:
     stamps: Path  # of the frames, as the camera gave them and as they came
     wanted: tuple[int, int] = (0, 1)  # which columns of the sensor are the two of recording.toml
     push_column: int | None = None  # and which says where the push acts
+    earlier: tuple[Path, ...] = ()  # files that are to be replaced
 
 
 def places_for(folder: Path | str, columns: tuple[str, ...] | None, *, overwrite: bool = False) -> RecordingPlaces:
@@ -69,13 +70,9 @@ def places_for(folder: Path | str, columns: tuple[str, ...] | None, *, overwrite
             f"{found[0]} is there already. Record into another folder (copy {FILE_NAME}), or add --overwrite to "
             "replace it."
         )
-    for path in found:
-        path.unlink()
-    if log is None:
-        return RecordingPlaces(rec, film, None, rec.folder / STAMPS)
-    return RecordingPlaces(
-        rec, film, log, rec.folder / STAMPS, (named[0], named[1]), named[2] if len(named) > 2 else None
-    )
+    place = named[2] if len(named) > 2 else None
+    wanted = (named[0], named[1]) if named else (0, 1)
+    return RecordingPlaces(rec, film, log, rec.folder / STAMPS, wanted, place, tuple(found))
 
 
 def _named(rec: Recording, columns: tuple[str, ...]) -> list[int]:

@@ -78,9 +78,8 @@ def _no_tag(picture: Picture, tags: Sequence[TagView], strangers: Sequence[int])
 
 def _unseen(tags: Sequence[TagView]) -> str:
     hidden = [tag.id for tag in tags if not tag.seen]
-    return (
-        f"{_tags(hidden)} {_is(hidden)} not seen: nothing may hide {'it' if len(hidden) == 1 else 'them'}, and no glare"
-    )
+    them = "it" if len(hidden) == 1 else "them"
+    return f"{_tags(hidden)} {_is(hidden)} not seen: nothing may hide {them}, and no light may glare on {them}"
 
 
 def _at_edge(picture: Picture, seen: Sequence[TagView]) -> list[str]:

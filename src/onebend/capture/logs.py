@@ -86,9 +86,10 @@ class Logs:
 
     def see(self, item: Frame | Samples) -> None:
         """What a stamp and its arrival say of the clocks."""
-        clock = self._camera if isinstance(item, Frame) else self._force
-        if clock is not None:
-            clock.add(item.stamp, item.arrival)
+        if isinstance(item, Frame):
+            self._camera.add(item.stamp, item.arrival)
+        elif self._force is not None and np.isfinite(item.stamp).any():
+            self._force.add(np.nanmax(item.stamp), item.arrival)  # rows that come together waited for the newest
 
     def begin(self, places: RecordingPlaces, first: Frame) -> None:
         """Make the files of a film that begins with `first`. Raises `OSError` where they cannot be."""

@@ -170,6 +170,8 @@ class _Session:
         """The film begins with the pictures of the last moments."""
         first = next(one for one in self._early if isinstance(one, Frame))
         height, width = first.picture.shape
+        for path in self._places.earlier:
+            path.unlink()
         state_start(self._places.rec.folder, self._logs.error)
         self._film = FilmWriter(self._places.film, (width, height), crf=self._settings.crf)
         self._logs.begin(self._places, first)

@@ -215,9 +215,7 @@ def outcome_remarks(state: CaptureState, settings: CaptureSettings, stages: Stag
             f"the tip moved by {100 * stages.largest:.0f} % of the length: {100 * settings.share:.0f} % tells more"
         )
     if state.drops > 0.05 * max(state.frames, 1):
-        said.append(
-            f"{state.drops} frames are missing beside {state.frames}: a lower rate or size, or another USB port"
-        )
+        said.append(f"{state.drops} frames are missing beside {state.frames}: film at a lower rate or size")
     if state.half_width > settings.until:
         said.append(f"k(s) is known to ± {100 * state.half_width:.2g} %, and ± {100 * settings.until:.2g} % was wanted")
     return said
