@@ -24,7 +24,7 @@ TIMES -= TIMES[0]
 def picture(index: int, shape: tuple[int, int] = (96, 128)) -> np.ndarray:
     y, x = np.mgrid[: shape[0], : shape[1]]
     level = 120 + 80 * np.sin(x / 9 + 0.2 * index) * np.cos(y / 7)
-    return np.clip(level, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(level, 0, 255), np.uint8)
 
 
 def written(path: Path, times: Array = TIMES) -> list[int]:

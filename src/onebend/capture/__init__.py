@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from onebend.capture.clocks import HostClock as HostClock
     from onebend.capture.clocks import PlayedClock as PlayedClock
     from onebend.capture.clocks import StampTiming as StampTiming
+    from onebend.capture.folder import copy_description as copy_description
     from onebend.capture.played import OwnClock as OwnClock
     from onebend.capture.played import PlayedCamera as PlayedCamera
     from onebend.capture.played import PlayedForce as PlayedForce
@@ -29,15 +30,18 @@ if TYPE_CHECKING:
     from onebend.capture.state import CaptureSettings as CaptureSettings
     from onebend.capture.state import CaptureState as CaptureState
     from onebend.capture.state import TagView as TagView
+    from onebend.capture.state import outcome_data as outcome_data
+    from onebend.capture.state import outcome_words as outcome_words
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
             "onebend.capture.clocks": "Clock HostClock StampTiming PlayedClock",
+            "onebend.capture.folder": "copy_description",
             "onebend.capture.played": "OwnClock PlayedCamera PlayedForce played_camera played_force",
             "onebend.capture.session": "Stop record",
             "onebend.capture.sources": "CameraSource End ForceSource Frame Samples",
             "onebend.capture.specs": "camera_of force_of",
-            "onebend.capture.state": "CaptureOutcome CaptureSettings CaptureState TagView",
+            "onebend.capture.state": "CaptureOutcome CaptureSettings CaptureState TagView outcome_data outcome_words",
         },
     )

@@ -212,3 +212,24 @@ def room_left(folder: Path) -> float:
         return float(shutil.disk_usage(folder).free)
     except OSError:
         return math.nan
+
+
+def copy_description(like: Path, folder: Path) -> None:
+    """Begin a recording of the beam of another one: its recording.toml, and the tables of the beam that it names.
+
+    Raises:
+        RecordingError: there is one in `folder` already, or `like` cannot be read.
+    """
+    if (folder / FILE_NAME).exists():
+        raise RecordingError(f"{folder / FILE_NAME} exists already. Leave out --like, or name another folder.")
+    source = folder_of(like)
+    rec = read_recording(source, filmed=False)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in (source / FILE_NAME, rec.beam.mass_file, rec.beam.section_file):
+            if path is not None:
+                target = folder / path.relative_to(source)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, target)
+    except (OSError, ValueError) as wrong:
+        raise RecordingError(f"{folder}: {source} cannot be copied ({wrong}). Copy {FILE_NAME} by hand.") from None

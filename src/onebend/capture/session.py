@@ -23,6 +23,7 @@ from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Sampl
 from onebend.capture.stages import NO_FORCE, Stages, outcome_remarks, stage_advice
 from onebend.capture.state import CaptureOutcome, CaptureSettings, CaptureState
 
+GOOD = "the picture is good: touch nothing, the film begins"
 FIRST_LOOKS = 5  # frames of a good picture at least, before the film begins
 
 
@@ -161,7 +162,7 @@ class _Session:
                 *advice,
                 NO_FORCE,
             ]
-        self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice))
+        self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice or [GOOD]))
         good = self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup
         if good or settings.begin_at_once:
             self._begin()

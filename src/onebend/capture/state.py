@@ -108,3 +108,42 @@ class CaptureOutcome:
     def whole(self) -> bool:
         """Whether a film is there from a rest to a push and back."""
         return self.state.stage == "done"
+
+
+def outcome_words(outcome: CaptureOutcome) -> str:
+    """What was recorded, for people."""
+    state, folder = outcome.state, outcome.folder
+    size = f"{state.seconds:.1f} s, {state.frames} frames"
+    missing = f" ({state.drops} more are missing)" if state.drops else ""
+    rows = f", {state.samples} samples of the force" if outcome.log is not None else ""
+    lines = [f"Recorded {folder}: {size}{missing}{rows}. It ended: {outcome.why}."]
+    if math.isfinite(state.half_width):
+        lines.append(f"k(s) so far: ± {100 * state.half_width:.2g} % (95 %, median).")
+    lines += [f"{remark[0].upper()}{remark[1:]}." for remark in outcome.remarks]
+    return "\n".join([*lines, f"Look at it with: onebend check {folder}   Learn from it with: onebend learn {folder}"])
+
+
+def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
+    """The same as plain data, SI."""
+    state = outcome.state
+    return {
+        "folder": str(outcome.folder),
+        "film": str(outcome.film),
+        "log": None if outcome.log is None else str(outcome.log),
+        "ended": outcome.why,
+        "whole": outcome.whole,
+        "stage": state.stage,
+        "seconds": state.seconds,
+        "frames": state.frames,
+        "frames_missing": state.drops,
+        "samples": state.samples,
+        "samples_missing": state.lost_samples,
+        "clock_sd_s": none_of(state.clock_sd),
+        "half_width": none_of(state.half_width),
+        "remarks": list(outcome.remarks),
+    }
+
+
+def none_of(value: float) -> float | None:
+    """A number as JSON has it: NaN is null."""
+    return value if math.isfinite(value) else None

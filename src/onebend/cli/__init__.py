@@ -114,6 +114,13 @@ COMMANDS = {
         "Write a recording.toml to fill in.",
         "my-beam",
     ),
+    "record": Place(
+        "recordings",
+        "record",
+        "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
+        "out/my-push --like examples/linear-beam/train --camera film:examples/linear-beam/train "
+        "--force log:examples/linear-beam/train",
+    ),
     "topics": Place(
         "recordings",
         "topics",
