@@ -83,6 +83,13 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("live",),
         ("played",),
     ),
+    "capture": (
+        ("clocks", "film_writer", "folder"),
+        ("sources", "state"),
+        ("devices", "played", "pump", "guidance", "logs", "stages"),
+        ("specs", "follower"),
+        ("session",),
+    ),
     "report": (
         ("findings", "kinds"),
         ("wording",),

@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from onebend.capture.devices.ati import PORT, WEB_PORT, AtiForce, AtiScale
+from onebend.capture.devices.cells import KNOWN, cells_of
+from onebend.capture.devices.lines import GrowingLog, SerialForce
 from onebend.capture.played import OwnClock, played_camera, played_force
 from onebend.capture.sources import CameraSource, ForceSource
 from onebend.errors import RecordingError
@@ -124,10 +127,49 @@ def _log(place: str, options: Options) -> ForceSource:
     return played_force(Path(place), _disturbances(options), start=start, own=_own(options), seed=seed)
 
 
+def _ati(place: str, options: Options) -> ForceSource:
+    scale = None
+    if "counts" in options:
+        per = number(options, "counts", 0.0, least=1e-6)
+        scale = AtiScale(
+            per, number(options, "counts_torque", per, least=1e-6), number(options, "rate", 0.0, least=0.0)
+        )
+    port, web = (int(number(options, key, value, least=1)) for key, value in (("port", PORT), ("web_port", WEB_PORT)))
+    return AtiForce(place, port=port, web_port=web, scale=scale)
+
+
+def _names(options: Options, key: str) -> list[str]:
+    return [name for name in options.get(key, "").split("/") if name]
+
+
+def _serial(place: str, options: Options) -> ForceSource:
+    if "columns" not in options:
+        raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
+    cells = cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
+    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50)))
+
+
+def _csv(place: str, options: Options) -> ForceSource:
+    return GrowingLog(Path(place), _names(options, "columns"), _names(options, "zero"))
+
+
 CAMERAS: dict[str, CameraKind] = {
     "film": CameraKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
 }
 FORCES: dict[str, ForceKind] = {
+    "ati": ForceKind(
+        "ati:192.168.1.1",
+        "an ATI Net F/T or Axia box on the network",
+        ("counts", "counts_torque", "rate", "port", "web_port"),
+        _ati,
+    ),
+    "serial": ForceKind(
+        "serial:/dev/ttyUSB0,columns=fx_N/fy_N",
+        "a load cell that sends a line of numbers a sample",
+        ("columns", "zero", "baud"),
+        _serial,
+    ),
+    "csv": ForceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
     "log": ForceKind(
         "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
     ),
