@@ -9,7 +9,11 @@ from pathlib import Path
 
 from onebend.capture.devices.ati import PORT, WEB_PORT, AtiForce, AtiScale
 from onebend.capture.devices.cells import KNOWN, cells_of
+from onebend.capture.devices.growing_bag import GrowingBag
+from onebend.capture.devices.inputs import AvCamera
 from onebend.capture.devices.lines import GrowingLog, SerialForce
+from onebend.capture.devices.packages import FrankaForce, LslForce, UrForce
+from onebend.capture.devices.v4l2 import PACKED, V4l2Camera, V4l2Settings
 from onebend.capture.played import OwnClock, played_camera, played_force
 from onebend.capture.sources import CameraSource, ForceSource
 from onebend.errors import RecordingError
@@ -84,7 +88,7 @@ def _split(
     spec: str, kinds: Mapping[str, CameraKind] | Mapping[str, ForceKind], option: str
 ) -> tuple[str, str, dict[str, str]]:
     head, *more = spec.split(",")
-    kind, colon, place = head.partition(":")
+    kind, colon, place = ("v4l2", ":", head) if head.startswith("/dev/video") else head.partition(":")
     if not colon or kind not in kinds:
         known = ", ".join(one.example for one in kinds.values())
         raise RecordingError(f"{option} {spec}: there is no such source. Name one of: {known}.")
@@ -153,7 +157,45 @@ def _csv(place: str, options: Options) -> ForceSource:
     return GrowingLog(Path(place), _names(options, "columns"), _names(options, "zero"))
 
 
+def _lsl(place: str, options: Options) -> ForceSource:
+    if "columns" not in options:
+        raise RecordingError(f"lsl:{place}: say what its channels are, as columns=fx_N/fy_N/_. {KNOWN}.")
+    return LslForce(place, cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}"))
+
+
+def _v4l2(place: str, options: Options) -> CameraSource:
+    asked = V4l2Settings()
+    width, cross, height = options.get("size", f"{asked.width}x{asked.height}").partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise RecordingError(f"size={options['size']}: write width and height in pixels, as size=1280x720.")
+    packed = options.get("packed", asked.packed)
+    if packed not in PACKED:
+        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
+    settings = V4l2Settings(
+        width=int(width),
+        height=int(height),
+        fps=number(options, "fps", asked.fps, least=0.1),
+        packed=packed,
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01),
+    )
+    return V4l2Camera(Path(place), settings)
+
+
+def _av(place: str, options: Options) -> CameraSource:
+    more = {key: options[key] for key in ("framerate", "video_size", "pixel_format") if key in options}
+    return AvCamera(place, options.get("format", ""), more)
+
+
 CAMERAS: dict[str, CameraKind] = {
+    "v4l2": CameraKind(
+        "/dev/video0", "a camera of Linux, with the kernel's stamps", ("size", "fps", "packed", "exposure_ms"), _v4l2
+    ),
+    "av": CameraKind(
+        "av:PLACE,format=NAME",
+        "what FFmpeg opens: a camera of another system, a stream",
+        ("format", "framerate", "video_size", "pixel_format"),
+        _av,
+    ),
     "film": CameraKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
 }
 FORCES: dict[str, ForceKind] = {
@@ -168,6 +210,30 @@ FORCES: dict[str, ForceKind] = {
         "a load cell that sends a line of numbers a sample",
         ("columns", "zero", "baud"),
         _serial,
+    ),
+    "ur": ForceKind(
+        "ur:HOST",
+        "a Universal Robot's wrench (pip install 'onebend[ur]')",
+        ("rate",),
+        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0)),
+    ),
+    "franka": ForceKind(
+        "franka:HOST",
+        "a Franka arm's estimate (pip install 'onebend[franka]')",
+        (),
+        lambda place, _: FrankaForce(place),
+    ),
+    "lsl": ForceKind(
+        "lsl:NAME,columns=fx_N/fy_N",
+        "a stream of the Lab Streaming Layer (pip install 'onebend[lsl]')",
+        ("columns", "zero"),
+        _lsl,
+    ),
+    "bag": ForceKind(
+        "bag:PATH",
+        "a ROS bag that is being written",
+        ("topic", "field"),
+        lambda place, options: GrowingBag(Path(place), options.get("topic", ""), options.get("field", "")),
     ),
     "csv": ForceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
     "log": ForceKind(
