@@ -84,7 +84,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("played",),
     ),
     "capture": (
-        ("clocks", "film_writer", "folder"),
+        ("clocks", "film_writer", "folder", "next_push"),
         ("sources", "state"),
         ("devices", "played", "pump", "guidance", "logs", "stages"),
         ("specs", "follower"),

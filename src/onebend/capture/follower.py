@@ -8,6 +8,7 @@ import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.capture.guidance import setup_advice, tag_views
+from onebend.capture.next_push import NextPush
 from onebend.capture.sources import Frame
 from onebend.capture.state import CaptureSettings, TagView
 from onebend.errors import ObservationError, RecordingError
@@ -16,7 +17,7 @@ from onebend.recording.toml.entries import Recording
 from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.report.confidence import identified_ranges, typical_half_width
-from onebend.streaming.live import Live
+from onebend.streaming.live import Live, seen_by
 
 
 class Follower:
@@ -28,6 +29,7 @@ class Follower:
         ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(ids, rec.tags.family)
         self._live: Live | None = None
+        self._next = NextPush(beside=settings.live_beside)
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
         """The tags of a picture before the film begins, and what is to be better."""
@@ -71,8 +73,19 @@ class Follower:
         state = self._live.state()
         return {"live": state, "stiffness": state.stiffness, "half_width": half_width_share(state.stiffness)}
 
+    def plan(self) -> None:
+        """Begin to find what the next push should be."""
+        if self._live is not None:
+            self._next.ask(seen_by(self._live), self._settings.live.observing)
+
+    @property
+    def next_push(self) -> str:
+        """What the next push should be; empty where that was not asked, or is not known yet."""
+        return self._next.words
+
     def close(self) -> None:
         """End what learns beside this process."""
+        self._next.close()
         if self._live is not None:
             self._live.close()
 

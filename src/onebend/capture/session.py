@@ -102,6 +102,7 @@ class _Session:
         self._next_state = self._next_flush = self._next_stiffness = -math.inf
         self._why, self._fault = "", False
         self._force_end = ""
+        self._planned = False  # the next push is asked for, in this rest
 
     def run(self, stop: Stop, begin: Stop) -> CaptureOutcome:
         """Until something ends it."""
@@ -236,10 +237,15 @@ class _Session:
             newest, force = self._newest
             rested = stages.stage == "last rest" and stages.rested >= settings.rest
             enough = math.isnan(settings.until) or state.half_width <= settings.until
+            if rested and not enough and not self._planned:
+                self._follower.plan()
+            self._planned = rested
+            next_push = self._follower.next_push if rested else ""
             state = replace(
                 state,
                 stage="done" if rested and enough else stages.stage,
-                advice=tuple(stage_advice(stages, settings, state.half_width)),
+                advice=tuple(stage_advice(stages, settings, state.half_width, next_push)),
+                next_push=next_push,
                 displacement=stages.displacement,
                 largest=stages.largest,
                 tare=stages.tare,

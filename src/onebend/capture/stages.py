@@ -166,7 +166,7 @@ def _mean(places: list[Array]) -> Array | None:
     return np.asarray(np.where(count > 0, np.nansum(stacked, axis=0) / np.maximum(count, 1), np.nan))
 
 
-def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float) -> list[str]:
+def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float, next_push: str = "") -> list[str]:
     """What to do in this stage, the most urgent first."""
     stage = stages.stage
     if stage in ("tare", "first rest"):
@@ -182,7 +182,8 @@ def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float) -
         if left > 0.0:
             return [f"touch nothing: the last rest takes {left:.0f} s more; it shows the drift of the force"]
         wanted = f"the band is ± {100 * half_width:.2g} %, and ± {100 * settings.until:.2g} % is wanted"
-        return [f"{wanted}: push again"] if math.isfinite(half_width) else ["push again, slowly and farther"]
+        again = [f"{wanted}: push again"] if math.isfinite(half_width) else ["push again, slowly and farther"]
+        return [*again, *([next_push] if next_push else [])]
     return []
 
 

@@ -90,6 +90,7 @@ class CaptureState:
     bytes: int = 0  # of film and log
     disk_left: float = math.nan  # bytes
     live: LiveState | None = None  # tags, clock, verdict in full
+    next_push: str = ""  # where another one is wanted: which would narrow the band most
 
 
 @dataclass(frozen=True)
