@@ -7,10 +7,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import suppress
 
-from onebend.capture.clocks import Clock
+from onebend.capture.clocks import Clock, PlayedClock
 from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Played, Samples
 
 _WAIT = 0.05  # s
+_PATIENCE = 6.0  # s: FFmpeg may wait as long for a picture
 _MOST_PICTURES = 64  # that wait: beyond, the camera's own buffer has to hold them
 
 Item = Frame | Samples | End
@@ -24,7 +25,8 @@ class Pump:
         """Both are open already."""
         self._sources: list[Source] = [camera, *([] if force is None else [force])]
         self._clock = clock
-        self._played = all(isinstance(source, Played) for source in self._sources)
+        at_will = isinstance(clock, PlayedClock)  # else what is played comes as from a camera, by threads
+        self._played = at_will and all(isinstance(source, Played) for source in self._sources)
         self._ended: set[int] = set()
         self._pictures: queue.Queue[None] = queue.Queue(_MOST_PICTURES)
         self._items: queue.SimpleQueue[tuple[Source, Item]] = queue.SimpleQueue()
@@ -63,7 +65,7 @@ class Pump:
         """Read no more, and wait for what still reads."""
         self._stop.set()
         for thread in self._threads:
-            thread.join(timeout=2.0)
+            thread.join(timeout=_PATIENCE)
 
     def _next_played(self) -> tuple[Source, Item] | None:
         """Of the sources that are played the item that comes first: always in the same order."""

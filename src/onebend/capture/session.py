@@ -277,6 +277,8 @@ class _Session:
     def _outcome(self) -> CaptureOutcome:
         places, state = self._places, self._state
         remarks = [] if self._film is None else outcome_remarks(state, self._settings, self._stages)
+        if self._follower.why and self._settings.follow:
+            remarks.append(f"k(s) was not learned meanwhile: {self._follower.why}")
         if self._force_end and self._force is not None:
             remarks.append(f"{self._force_end} before the film did")
         return CaptureOutcome(

@@ -133,9 +133,9 @@ class Stages:
         """In lengths of the beam: what is farther from its rest has moved."""
         if len(self._rest) < 5:
             return 2.0 * MOVED_SHARE
-        with np.errstate(invalid="ignore"):
-            scatter = np.nanmedian(np.abs(np.diff(np.array(self._rest), axis=0))) if len(self._rest) > 1 else 0.0
-        return max(MOVED_SHARE, MOVED_SD * float(np.nan_to_num(scatter)))
+        steps = np.abs(np.diff(np.array(self._rest), axis=0))
+        steps = steps[np.isfinite(steps)]
+        return max(MOVED_SHARE, MOVED_SD * float(np.median(steps))) if len(steps) else 2.0 * MOVED_SHARE
 
     def _pushed(self, time: float) -> None:
         """At rest again after a push?"""

@@ -118,8 +118,7 @@ COMMANDS = {
         "recordings",
         "record",
         "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
-        "out/my-push --like examples/linear-beam/train --camera film:examples/linear-beam/train "
-        "--force log:examples/linear-beam/train",
+        "out/my-push --play examples/linear-beam/train --fast",
     ),
     "topics": Place(
         "recordings",

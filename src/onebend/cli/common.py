@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 
 from onebend.cli import GIVEN
-from onebend.errors import OnebendError, reference
+from onebend.errors import OnebendError, RecordingError, reference
 from onebend.escaping import printable
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
@@ -196,3 +196,20 @@ def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
     finally:
         if in_main:
             signal.signal(signal.SIGINT, before)
+
+
+def percent(text: str | None) -> float:
+    """A share, of text such as `5%`; NaN of none.
+
+    Raises:
+        RecordingError: no number above 0 and up to 100.
+    """
+    if text is None:
+        return math.nan
+    try:
+        share = float(text.strip().removesuffix("%")) / 100.0
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share <= 1.0:
+        raise RecordingError(f"--until {text}: write how exactly k(s) is wanted, as 5%.")
+    return share

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from onebend.cli.common import clean_errors, print_json, say, screen, stderr_screen, stopped_by_hand
+from onebend.cli.common import clean_errors, percent, print_json, say, screen, stderr_screen, stopped_by_hand
 from onebend.cli.options import Json, Overwrite, Quiet, Recording
 from onebend.errors import ObservationError, RecordingError
 from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
+from onebend.recording.folder import FILE_NAME
 from onebend.recording.template import Kind, write_template
 from onebend.strict_json import to_json
 from onebend.terminal.recordings import show_bag, show_overview
@@ -42,7 +42,7 @@ RecordFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
 ]
 CameraSpec = Annotated[
-    str, typer.Option("--camera", metavar="SPEC", help="/dev/video0, film:REC (played) ...: docs/record.md.")
+    str | None, typer.Option("--camera", metavar="SPEC", help="/dev/video0, film:REC (played) ...: docs/record.md.")
 ]
 ForceSpec = Annotated[
     str | None,
@@ -55,6 +55,12 @@ ForceSpec = Annotated[
 Like = Annotated[
     Path | None,
     typer.Option("--like", metavar="REC", help="Another push of this recording's beam: begin with its recording.toml."),
+]
+Play = Annotated[
+    Path | None,
+    typer.Option(
+        "--play", metavar="REC", help="Play film and log of REC as camera and sensor: to try it without them."
+    ),
 ]
 Until = Annotated[
     str | None,
@@ -173,8 +179,9 @@ def check_replaceable(path: Path, overwrite: bool) -> None:
 def record(
     folder: RecordFolder,
     *,
-    camera: CameraSpec,
+    camera: CameraSpec = None,
     force: ForceSpec = None,
+    play: Play = None,
     like: Like = None,
     until: Until = None,
     now: AtOnce = False,
@@ -199,6 +206,13 @@ def record(
             crf=crf,
             overwrite=overwrite,
         )
+        if play is not None:
+            camera, force = camera or f"film:{play}", force or f"log:{play}"
+            like = like if (folder / FILE_NAME).exists() else like or play
+        if camera is None:
+            raise RecordingError(
+                "--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording."
+            )
         sources = capture.camera_of(camera), None if force is None else capture.force_of(force)
         if like is not None:
             capture.copy_description(like, folder)
@@ -212,23 +226,6 @@ def record(
         print_json(capture.outcome_data(outcome))
         return
     say(capture.outcome_words(outcome))
-
-
-def percent(text: str | None) -> float:
-    """A share, of text such as `5%`; NaN of none.
-
-    Raises:
-        RecordingError: no number above 0 and up to 100.
-    """
-    if text is None:
-        return math.nan
-    try:
-        share = float(text.strip().removesuffix("%")) / 100.0
-    except ValueError:
-        share = math.nan
-    if not 0.0 < share <= 1.0:
-        raise RecordingError(f"--until {text}: write how exactly k(s) is wanted, as 5%.")
-    return share
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:
