@@ -250,31 +250,38 @@ def test_what_the_watcher_raises_ends_it_with_a_film(tmp_path: Path) -> None:
     assert frames_in(tmp_path) >= 29
 
 
-def test_threads_record_the_same_as_one(tmp_path: Path) -> None:
-    """Sources that are not played are read by threads: here they give as fast as they are asked."""
+class AtOnce:
+    """A camera that is not played, and gives its pictures as fast as it is asked."""
 
-    class Threaded:
-        def __init__(self, items: list[Frame], name: str) -> None:
-            self._items, self.name, self.timing = iter(items), name, StampTiming(host=True)
+    def __init__(self) -> None:
+        self.name, self.timing = "the camera", StampTiming(host=True)
+        self._items = iter([Frame(frame.luma, frame.time, frame.time, frame.index) for frame in frames()])
 
-        def open(self, clock: Clock) -> None:
-            pass
+    def open(self, clock: Clock) -> None:
+        pass
 
-        def read(self, wait: float) -> Frame | End | None:  # noqa: ARG002
-            return next(self._items, None) or End("the camera was switched off")
+    def read(self, wait: float) -> Frame | End | None:  # noqa: ARG002
+        return next(self._items, None) or End("the camera was switched off")
 
-        def close(self) -> None:
-            pass
+    def close(self) -> None:
+        pass
 
-    shown = [Frame(frame.luma, frame.time, frame.time, frame.index) for frame in frames()]
-    text = folder(tmp_path / "alone") / "recording.toml"
+
+@pytest.mark.parametrize("most_waiting", [10_000, 0])
+def test_pictures_that_wait_are_all_filmed(tmp_path: Path, most_waiting: int) -> None:
+    text = folder(tmp_path) / "recording.toml"
     text.write_text(text.read_text().partition("[force]")[0], encoding="utf-8")
-    settings = replace(SETTINGS, most_waiting=10_000)
-    outcome = record(tmp_path / "alone", Threaded(shown, "the camera"), None, settings, clock=HostClock())
-    assert outcome.why in ("the camera was switched off", "the beam is at rest again after the push")
+    settings = replace(SETTINGS, most_waiting=most_waiting, begin_at_once=True)
+    outcome = record(tmp_path, AtOnce(), None, settings, clock=HostClock())
     assert outcome.log is None
-    assert outcome.state.frames > 60
-    times = column(tmp_path / "alone" / "frames.csv", "time_s")
+    if most_waiting:
+        assert outcome.whole
+        assert outcome.state.unfollowed == 0
+    else:
+        assert outcome.why == "the camera was switched off"
+        assert outcome.state.unfollowed > 0
+        assert outcome.state.frames == len(frames())
+    times = column(tmp_path / "frames.csv", "time_s")
     assert all(b > a for a, b in pairwise(times.tolist()))
 
 

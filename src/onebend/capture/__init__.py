@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from onebend.capture.played import PlayedForce as PlayedForce
     from onebend.capture.played import played_camera as played_camera
     from onebend.capture.played import played_force as played_force
-    from onebend.capture.session import Stop as Stop
     from onebend.capture.session import record as record
     from onebend.capture.sources import CameraSource as CameraSource
     from onebend.capture.sources import End as End
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from onebend.capture.state import CaptureOutcome as CaptureOutcome
     from onebend.capture.state import CaptureSettings as CaptureSettings
     from onebend.capture.state import CaptureState as CaptureState
+    from onebend.capture.state import Stop as Stop
     from onebend.capture.state import TagView as TagView
     from onebend.capture.state import outcome_data as outcome_data
     from onebend.capture.state import outcome_words as outcome_words
@@ -39,9 +39,11 @@ else:
             "onebend.capture.clocks": "Clock HostClock StampTiming PlayedClock",
             "onebend.capture.folder": "copy_description",
             "onebend.capture.played": "OwnClock PlayedCamera PlayedForce played_camera played_force",
-            "onebend.capture.session": "Stop record",
+            "onebend.capture.session": "record",
             "onebend.capture.sources": "CameraSource End ForceSource Frame Samples",
             "onebend.capture.specs": "camera_of force_of",
-            "onebend.capture.state": "CaptureOutcome CaptureSettings CaptureState TagView outcome_data outcome_words",
+            "onebend.capture.state": (
+                "CaptureOutcome CaptureSettings CaptureState Stop TagView outcome_data outcome_words"
+            ),
         },
     )

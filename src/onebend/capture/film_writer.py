@@ -15,12 +15,14 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.recording.video import Picture
+from onebend.workers import available_cores
 
 TIME_BASE = Fraction(1, 1_000_000)
 CRF = 18  # what it does to tags: docs/accuracy/record.md
 PRESET = "veryfast"
 TUNE = "psnr,zerolatency"  # for what is measured, not for the eye: half of the change of tags, and of the file
 KEY_EVERY = 30  # frames
+MOST_THREADS = 4
 FRAGMENTS = "empty_moov+default_base_moof+frag_every_frame+skip_trailer"
 
 
@@ -110,8 +112,8 @@ class FilmWriter:
                 "preset": PRESET,
                 "tune": TUNE,
                 "g": str(KEY_EVERY),
-                "x264-params": "sliced-threads=0",
-                "threads": "1",
+                "x264-params": "sliced-threads=1",  # slices of one picture: none waits for the next
+                "threads": str(min(MOST_THREADS, available_cores())),
             }
         except (av.error.FFmpegError, ValueError) as wrong:
             self._sink.close()

@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -21,16 +20,11 @@ from onebend.capture.logs import Logs
 from onebend.capture.pump import Pump
 from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Samples
 from onebend.capture.stages import NO_FORCE, Stages, outcome_remarks, stage_advice
-from onebend.capture.state import CaptureOutcome, CaptureSettings, CaptureState
+from onebend.capture.state import CaptureOutcome, CaptureSettings, CaptureState, Stop
 
 GOOD = "the picture is good: touch nothing, the film begins"
+LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
 FIRST_LOOKS = 5  # frames of a good picture at least, before the film begins
-
-
-class Stop(Protocol):
-    """As `threading.Event`."""
-
-    def is_set(self) -> bool: ...
 
 
 def record(
@@ -102,6 +96,7 @@ class _Session:
         self._next_state = self._next_flush = self._next_stiffness = -math.inf
         self._why, self._fault = "", False
         self._force_end = ""
+        self._followed = -math.inf  # s, this machine's clock: when a picture was searched for tags
         self._planned = False  # the next push is asked for, in this rest
 
     def run(self, stop: Stop, begin: Stop) -> CaptureOutcome:
@@ -110,7 +105,7 @@ class _Session:
             for item in self._pump:
                 if item is not None:
                     self._take(*item)
-                if self._film is None and self._early and begin.is_set():
+                if self._film is None and begin.is_set() and any(isinstance(one, Frame) for one in self._early):
                     self._begin()
                 self._now_and_then()
                 if stop.is_set():
@@ -123,7 +118,9 @@ class _Session:
             self._end(f"nothing more can be written ({wrong.strerror or wrong})", fault=True)
         finally:
             self._pump.close()
+            self._renew()
             self._close()
+        self._watch(self._state)
         return self._outcome()
 
     def _end(self, why: str, *, fault: bool = False) -> None:
@@ -152,7 +149,10 @@ class _Session:
         settings = self._settings
         while self._early and self._early[0].arrival < frame.arrival - settings.setup - 0.5:
             self._early.popleft()
-        if self._pump.waiting > settings.most_waiting:
+        if settings.begin_at_once:
+            self._begin()
+            return
+        if self._too_late():
             return
         views, advice = self._follower.look(frame)
         self._good = 0 if advice else self._good + 1
@@ -165,7 +165,7 @@ class _Session:
             ]
         self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice or [GOOD]))
         good = self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup
-        if good or settings.begin_at_once:
+        if good:
             self._begin()
 
     def _begin(self) -> None:
@@ -186,6 +186,14 @@ class _Session:
             else:
                 self._felt(item)
 
+    def _too_late(self) -> bool:
+        """Whether there is no time to search this picture for tags."""
+        now = self._clock.now()
+        if self._pump.waiting > self._settings.most_waiting and now - self._followed < LEAST_OFTEN:
+            return True
+        self._followed = now
+        return False
+
     def _filmed(self, frame: Frame) -> None:
         assert self._film is not None
         if frame.picture.shape != self._film.shape:
@@ -195,7 +203,7 @@ class _Session:
         if time is None:
             return
         self._film.write(frame.picture, time, frame.colour)
-        if self._pump.waiting > self._settings.most_waiting:
+        if self._too_late():
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
         elif (corners := self._follower.frame(frame.picture, time)) is not None:
             self._stages.update(time, corners)
@@ -226,12 +234,14 @@ class _Session:
                 self._end(f"the disk is nearly full ({left / 1e6:.0f} MB are left)", fault=True)
         if now >= self._next_state:
             self._next_state = now + settings.state_every
-            self._tell(now)
+            self._renew()
+            self._watch(self._state)
 
-    def _tell(self, now: float) -> None:
-        state, stages, settings = self._state, self._stages, self._settings
+    def _renew(self) -> None:
+        """The state, of what is known now."""
+        now, state, stages, settings = self._clock.now(), self._state, self._stages, self._settings
         if self._film is not None:
-            if now >= self._next_stiffness:
+            if now >= self._next_stiffness or self._why:
                 self._next_stiffness = now + settings.stiffness_every
                 state = replace(state, **self._follower.known())
             newest, force = self._newest
@@ -260,7 +270,6 @@ class _Session:
                 state = replace(state, advice=("done: the recording is whole",))
                 self._end("the beam is at rest again after the push")
         self._state = state
-        self._watch(state)
 
     def _close(self) -> None:
         """Put all there is on disk."""

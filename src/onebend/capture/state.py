@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -18,6 +18,12 @@ from onebend.streaming.state import LiveState
 
 Stage = Literal["exposure", "tare", "first rest", "push", "last rest", "done"]
 STAGES: tuple[Stage, ...] = ("exposure", "tare", "first rest", "push", "last rest", "done")
+
+
+class Stop(Protocol):
+    """As `threading.Event`."""
+
+    def is_set(self) -> bool: ...
 
 
 @dataclass(frozen=True)
