@@ -123,6 +123,14 @@ def test_a_percentage_is_a_share(text: str, share: float) -> None:
 
 
 def test_an_interrupt_ends_the_film_and_a_second_one_interrupts() -> None:
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        interrupted_twice()
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
+def interrupted_twice() -> None:
     before = signal.getsignal(signal.SIGINT)
     with stopped_by_hand() as (stop, begin):
         assert not begin.is_set()

@@ -53,13 +53,12 @@ class Logs:
         self._stamps: GrowingTable | None = None
         self._rows: GrowingTable | None = None
         self._drops = Drops()
-        self.late = 0  # frames that came after a newer one: a film cannot take them
         self.lost_samples = 0
 
     @property
     def drops(self) -> int:
-        """Frames that are not in the film."""
-        return self._drops.lost + self.late
+        """Frames that are not in the film: one that came too late left a gap, too."""
+        return self._drops.lost
 
     @property
     def samples(self) -> int:
@@ -103,7 +102,6 @@ class Logs:
         own = float(self._camera.own(frame.stamp, frame.arrival))
         time = own - self._first
         if not time > self._last_frame:
-            self.late += 1
             return None
         self._drops.see(frame.number, own)
         self._last_frame = time
@@ -119,9 +117,8 @@ class Logs:
         time = self._on_film(self._force.host(samples.stamp, arrival))
         self.lost_samples += samples.lost
         if self._rows is not None and len(time):
-            written = np.maximum.accumulate(np.maximum(time, self._last_row + _LATE_ROW))
-            written += _LATE_ROW * np.arange(len(written)) * (np.diff(written, prepend=-math.inf) <= 0.0)
-            written = np.maximum.accumulate(written)
+            steps = _LATE_ROW * np.arange(len(time))
+            written = np.maximum.accumulate(np.maximum(time - steps, self._last_row + _LATE_ROW)) + steps
             self._last_row = float(written[-1])
             self._rows.add(
                 np.column_stack([written, samples.force, samples.stamp, arrival]),

@@ -6,6 +6,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,16 +57,12 @@ def record(
     columns = None if force is None else force.columns
     places = places_for(folder, columns, overwrite=settings.overwrite)
     sources: list[CameraSource | ForceSource] = [camera, *([] if force is None else [force])]
-    opened: list[CameraSource | ForceSource] = []
-    try:
+    with ExitStack() as opened:
         for source in sources:
             source.open(clock)
-            opened.append(source)
+            opened.callback(source.close)
         session = _Session(places, camera, force, settings, watch, clock)
         return session.run(stop or threading.Event(), begin or threading.Event())
-    finally:
-        for source in opened:
-            source.close()
 
 
 class _Session:
