@@ -52,6 +52,21 @@ def test_a_played_recording_becomes_one(original: Path, tmp_path: Path) -> None:
     assert overview(tmp_path / "new").faults == ()
 
 
+def test_an_earlier_recording_is_replaced_only_when_asked(original: Path, tmp_path: Path) -> None:
+    words = ("--play", str(original), "--fast", "--no-learning", "--now", "--longest-s", "1")
+    assert run(tmp_path / "new", *words).exit_code == 0
+    film = tmp_path / "new" / "video.mp4"
+    before = film.read_bytes()
+    refused = run(tmp_path / "new", *words)
+    assert refused.exit_code == 2
+    assert "is there already" in refused.stderr
+    assert film.read_bytes() == before
+    film.write_bytes(b"mine")
+    assert run(tmp_path / "new", *words, "--overwrite").exit_code == 0
+    assert film.read_bytes() == before
+    assert overview(tmp_path / "new").rows
+
+
 def test_json_is_one_object(original: Path, tmp_path: Path) -> None:
     words = ("--play", original, "--fast", "--no-learning", "--json", "--longest-s", 2)
     done = run(tmp_path / "new", *map(str, words))

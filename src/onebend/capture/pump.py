@@ -12,7 +12,7 @@ from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Playe
 
 _WAIT = 0.05  # s
 _PATIENCE = 6.0  # s: FFmpeg may wait as long for a picture
-_MOST_PICTURES = 64  # that wait: beyond, the camera's own buffer has to hold them
+_MOST_PICTURES = 24  # that wait, less than a second: beyond, the camera's own buffer has to hold them
 
 Item = Frame | Samples | End
 Source = CameraSource | ForceSource

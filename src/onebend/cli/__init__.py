@@ -118,7 +118,7 @@ COMMANDS = {
         "recordings",
         "record",
         "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
-        "out/my-push --play examples/linear-beam/train --fast",
+        "out/my-push --play examples/linear-beam/train",
     ),
     "topics": Place(
         "recordings",
