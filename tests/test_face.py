@@ -19,6 +19,7 @@ import onebend
 FACES = (
     "",
     ".beam",
+    ".capture",
     ".control",
     ".design",
     ".forecast",

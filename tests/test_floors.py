@@ -23,7 +23,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("results",),
     ("pipeline", "forecast"),
     ("streaming",),
-    ("studies", "batch", "population"),
+    ("studies", "batch", "population", "capture"),
     ("terminal",),
     ("design", "paper"),
     ("__init__",),
@@ -82,6 +82,13 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("reviewer", "following", "state"),
         ("live",),
         ("played",),
+    ),
+    "capture": (
+        ("clocks", "film_writer", "folder", "next_push"),
+        ("sources", "state"),
+        ("devices", "played", "pump", "guidance", "logs", "stages"),
+        ("specs", "follower"),
+        ("session",),
     ),
     "report": (
         ("findings", "kinds"),

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
     "rerun", "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
-    "population",
+    "population", "record",
 )  # fmt: skip
 
 

@@ -114,6 +114,12 @@ COMMANDS = {
         "Write a recording.toml to fill in.",
         "my-beam",
     ),
+    "record": Place(
+        "recordings",
+        "record",
+        "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
+        "out/my-push --play examples/linear-beam/train",
+    ),
     "topics": Place(
         "recordings",
         "topics",
