@@ -23,6 +23,7 @@ from onebend.learning.inference.linear_gaussian import (
     residual_rows,
     residuals,
     rest_information,
+    rows_by_force,
     split_off_force,
     tag_score,
 )
@@ -141,14 +142,14 @@ def with_own_forces(estimate: MapEstimate) -> MapEstimate:
     """The estimate with each frame's own force where it is most probable, all else as it is; unchanged where a beam
     under these forces would not stand."""
 
-    def settled(p: Prediction, rows: ResidualRows, noise: RecordingNoise) -> Prediction:
+    def settled(p: Prediction, noise: RecordingNoise) -> Prediction:
+        rows = rows_by_force(p, noise)
         return predict(p.recording, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
 
     for _ in range(_OWN_PASSES):
-        moved = each(settled, estimate.predictions, rows_of(estimate), estimate.hyperparameters.noise)
+        moved = each(settled, estimate.predictions, estimate.hyperparameters.noise)
         if not all_converged(moved):
             break
-        release(estimate)
         estimate = replace(estimate, predictions=moved)
     return estimate
 

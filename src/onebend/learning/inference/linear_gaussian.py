@@ -64,20 +64,31 @@ class ResidualRows:
 
 def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
     """Rows of one recording, tags weighted by Student's t on the residuals that their frame's force cannot explain."""
-    plain = unweighted_rows(now)
+    return _weighted(unweighted_rows(now), noise)
+
+
+def rows_by_force(now: Prediction, noise: RecordingNoise) -> ResidualRows:
+    """`residual_rows` whose derivatives with the parameters are left out."""
+    return _weighted(_unweighted(now, now.whitened_by_force), noise)
+
+
+def unweighted_rows(now: Prediction) -> ResidualRows:
+    """Rows of one recording, whitened alone."""
+    return _unweighted(now, now.whitened_slopes)
+
+
+def _unweighted(now: Prediction, slopes: Slopes) -> ResidualRows:
+    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
+
+
+def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
     known, frames = plain.known, len(plain.r)
     unexplained, _ = split_off_force(plain, plain.r, noise)
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
     numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
     root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
     return ResidualRows(root * plain.r, plain.whitened, known, root)
-
-
-def unweighted_rows(now: Prediction) -> ResidualRows:
-    """Rows of one recording, whitened alone."""
-    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
-    slopes = now.whitened_slopes
-    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
 
 
 def residuals(now: Prediction) -> Array:
