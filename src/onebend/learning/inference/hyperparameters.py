@@ -154,14 +154,18 @@ def averaged_posterior(
             forms.append(evidence.stiffness_form(posterior, weight))
         mean += weight * posterior.mean
         away = posterior.mean - best
-        for pair, one, index in zip(pairs, posterior.covariance.pairs, known, strict=True):
-            pair += weight * (one + np.outer(away[index], away[index]))
+        for number, index in enumerate(known):
+            pairs[number] += weight * (posterior.pair(number) + np.outer(away[index], away[index]))
     spline = layout.spline
     if layout.known is not None:
-        p, halves = spline.count, [0.5 * (pair + pair.T) for pair in pairs]
-        return normal_mixture(mean[:p], halves[0]), JointCovariance(layout.shared, tuple(halves), layout.parts)
+        for pair in pairs:
+            pair[:] = 0.5 * (pair + pair.T)
+        return normal_mixture(mean[: spline.count], pairs[0]), JointCovariance(
+            layout.shared, tuple(pairs), layout.parts
+        )
     stiffness = stiffness_mixture(spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
-    pairs = [_with_stiffness(pair, stiffness.covariance) for pair in pairs]
+    for pair in pairs:
+        pair[:] = _with_stiffness(pair, stiffness.covariance)
     return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)
 
 

@@ -23,6 +23,7 @@ from onebend.learning.inference.information_form import total
 from onebend.learning.inference.joint import JointInformation, solved
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
+    ResidualRows,
     data_information,
     own_information,
     residuals,
@@ -178,16 +179,20 @@ def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
 
 def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
     """Noise of every recording from its residuals, then all else by the evidence."""
-    hyperparameters, layout = estimate.hyperparameters, problem.layout
-    rows = rows_of(estimate)
-    every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
-    tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    forms = [total([one, *own_information(problem, number, estimate.x)]) for number, one in enumerate(tags)]
-    covariance = solved(JointInformation(tuple(forms), layout.parts), prior(problem, hyperparameters)).covariance
-    pairs = zip(covariance.pairs, tags, strict=True)
-    spent = [float(np.sum(pair * one.matrix)) for pair, one in pairs]  # parameters that each recording settled
-    noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
+    hyperparameters, rows = estimate.hyperparameters, rows_of(estimate)
+    every = zip(problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows), strict=True)
+    noise = tuple(new_noise(*one) for one in every)
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
     return choose_hyperparameters(evidence, hyperparameters)
+
+
+def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRows]) -> tuple[float, ...]:
+    """How many parameters each recording's tags settled: the trace of their information times the covariance."""
+    layout, x, hyperparameters = problem.layout, estimate.x, estimate.hyperparameters
+    numbers = range(len(rows))
+    tags = each(lambda i: tag_information(rows[i], layout, i, x, hyperparameters.noise[i]), numbers)
+    forms = each(lambda i: total([tags[i], *own_information(problem, i, x)]), numbers)
+    posterior = solved(JointInformation(forms, layout.parts), prior(problem, hyperparameters))
+    return each(lambda i: float(np.sum(posterior.pair(i) * tags[i].matrix)), numbers)

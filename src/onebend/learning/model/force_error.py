@@ -81,12 +81,17 @@ class ForceError:
     stages: Array  # (K, K) of one sd of that, behind the filter
     mean: Array  # (K, 2) N, expected: what a zero that runs straight between rests took off
 
-    @property
+    @cached_property
     def size(self) -> float:
         """N, expected sd of the coloured part; next to nothing where no force was logged."""
         if not len(self.knots):
             return 1e-9
         return float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau, self.white)[0]))
+
+    @cached_property
+    def rest_gram(self) -> Array:
+        """(K, K) `W' W` of the weights W in the rests."""
+        return self.rest_weights.T @ self.rest_weights
 
     @property
     def white(self) -> float:
