@@ -41,7 +41,7 @@ _WORTH_GOING_ON = 0.5  # of what is missing: a correction that leaves more of it
 _OWN_PASSES = 2  # in which each frame's own force is settled: the second leaves the square of what the first left
 _ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
 _LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
-_TOGETHER = 10.0  # recordings: of more, what a step gains is nearly all in the parameters of single ones
+_TOGETHER = 10.0  # recordings: of more, nearly all that a step gains is in the parameters of single ones
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,8 @@ def descend(
     is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
     of its length. It ends where an undamped step would gain next to nothing.
     """
-    damping, enough = _FIRST_DAMPING, tolerance**2 * max(1.0, len(problem.recordings) / _TOGETHER)
+    many = max(1.0, len(problem.recordings) / _TOGETHER)  # the more there are, the nearer it begins, too
+    damping, enough, little = _FIRST_DAMPING / many**2, many * tolerance**2, many * max(_LITTLE, tolerance**2)
     for _ in range(most_steps):
         here = _Linearised(problem, estimate, before, rows_of(estimate))
         if here.gain < enough:
@@ -191,7 +192,7 @@ def descend(
             damping *= _HARDER
         else:
             return replace(estimate, converged=here.gain < _ROUNDING)  # no step lowers the cost any more
-        settled = here.gain < _ROUNDING and cost - reached < max(_LITTLE, enough)
+        settled = here.gain < _ROUNDING and cost - reached < little
         del here  # with the derivatives of where it began
         release(estimate)
         estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)

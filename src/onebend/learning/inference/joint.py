@@ -113,7 +113,7 @@ class Solved:
         x = self.before.mean[self.before.parts[0]] + self.before.roots[0].times(shared)
         return np.concatenate([shared, *(one.given(x, one.white) for one in self.own)])
 
-    @property
+    @cached_property
     def mean(self) -> Array:
         """(P,) of the parameters."""
         return self.before.mean + self.before.times(self.z)

@@ -11,7 +11,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.inference.allowance_sizes import choose_sizes, likely_sizes
-from onebend.learning.inference.descent import MapEstimate, all_converged, descend, rows_of
+from onebend.learning.inference.descent import MapEstimate, all_converged, descend, release, rows_of
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, prior
 from onebend.learning.inference.hyperparameters import (
     Evidence,
@@ -116,9 +116,10 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
-    sizes = _likely(evidence, hyperparameters)
-    estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
+    release(estimate)
+    sizes, log_evidence = _likely(evidence, hyperparameters), evidence.posterior(hyperparameters).log_evidence
     stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
+    del evidence  # with the information of every recording
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
@@ -128,7 +129,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         hyperparameters=hyperparameters,
         sizes=sizes,
         predictions=predictions,
-        log_evidence=evidence.posterior(hyperparameters).log_evidence,
+        log_evidence=log_evidence,
         steps=estimate.steps,
         converged=estimate.converged,
         stopped=f"the last step moved the parameters by less than {settings.tolerance:g} sd"

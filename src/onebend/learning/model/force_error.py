@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import toeplitz
+from scipy.linalg import solve_triangular, toeplitz
 
 from onebend.recording.force.load_stages import displacement, load_changes
 from onebend.recording.signals import low_pass, low_pass_power
@@ -192,11 +192,11 @@ def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:
     step = float(knots[1] - knots[0])
     fine = np.arange(knots[0] - 4.0 * step, knots[-1] + 4.0 * step, step / _FINE)
     own = _own_time(observations, fine)
-    passed = low_pass(fine, np.exp(-np.abs(own[:, None] - own)), cutoff, longest_gap=np.inf)
-    passed = low_pass(fine, passed.T, cutoff, longest_gap=np.inf)
     inside = (fine >= knots[1]) & (fine <= knots[-2])
-    to_knots = np.linalg.pinv(spline_weights(knots, fine[inside]))
-    return np.asarray(to_knots @ passed[np.ix_(inside, inside)] @ to_knots.T)
+    q, r = np.linalg.qr(spline_weights(knots, fine[inside]))
+    passed = low_pass(fine, np.eye(len(fine)), cutoff, longest_gap=np.inf)[inside]
+    to_knots = solve_triangular(r, q.T @ passed)  # (K, N) least squares, of what the filter lets through
+    return np.asarray(to_knots @ np.exp(-np.abs(own[:, None] - own)) @ to_knots.T)
 
 
 def _own_time(observations: Observations, time: Array) -> Array:

@@ -93,7 +93,8 @@ class Prediction:
     @cached_property
     def whitened_slopes(self) -> Slopes:
         """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
-        slopes, whiten = self.slopes, self.recording.whiten
+        whiten, shapes = self.recording.whiten, replace(self.solved, problem=replace(self.solved.problem))
+        slopes = replace(self, solved=shapes).slopes  # what is worked out of the shapes on the way is not kept
         return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a))
 
     @property
