@@ -275,7 +275,9 @@ def _fit(
     recordings, near = with_mass_found(recordings, problem, near)
 
     every = whole_problem(recordings, problem, settings)
-    whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
+    begin = carried_over(few, near, every, some)
+    del problem, few, near
+    whole, estimate = find_on_branches(every, begin, late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)

@@ -19,15 +19,14 @@ from onebend.learning.inference.hyperparameters import (
     choose_hyperparameters,
     new_noise,
 )
-from onebend.learning.inference.information_form import total
-from onebend.learning.inference.joint import JointInformation, solved
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.joint import solved
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
     ResidualRows,
     data_information,
     own_information,
     residuals,
-    tag_information,
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
@@ -191,9 +190,12 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
 
 def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRows]) -> tuple[float, ...]:
     """How many parameters each recording's tags settled: the trace of their information times the covariance."""
-    layout, x, hyperparameters = problem.layout, estimate.x, estimate.hyperparameters
-    numbers = range(len(rows))
-    tags = each(lambda i: tag_information(rows[i], layout, i, x, hyperparameters.noise[i]), numbers)
-    forms = each(lambda i: total([tags[i], *own_information(problem, i, x)]), numbers)
-    posterior = solved(JointInformation(forms, layout.parts), prior(problem, hyperparameters))
-    return each(lambda i: float(np.sum(posterior.pair(i) * tags[i].matrix)), numbers)
+    x, hyperparameters = estimate.x, estimate.hyperparameters
+    data = data_information(problem, rows, x, hyperparameters)
+    posterior = solved(data, prior(problem, hyperparameters))
+
+    def of(number: int, form: InformationForm) -> float:
+        others = own_information(problem, number, x)
+        return float(np.sum(posterior.pair(number) * (form.matrix - sum(one.matrix for one in others))))
+
+    return each(of, range(len(rows)), data.forms)

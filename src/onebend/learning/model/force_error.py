@@ -44,26 +44,31 @@ class Filtered:
     lag: Array  # (K,) s
     frequency: Array  # (N,) Hz, quadrature nodes; empty without a filter
     weight: Array  # (N,) Hz, quadrature times what the filter lets through
-    cosine: Array  # (K, N)
+    coarse: Array  # (A, N) complex, exp(i 2 pi f lag) at some of the lags
+    fine: Array  # (B, N) complex, the same of what is added to each of these: the K lags are the first of A B sums
 
     def covariance(self, sd: float, tau: float, white: float = 0.0) -> Array:
         """(K,) of a process of that sd and correlation time [s], and of white noise of density `white` [N^2 / Hz]."""
         if not len(self.frequency):
             return np.asarray(sd**2 * np.exp(-self.lag / tau))
         density = white + 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * self.frequency * tau) ** 2)
-        return np.asarray(self.cosine @ (self.weight * density))
+        return np.asarray(((self.coarse * (self.weight * density)) @ self.fine.T).real.ravel()[: len(self.lag)])
 
 
 def filtered(lag: Array, cutoff: float) -> Filtered:
     """Gauss panels of four half waves of the longest lag each, up to thrice the cut-off [Hz]."""
     if not np.isfinite(cutoff) or not len(lag):
-        return Filtered(lag, np.zeros(0), np.zeros(0), np.zeros((len(lag), 0)))
+        nothing = np.zeros((len(lag), 0), dtype=complex)
+        return Filtered(lag, np.zeros(0), np.zeros(0), nothing, nothing)
     x, w = np.polynomial.legendre.leggauss(12)
     highest = 3.0 * cutoff
     edges = np.linspace(0.0, highest, int(np.ceil(highest * float(lag[-1]) / 2.0)) + 2)
     f = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)).ravel()
     weights = (0.5 * np.diff(edges)[:, None] * w).ravel() * low_pass_power(f, cutoff)
-    return Filtered(lag, f, weights, np.cos(2.0 * np.pi * lag[:, None] * f))
+    even = len(lag) > 2 and np.allclose(np.diff(lag), lag[1] - lag[0], rtol=1e-9, atol=0.0)
+    stride = int(np.ceil(np.sqrt(len(lag)))) if even else 1
+    coarse, fine = (np.exp(2j * np.pi * each[:, None] * f) for each in (lag[::stride], lag[:stride] - lag[0]))
+    return Filtered(lag, f, weights, coarse, fine)
 
 
 @dataclass(frozen=True)
