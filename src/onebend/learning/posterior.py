@@ -42,6 +42,7 @@ from onebend.learning.inference.stages import (
     carried_over,
     first_problem,
     first_recordings,
+    shared_among,
     whole_problem,
     with_mass_found,
 )
@@ -267,14 +268,16 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    recordings = with_shared_shape(recordings)
+    recordings, settings = with_shared_shape(recordings), shared_among(settings, len(recordings))
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
     recordings, near = with_mass_found(recordings, problem, near)
 
     every = whole_problem(recordings, problem, settings)
-    whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
+    begin = carried_over(few, near, every, some)
+    del problem, few, near
+    whole, estimate = find_on_branches(every, begin, late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
