@@ -33,6 +33,7 @@ from onebend.pipeline import Run, compare, plan_next
 from onebend.pipeline import learn as learn_from
 from onebend.progress import Progress
 from onebend.recording.folder import folder_of
+from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.pictures import Pictures, draw
@@ -149,6 +150,7 @@ def learn(
     fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
     if no_report and open_report:
         raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
+    frames = KeptFrames()
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
         with progress_of(quiet) as progress:
@@ -158,7 +160,8 @@ def learn(
                 fitting=fitting,
                 observing=observing,
                 validate_on=validate_on or (),
-                detect=detection_cache(onebend.__version__, place.work).detect,
+                detect=detection_cache(onebend.__version__, place.work, frames.keep).detect,
+                frames=frames,
                 progress=progress,
             )
         began = time.perf_counter()
@@ -175,7 +178,7 @@ def learn(
             show_run(screen(), run, out, verbose=verbose, log=log, report=not no_report)
         if not no_report:
             with progress_of(quiet) as progress:
-                pictures = draw_all(run, progress=progress)
+                pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
@@ -186,11 +189,11 @@ def learn(
         open_in_browser(out / "report.html")
 
 
-def draw_all(run: Run, *, progress: Progress) -> Pictures:
+def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
     """Every figure of a report."""
     from onebend.report.figures import drawing  # here: Matplotlib takes a third of a second to load
 
-    return drawing.draw_all(run, progress=progress)
+    return drawing.draw_all(run, frames=frames, progress=progress)
 
 
 def validate(

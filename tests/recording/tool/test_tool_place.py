@@ -137,6 +137,13 @@ def test_frames_are_chosen_over_time_and_way() -> None:
     assert np.sum((rows >= 300) & (rows < 400)) > np.sum(rows >= 400)  # a hold is seen seldom
     assert len(rows_to_look_at(xy[:5], loaded[:5])) == 5
     assert len(rows_to_look_at(xy[:0], loaded[:0])) == 0
+    fourth = np.arange(700) % 4 == 0
+    some = rows_to_look_at(xy, loaded, fourth)
+    assert fourth[some].all()
+    np.testing.assert_allclose(some[:: len(some) - 1], rows[:: len(rows) - 1], atol=4)
+    few = rows_to_look_at(xy, loaded, np.arange(700) % 16 == 0)  # too few of the loaded ones
+    assert np.array_equal(few[few >= 300], rows[rows >= 300])
+    assert (few[few < 300] % 16 == 0).all()
 
 
 def test_another_place_than_stated_is_warned_of() -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 from onebend.learning.explained import explained
 from onebend.recording.camera.lens import project
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import frame_at, frames_at
+from onebend.recording.video import frame_at, pictures_at
 from onebend.records import Observations
 from onebend.report.figures import drawing, film
 from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip, shape_band
@@ -47,7 +47,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Observations:
 def test_frames_are_read_in_one_pass(filmed: Observations) -> None:
     assert filmed.source.video is not None
     entry = VideoEntry(file=filmed.source.video)
-    found = dict(frames_at(entry, [7, 2, 5000]))
+    found = dict(pictures_at(entry, [7, 2, 5000], colour=True))
     assert list(found) == [2, 7]
     np.testing.assert_array_equal(found[7], frame_at(entry, 7))
 

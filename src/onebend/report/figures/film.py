@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,9 @@ from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.outcome import Explained
 from onebend.learning.validation import solved_frames
 from onebend.recording.camera.lens import project
+from onebend.recording.kept_frames import KeptFrames, roundest
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import frames_at
-from onebend.records import Array, Observations, View
+from onebend.records import Array, IntArray, Observations, View
 
 MOST_FRAMES = 36
 WIDEST = 560  # px
@@ -58,17 +59,28 @@ def film_of(video: Path, observations: Observations) -> VideoEntry:
     return VideoEntry(file=video, topic=topic, damaged="keep" if topic else "refuse")
 
 
+def spread_frames(frame: IntArray) -> IntArray:
+    """(n,) places in `frame` (T,), about evenly spread, of frames that are likely to be kept."""
+    ends = np.linspace(0, len(frame), min(MOST_FRAMES, len(frame)) + 1).round().astype(int)
+    return np.array([a + roundest(frame[a:b]) for a, b in pairwise(ends.tolist())], dtype=np.int64)
+
+
 def film_strip(
-    observations: Observations, fitted: Explained, beam: Beam, uncertain: UncertainStiffness
+    observations: Observations,
+    fitted: Explained,
+    beam: Beam,
+    uncertain: UncertainStiffness,
+    kept: KeptFrames | None = None,
 ) -> FilmStrip | None:
-    """Frames spread evenly over those of the fit; None where the film is gone, or there is no camera."""
+    """Frames spread evenly over those of the fit, the film being read for those that are not `kept`; None where it is
+    gone, or there is no camera."""
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
         return None
-    chosen = np.unique(np.linspace(0, len(shown.frame) - 1, MOST_FRAMES).round().astype(int))
+    chosen = spread_frames(shown.frame)
     try:
         wanted = shown.frame[chosen].tolist()
-        found = dict(frames_at(film_of(source.video, observations), wanted))
+        found = dict((kept or KeptFrames()).pictures(film_of(source.video, observations), wanted, colour=True))
     except OnebendError:
         return None
     chosen = np.array([t for t, frame in zip(chosen, wanted, strict=True) if frame in found], dtype=int)
