@@ -38,7 +38,7 @@ from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import detection_cache
-from onebend.results.learned_files import learned_writer, validation_writer
+from onebend.results.learned_files import learned_writer, tables_writer, validation_writer
 from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of
@@ -167,10 +167,13 @@ def learn(
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
         settled = {"fit": fitting, "regression": settings, "observing": observing}
+        tables = tables_writer(run, version=onebend.__version__)
 
         def put(pictures: Pictures | None) -> None:
             made_from = made_from_files(inputs, settled)
-            write = learned_writer(run, pictures, summary, version=onebend.__version__, made_from=made_from)
+            write = learned_writer(
+                run, pictures, summary, version=onebend.__version__, made_from=made_from, tables=tables
+            )
             put_in_place(place, write, pictures or Pictures(), made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
