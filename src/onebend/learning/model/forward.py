@@ -9,7 +9,7 @@ import numpy as np
 
 from onebend.beam.grid import apply, paired
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import of_force, of_moment, respond
+from onebend.beam.statics.sensitivity import of_force, of_moment, of_rest_curvature, respond
 from onebend.learning.model.allowed import (
     allowance_changes,
     allowed,
@@ -145,8 +145,12 @@ def _slopes(now: Prediction) -> Slopes:
     columns, ride = response_columns(changes), tag_ride(recording, layout, x, solved)
     free, error = free_columns(layout, r), layout.columns("force", r)
     out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
+    relaxes, together, count = remembers(recording, layout, x), columns.changes, len(columns.changes.clamp)
     if recording.ends is None:
-        response = respond(solved, columns.changes).poses(s)
+        if relaxes:  # solved together: the tangent is the same
+            together = together + of_rest_curvature(solved.problem, np.eye(solved.q.shape[1]))
+        poses = respond(solved, together).poses(s)
+        response, by_node = poses[..., :count], poses[..., count:]
         if "length" in columns.slices:
             response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
     else:
@@ -157,8 +161,8 @@ def _slopes(now: Prediction) -> Slopes:
         put_ends(out, recording.ends, layout, r, held.carry(by_end))
     carried = ride.carry(response)
     slopes = Slopes(out, columns.split(carried)["push"], axes, recording.error_weights)
-    if remembers(recording, layout, x):
-        memory, of_knots = _memory(now, columns, axes, s)
+    if relaxes:
+        memory, of_knots = _memory(now, columns, axes, by_node)
         carried = carried + memory
         slopes = Slopes(slopes.written + of_knots, slopes.a, axes, np.zeros((len(now.pose), 0)))
     blocks = columns.split(carried)
@@ -171,10 +175,10 @@ def _slopes(now: Prediction) -> Slopes:
     return slopes
 
 
-def _memory(now: Prediction, columns: ResponseColumns, axes: Array, s: Array) -> tuple[Array, Array]:
+def _memory(now: Prediction, columns: ResponseColumns, axes: Array, by_node: Array) -> tuple[Array, Array]:
     """(F, m, 3, P) what the memory adds to the tags' derivatives with the parameters of `columns`, and (F, m, 3, C),
-    zero but for the knots of the force log's slow error."""
-    memory = remembered_poses(now.recording, now.layout, now.x, now.solved, columns, s)
+    zero but for the knots of the force log's slow error; `by_node`: see `remembered_poses`."""
+    memory = remembered_poses(now.recording, now.layout, now.x, now.solved, columns, by_node)
     ride = tag_ride(now.recording, now.layout, now.x, now.solved)
     knots = ride.carry(memory.by_knots)
     turned = -(knots.reshape(*knots.shape[:3], -1, 2) @ axes).reshape(knots.shape)  # the error is taken off the log

@@ -13,7 +13,6 @@ import numpy as np
 from onebend.beam.grid import solve_each
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
 from onebend.beam.statics.perturbation import Perturbations, minus_gradient
-from onebend.beam.statics.sensitivity import of_rest_curvature, respond
 from onebend.learning.allowances.relaxation import memory, reached_part, remembered
 from onebend.learning.model.allowed import bending, relaxation_time, relaxation_values
 from onebend.learning.model.fit_data import FitData
@@ -45,9 +44,10 @@ class _KeyFrames:
 
 
 def remembered_poses(
-    recording: FitData, layout: Layout, x: Array, solved: Equilibrium, columns: ResponseColumns, s: Array
+    recording: FitData, layout: Layout, x: Array, solved: Equilibrium, columns: ResponseColumns, by_node: Array
 ) -> Remembered:
-    """At places `s` (S,), with the P parameters of `columns` and with the force at the knots of the log's error."""
+    """With the P parameters of `columns` and with the force at the knots of the log's error, at the S places of
+    `by_node` (F, S, 3, Q): how poses there go with the curvature at rest at each node, without memory."""
     values, time = relaxation_values(recording, layout, x), relaxation_time(recording)
     assert values is not None
     keys = np.unique(np.linspace(0, len(time) - 1, min(len(time), _KEY_FRAMES)).round().astype(np.int64))
@@ -55,7 +55,6 @@ def remembered_poses(
     between = np.stack([np.interp(time, time[keys], one) for one in np.eye(len(keys))], axis=1)
     frames = _KeyFrames(keys, between, memory(values, time[keys]), bent, some.problem.weights)
     first, by_shift = _responses(some, columns.changes.take(keys))
-    by_node = respond(solved, of_rest_curvature(solved.problem, np.eye(bent.shape[1]))).poses(s)  # (F, S, 3, Q)
     change = first.copy()
     change[..., columns.slices["curvature"]] -= recording.rest_on_nodes  # the rest that bending counts from
     shift = _shift(frames, change, by_shift)
