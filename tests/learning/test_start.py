@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from onebend.beam.model import Beam
 from onebend.learning import start
 from onebend.learning.start import start_of
 from tests import made_up
@@ -15,7 +16,7 @@ def test_soft_beams_that_lead_away_are_not_tried(monkeypatch: pytest.MonkeyPatch
     tried: list[float] = []
     plain = start._distance
 
-    def counted(beam: start.Beam, *rest: object) -> float:
+    def counted(beam: Beam, *rest: object) -> float:
         tried.append(float(beam.stiffness(0.5)))
         return plain(beam, *rest)  # type: ignore[arg-type]
 

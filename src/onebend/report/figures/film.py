@@ -122,13 +122,15 @@ def shape_band(
     lines = fitted.line[chosen, ::_STEP]
     s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
     frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
-    bent = []
+    bent: list[Array] = []
+    near: Array | None = None
     for profile in uncertain.draw(_DRAWS, seed=0):
         try:
-            solved = list(solved_frames(replace(beam, stiffness=profile), observations, frames))
+            [solved] = solved_frames(replace(beam, stiffness=profile), observations, frames, near)
         except MechanicsError:
             continue
-        bent.append(np.concatenate([np.where(one.converged[:, None, None], one.xy(s), np.nan) for one in solved]))
+        near = solved.q if solved.converged.all() else near
+        bent.append(np.where(solved.converged[:, None, None], solved.xy(s), np.nan))
     along = np.gradient(lines, axis=1)
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
