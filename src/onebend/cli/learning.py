@@ -74,7 +74,7 @@ Width = Annotated[
 ]
 Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
 NoReport = Annotated[
-    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a quarter of the time.")
+    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
 ]
 OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
 Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
