@@ -3,7 +3,7 @@ import { commandLine, digits, fixed, h } from "./dom.js";
 import { Canvas, Point } from "./draw.js";
 import { ask, listen, Message, onReturn, say, send, whoAmI } from "./net.js";
 import { atEnd, remember } from "./place.js";
-import { Answer, Ellipse, Opened, Plane, ReachMap, Scene } from "./plane.js";
+import { Answer, Ellipse, Opened, Plane, ReachMap, Scene, telling } from "./plane.js";
 
 interface Found { name: string; kind: "recording" | "result"; grade?: string; known?: string; changed: number }
 type Grab = "point" | "turn" | null;
@@ -280,7 +280,8 @@ class Panel {
     this.rows.moment!.textContent = fixed(1000 * answer.moment_N_m, 2);
     this.rows.place!.textContent = `${mm(x)}, ${mm(y)}`;
     this.rows.angle!.textContent = fixed(180 * angle / Math.PI, 1);
-    this.rows.ellipse!.textContent = answer.ellipse ? answer.ellipse.semi_axes_m.map((one) => fixed(1000 * one, 2)).join(", ") : "–";
+    const known = answer.ellipse && telling(answer.ellipse, opened);
+    this.rows.ellipse!.textContent = known ? answer.ellipse!.semi_axes_m.map((one) => fixed(1000 * one, 2)).join(", ") : "not bounded here";
     this.rows.bend!.textContent = digits(answer.bend_per_m);
     this.rows.margin!.textContent = fixed(answer.margin, 3);
     this.bar.style.width = `${100 * Math.min(Math.max(answer.margin, 0), 1)}%`;
@@ -294,9 +295,9 @@ class Panel {
   }
 }
 
-function why(opened: Opened, { limit, away_m }: Answer): string {
+function why(opened: Opened, { limit, away_m, turned_away_rad }: Answer): string {
   if (!limit) return "on its goal";
-  const away = `${digits(1000 * away_m)} mm from the goal`;
+  const away = away_m < 1e-5 ? `${fixed(Math.abs(180 * turned_away_rad / Math.PI), 1)}° from the angle` : `${digits(1000 * away_m)} mm from the goal`;
   const who = opened.mode === "hand" ? "hand" : "force";
   return limit === "stability" ? `edge of stability, ${away}` : `no ${who} of up to ${digits(opened.max_force_N)} N holds it there, ${away}`;
 }

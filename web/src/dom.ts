@@ -33,6 +33,11 @@ export function fixed(value: number, places: number): string {
   return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
 }
 
+// What stands between backticks as code.
+export function coded(text: string): Node[] {
+  return text.split("`").map((part, i) => i % 2 ? h("code", {}, part) : document.createTextNode(part));
+}
+
 // The command line that does the same, to be copied.
 export function commandLine(): { element: HTMLElement; set: (text: string) => void } {
   const code = h("code"), button = h("button", { type: "button", class: "quiet", click: copy }, "copy");

@@ -10,15 +10,20 @@ export interface Opened {
 export interface Ellipse { outline_m: Point[]; semi_axes_m: Point; draws: number; lost: number }
 export interface Answer {
   goal_m: Point; pose: [number, number, number]; force_N: Point; moment_N_m: number; push_m: Point; line_m: Point[];
-  ellipse: Ellipse | null; limit: Limit; away_m: number; margin: number; bend_per_m: number; command: string;
+  ellipse: Ellipse | null; limit: Limit; away_m: number; turned_away_rad: number; margin: number; bend_per_m: number; command: string;
   seconds: number; version: number;
 }
 export interface ReachMap {
-  edges: { limit: Limit; line_m: Point[] }[]; points_m: (Point | [null, null])[]; triangles: [number, number, number][];
+  edges: { limit: Limit; line_m: Point[] }[]; points_m: Point[]; triangles: [number, number, number][];
 }
 export interface Scene {
   opened: Opened | null; answer: Answer | null; map: ReachMap | null; edge: [Point, Limit][] | null;
   goal: Point | null; held: boolean; focus: boolean;
+}
+
+// An ellipse to first order says nothing where it is as long as a good part of the beam.
+export function telling(ellipse: Ellipse, opened: Opened): boolean {
+  return ellipse.draws > 0 || ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
 }
 
 const KNOB = 52;  // px from the hand to what turns it
@@ -57,10 +62,10 @@ export class Plane {
   }
 
   private fit({ width, height }: Canvas, { length_m: L }: Opened): void {
-    let [left, right, low, high] = [-0.12 * L, 1.06 * L, -0.75 * L, 0.75 * L];
+    const side = this.scene.opened!.mode === "hand" ? 1.05 : 0.75;
+    let [left, right, low, high] = [-0.12 * L, 1.06 * L, -side * L, side * L];
     if (this.scene.map && this.scene.opened!.mode === "point") {
       for (const [x, y] of this.scene.map.points_m) {
-        if (x === null || y === null) continue;
         [left, right, low, high] = [Math.min(left, x), Math.max(right, x), Math.min(low, y), Math.max(high, y)];
       }
     }
@@ -131,7 +136,7 @@ export class Plane {
   private filled(map: ReachMap): Path2D {
     const known = this.area;
     if (known && known.map === map && known.scale === this.scale && known.x === this.origin[0] && known.y === this.origin[1]) return known.path;
-    const path = new Path2D(), at = map.points_m.map((one) => this.px(one as Point));
+    const path = new Path2D(), at = map.points_m.map(this.px);
     for (const [i, j, k] of map.triangles) {
       const [a, b, c] = [at[i]!, at[j]!, at[k]!];
       const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
@@ -167,7 +172,7 @@ export class Plane {
 
   private bent(context: CanvasRenderingContext2D, tint: Colours, opened: Opened, answer: Answer): void {
     const line = answer.line_m.map(this.px), at = this.px([answer.pose[0], answer.pose[1]]);
-    if (answer.ellipse) {
+    if (answer.ellipse && telling(answer.ellipse, opened)) {
       trace(context, answer.ellipse.outline_m.map(this.px), true);
       context.fillStyle = context.strokeStyle = tint.orange;
       context.globalAlpha = 0.22;

@@ -154,6 +154,7 @@ class Bending:
             "line_m": np.round(self._line(state.q), 6).tolist(),
             "ellipse": ellipse,
             "limit": answer.limit,
+            "turned_away_rad": float(pose[2] - answer.goal[2]) if len(answer.goal) == 3 else 0.0,
             "away_m": float(np.hypot(*(pose[:2] - answer.goal[:2]))),
             "margin": answer.margin,
             "bend_per_m": self.pushed.bend(state.q),
@@ -182,7 +183,8 @@ def outline_of(found: ReachMap) -> dict[str, Any]:
     """The map's edge for the page."""
     lines = [{"limit": limit, "line_m": np.round(line, 6).tolist()} for line, limit in found.outline()]
     corners = found.triangles
-    return {"edges": lines, "points_m": np.round(found.points, 6).tolist(), "triangles": corners.tolist()}
+    points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
+    return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
 
 
 def _place(value: Any) -> float:

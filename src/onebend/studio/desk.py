@@ -65,7 +65,7 @@ class Desk:
         self._tasks: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()  # models whose hand's edge is being looked for
         self._moves: dict[str, int] = {}
-        self._last_state = ""
+        self._last_state = ("", False)
 
     @staticmethod
     def _process() -> ProcessPoolExecutor:
@@ -263,8 +263,10 @@ class Desk:
     def _job_changed(self) -> None:
         shown = self._job()
         self.tell({"what": "job", "job": shown})
-        state = "" if shown is None else str(shown["state"])
-        if shown is not None and state != self._last_state and state not in ("running", "stopping"):
+        if shown is None:
+            return
+        state = (str(shown["state"]), bool(shown["published"]))
+        if state != self._last_state and (shown["published"] or state[0] not in ("running", "stopping")):
             self.forget(shown["out"])
             self.tell({"what": "places"})
         self._last_state = state

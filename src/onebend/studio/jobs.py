@@ -28,6 +28,7 @@ class Job:
     stages: list[dict[str, Any]] = field(default_factory=list)  # in the order in which they began
     state: str = "running"  # running, stopping, done, stopped, failed
     error: str = ""
+    published: bool = False  # k(s) is in place; the report may still be drawn
     ended: float | None = None
 
     def shown(self) -> dict[str, Any]:
@@ -40,6 +41,7 @@ class Job:
             "stages": self.stages,
             "state": self.state,
             "error": self.error,
+            "published": self.published,
         }
 
     def hear(self, said: dict[str, Any]) -> None:
@@ -50,6 +52,8 @@ class Job:
                 self.stages[-1] = row
             else:
                 self.stages.append(row)
+        elif said.get("published") is True:
+            self.published = True
         elif "error" in said:
             self.error = str(said["error"])
 

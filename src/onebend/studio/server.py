@@ -45,6 +45,7 @@ def application(places: Places, token: str, port: int) -> ASGIApp:
         Route("/api/places", clean(asked.places)),
         Route("/api/result", clean(asked.result)),
         Route("/api/film", clean(asked.film)),
+        Route("/api/job", clean(asked.job)),
         Route("/api/learn", clean(asked.learn), methods=["POST"]),
         Route("/api/stop", clean(asked.stop), methods=["POST"]),
         WebSocketRoute("/socket", desk.serve),
@@ -74,6 +75,10 @@ class Asked:
         from onebend.studio.learned import film_data
 
         return JSONResponse(await run_in_threadpool(film_data, self.desk.places.result(_name(request))))
+
+    async def job(self, _request: Request) -> Response:
+        job = self.desk.jobs.job
+        return JSONResponse({"job": None if job is None else job.shown()})
 
     async def learn(self, request: Request) -> Response:
         asked = await _posted(request)

@@ -163,7 +163,7 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
             joined = np.arange(count, count + more.points[..., 0].size)
             joined[: len(chosen)] = 1 + side * len(sizes) + chosen  # where it begins are the vertices of that direction
             vertices.append(more)
-            triangles.append(joined[_quads(np.isfinite(more.points[..., 0]), None, cyclic=False)])
+            triangles.append(joined[_near(pushed, more, _quads(np.isfinite(more.points[..., 0]), None, cyclic=False))])
             count += len(joined)
     rest = pushed.start
     return ReachMap(
@@ -196,6 +196,12 @@ def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, wa
     return _Sheet(np.nan_to_num(force), q, points)
 
 
+def _near(pushed: PushedBeam, sheet: _Sheet, triangles: IntArray) -> IntArray:
+    """Those triangles whose three shapes are of one branch."""
+    shapes = sheet.q.reshape(-1, sheet.q.shape[-1])[triangles] @ pushed.b.T
+    return np.asarray(triangles[np.max(np.ptp(shapes, axis=1), axis=-1) < 2.0 * _SAME_BRANCH])
+
+
 def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) -> list[LoadedState]:
     """One force turned until the beam would fall; the end is found to an eighth of a step."""
     state = LoadedState(sheet.q[side, r], np.append(sheet.force[side, r], 0.0))
@@ -204,7 +210,8 @@ def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) ->
     while len(found) <= _MOST_TURNS and step > 0.1 * _TURN:
         angle = begin + way * (turned + step)
         trail = trace(pushed, size * np.array([np.cos(angle), np.sin(angle), 0.0]), start=found[-1], shortest=0.3)
-        if trail.arrived:
+        bent = float(np.max(np.abs(pushed.b @ (trail.states[-1].q - found[-1].q))))
+        if trail.arrived and bent < _SAME_BRANCH:
             turned += step
             found.append(trail.states[-1])
         else:

@@ -2,7 +2,7 @@ import { commandLine, digits, fixed, h } from "./dom.js";
 import { Canvas } from "./draw.js";
 import { ask, listen, onReturn, say, send, whoAmI } from "./net.js";
 import { atEnd, remember } from "./place.js";
-import { Plane } from "./plane.js";
+import { Plane, telling } from "./plane.js";
 const NEAR = 26;
 const GRADES = { "not to be trusted": "bad" };
 export function bend(place, at) {
@@ -230,10 +230,10 @@ class Panel {
     numbers() {
         const big = h("p", { class: "big" });
         this.rows.big = big;
-        return h("section", {}, h("h2", {}, "Force on the beam"), big, h("dl", { id: "bend-readout" }, this.row("components", "components x, y", "N"), this.row("moment", "moment", "N mm"), this.row("place", "point x, y", "mm"), this.row("angle", "tangent's angle", "°"), this.row("ellipse", "95 % ellipse, semi-axes", "mm"), this.row("bend", "largest curvature", "1/m"), this.row("margin", "stability", "")), h("div", { class: "margin", title: "1: no load; 0: the beam buckles or falls" }, this.bar), this.doubts);
+        return h("section", {}, h("h2", {}, "Force on the beam"), big, h("dl", { id: "bend-readout" }, this.row("components", "components", "N"), this.row("moment", "moment", "N mm"), this.row("place", "point", "mm"), this.row("angle", "tangent's angle", "°"), this.row("ellipse", "95 % ellipse", "mm"), this.row("bend", "largest curvature", "1/m"), this.row("margin", "stability", "")), h("div", { class: "margin", title: "1: no load; 0: the beam buckles or falls" }, this.bar), this.doubts);
     }
     settings() {
-        return h("section", { class: "settings" }, h("h2", {}, "How it is held"), h("label", {}, h("span", {}, "point s"), this.point, this.texts.point), h("label", {}, h("span", {}, "force at s"), this.push, this.texts.push), h("label", { class: "check" }, this.link, "the force acts at the point"), h("label", {}, h("span", {}, "largest force"), this.largest, h("span", { class: "unit" }, "N")), h("p", { class: "legend" }, h("i", { class: "area" }), "reachable ", h("i", { class: "edge" }), "edge of stability ", h("i", { class: "ellipse" }), "95 % ellipse"));
+        return h("section", { class: "settings" }, h("h2", {}, "How it is held"), h("label", {}, h("span", {}, "point s"), this.point, this.texts.point), h("label", {}, h("span", {}, "force at s"), this.push, this.texts.push), h("label", { class: "check" }, this.link, "the force acts at the point"), h("label", {}, h("span", {}, "largest force"), this.largest, h("span", { class: "unit" }, "N")), h("p", { class: "legend" }, h("span", {}, h("i", { class: "area" }), "reachable"), h("span", {}, h("i", { class: "edge" }), "edge of stability"), h("span", {}, h("i", { class: "ellipse" }), "95 % ellipse")));
     }
     opened(opened) {
         const hand = opened.mode === "hand";
@@ -265,7 +265,8 @@ class Panel {
         this.rows.moment.textContent = fixed(1000 * answer.moment_N_m, 2);
         this.rows.place.textContent = `${mm(x)}, ${mm(y)}`;
         this.rows.angle.textContent = fixed(180 * angle / Math.PI, 1);
-        this.rows.ellipse.textContent = answer.ellipse ? answer.ellipse.semi_axes_m.map((one) => fixed(1000 * one, 2)).join(", ") : "–";
+        const known = answer.ellipse && telling(answer.ellipse, opened);
+        this.rows.ellipse.textContent = known ? answer.ellipse.semi_axes_m.map((one) => fixed(1000 * one, 2)).join(", ") : "not bounded here";
         this.rows.bend.textContent = digits(answer.bend_per_m);
         this.rows.margin.textContent = fixed(answer.margin, 3);
         this.bar.style.width = `${100 * Math.min(Math.max(answer.margin, 0), 1)}%`;
@@ -277,10 +278,10 @@ class Panel {
         this.status.replaceChildren("No learned beam in this folder yet. ", h("a", { href: "#learn" }, "Learn a recording"), " first.");
     }
 }
-function why(opened, { limit, away_m }) {
+function why(opened, { limit, away_m, turned_away_rad }) {
     if (!limit)
         return "on its goal";
-    const away = `${digits(1000 * away_m)} mm from the goal`;
+    const away = away_m < 1e-5 ? `${fixed(Math.abs(180 * turned_away_rad / Math.PI), 1)}° from the angle` : `${digits(1000 * away_m)} mm from the goal`;
     const who = opened.mode === "hand" ? "hand" : "force";
-    return limit === "stability" ? `edge of stability: beyond, the beam would fall; ${away}` : `no ${who} of up to ${digits(opened.max_force_N)} N holds it there; ${away}`;
+    return limit === "stability" ? `edge of stability, ${away}` : `no ${who} of up to ${digits(opened.max_force_N)} N holds it there, ${away}`;
 }

@@ -29,6 +29,9 @@ export function fixed(value, places) {
     const text = value.toFixed(places);
     return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
 }
+export function coded(text) {
+    return text.split("`").map((part, i) => i % 2 ? h("code", {}, part) : document.createTextNode(part));
+}
 export function commandLine() {
     const code = h("code"), button = h("button", { type: "button", class: "quiet", click: copy }, "copy");
     async function copy() {

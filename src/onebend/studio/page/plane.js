@@ -1,5 +1,8 @@
 import { arrow, label, ticks, trace } from "./draw.js";
 import { digits, fixed } from "./dom.js";
+export function telling(ellipse, opened) {
+    return ellipse.draws > 0 || ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
+}
 const KNOB = 52;
 export class Plane {
     scene;
@@ -36,11 +39,10 @@ export class Plane {
         return [at[0] + KNOB * Math.cos(angle), at[1] - KNOB * Math.sin(angle)];
     }
     fit({ width, height }, { length_m: L }) {
-        let [left, right, low, high] = [-0.12 * L, 1.06 * L, -0.75 * L, 0.75 * L];
+        const side = this.scene.opened.mode === "hand" ? 1.05 : 0.75;
+        let [left, right, low, high] = [-0.12 * L, 1.06 * L, -side * L, side * L];
         if (this.scene.map && this.scene.opened.mode === "point") {
             for (const [x, y] of this.scene.map.points_m) {
-                if (x === null || y === null)
-                    continue;
                 [left, right, low, high] = [Math.min(left, x), Math.max(right, x), Math.min(low, y), Math.max(high, y)];
             }
         }
@@ -74,7 +76,8 @@ export class Plane {
                 context.fillText(fixed(1000 * i * apart, apart < 0.001 ? 1 : 0), 38, at + 4);
         }
         context.fillText("x [mm]", width - 8, height - 6);
-        context.fillText("y [mm]", 44, 14);
+        context.textAlign = "left";
+        context.fillText("y [mm]", 8, 16);
     }
     reach(context, tint, opened) {
         const { map, edge } = this.scene;
@@ -111,7 +114,7 @@ export class Plane {
         const known = this.area;
         if (known && known.map === map && known.scale === this.scale && known.x === this.origin[0] && known.y === this.origin[1])
             return known.path;
-        const path = new Path2D(), at = map.points_m.map((one) => this.px(one));
+        const path = new Path2D(), at = map.points_m.map(this.px);
         for (const [i, j, k] of map.triangles) {
             const [a, b, c] = [at[i], at[j], at[k]];
             const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
@@ -145,7 +148,7 @@ export class Plane {
     }
     bent(context, tint, opened, answer) {
         const line = answer.line_m.map(this.px), at = this.px([answer.pose[0], answer.pose[1]]);
-        if (answer.ellipse) {
+        if (answer.ellipse && telling(answer.ellipse, opened)) {
             trace(context, answer.ellipse.outline_m.map(this.px), true);
             context.fillStyle = context.strokeStyle = tint.orange;
             context.globalAlpha = 0.22;
