@@ -20,10 +20,6 @@ SAFE_METHODS = ("GET", "HEAD")
 REFUSED = "Open the address that `onebend studio` shows in the terminal: it holds the key to this page.\n"
 
 
-class TooLarge(Exception):
-    """A body that goes on beyond `LARGEST_BODY`."""
-
-
 class Guard:
     """An ASGI application that lets through only what it may."""
 
@@ -112,26 +108,28 @@ class Guard:
         if not said.isdecimal() or int(said) > LARGEST_BODY:
             await too_large(scope, receive, send)
             return
-        count, begun = 0, False
+        count, begun, cut = 0, False, False
 
         async def counted() -> Message:
-            nonlocal count
+            nonlocal count, cut
             message = await receive()
             count += len(message.get("body", b""))
-            if count > LARGEST_BODY:
-                raise TooLarge
-            return message
+            cut = cut or count > LARGEST_BODY
+            return {"type": "http.disconnect"} if cut else message
 
         async def noticed(message: Message) -> None:
             nonlocal begun
-            begun = True
-            await send(message)
+            if begun or not cut:
+                begun = True
+                await send(message)
 
         try:
             await self.app(scope, counted, noticed)
-        except TooLarge:
-            if not begun:
-                await too_large(scope, receive, send)
+        except Exception:
+            if not cut:
+                raise
+        if cut and not begun:
+            await too_large(scope, receive, send)
 
 
 def _same(one: str, other: str) -> bool:

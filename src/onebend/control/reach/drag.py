@@ -28,7 +28,9 @@ _TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left t
 _SHORTEST_STEP = 1e-3  # of the way to a force of the map's edge
 _SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)  # of the way of a hand that cannot go all of it
 _ON_GOAL = 1e-6  # m
-_SLIDES = 5  # steps towards a goal that is out of reach
+_SLIDES = 8  # steps towards a goal that Newton's method does not find, or that is out of reach
+_LEAST_PROGRESS = 1e-7  # m, of such a step
+_AT_BOUND = 0.999  # of the largest force
 _OVER = 1.0 + 1e-9  # times a bound
 
 
@@ -65,8 +67,8 @@ class DraggedPoint:
         wanted = checked_goal(goal, ReachSettings())
         limit: Edge | None = None
         if self.map is None:
-            if not self._solved(self.state, wanted):
-                limit = "force" if _size(self.state.load) > 0.98 * self.max_force else "stability"
+            if not (self._solved(self.state, wanted) or self._approach(wanted)):
+                limit = "force" if _size(self.state.load) > _AT_BOUND * self.max_force else "stability"
         else:
             place = self.map.locate(wanted, self.state)
             starts = (self.state, place.state, place.near)
@@ -74,8 +76,7 @@ class DraggedPoint:
                 way = trace(self.pushed, place.state.load, start=place.near, shortest=_SHORTEST_STEP)
                 self.state, limit = way.states[-1], place.edge
                 if limit != "stability":
-                    self._slide(wanted)
-                    limit = "force" if self._away(wanted) > _ON_GOAL else None
+                    limit = None if self._approach(wanted) else "force"
         return self.answer(wanted, limit)
 
     @one_blas_thread
@@ -98,26 +99,26 @@ class DraggedPoint:
         pose = self.pushed.pose(self.state.q)
         return DragAnswer(goal, pose, self.state, stability_margin(self.pushed, self.state), limit)
 
-    def _slide(self, goal: Array) -> None:
-        """Nearer to a goal out of reach, by forces within the bound; every step is followed as an equilibrium."""
+    def _approach(self, goal: Array) -> bool:
+        """Nearer to a goal by forces within the bound, each step followed as an equilibrium; whether it got there."""
         for _ in range(_SLIDES):
-            away = goal - self.pushed.pose(self.state.q)[:2]
             s = self.pushed.response(self.state)[:2, :2]
-            if not np.isfinite(s).all() or float(np.hypot(*away)) < _ON_GOAL:
-                return
-            now = self.state.load[:2]
+            away = goal - self.pushed.pose(self.state.q)[:2]
+            if not np.isfinite(s).all():
+                return False
+            now, left = self.state.load[:2], float(np.hypot(*away))
             change = best_in_ball(s, s @ now + away, self.max_force, one_sided=False) - now
             for share in (1.0, 0.3, 0.1):
                 way = trace(self.pushed, np.append(now + share * change, 0.0), start=self.state, shortest=0.05)
                 there = float(np.hypot(*(goal - self.pushed.pose(way.states[-1].q)[:2])))
-                if way.arrived and there < float(np.hypot(*away)) - _ON_GOAL:
+                if way.arrived and there < left - _LEAST_PROGRESS:
                     self.state = way.states[-1]
                     break
             else:
-                return
-
-    def _away(self, goal: Array) -> float:
-        return float(np.hypot(*(goal - self.pushed.pose(self.state.q)[:2])))
+                return False
+            if self._solved(self.state, goal):
+                return True
+        return False
 
     def _solved(self, start: LoadedState, goal: Array) -> bool:
         found = solve_goal(self.pushed, start, goal, most=8, trust=_TRUST)
