@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -33,3 +35,11 @@ def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Res
 def leave_interrupts_to_parent() -> None:
     """Initialiser of a worker process: an interrupt is its parent's business, which ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def end_with_parent() -> None:
+    """Initialiser of a worker process: interrupts are its parent's, and it ends when the parent is gone, however."""
+    leave_interrupts_to_parent()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()

@@ -37,14 +37,18 @@ def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_has(strange
     assert TOKEN not in cookie
 
 
-@pytest.mark.parametrize("host", ["evil.example", f"evil.example:{PORT}", "127.0.0.1", f"127.0.0.1:{PORT + 1}", "", "[::1]"])
+@pytest.mark.parametrize(
+    "host", ["evil.example", f"evil.example:{PORT}", "127.0.0.1", f"127.0.0.1:{PORT + 1}", "", "[::1]"]
+)
 def test_a_name_that_leads_here_is_refused(client: TestClient, host: str) -> None:
     """DNS rebinding: the browser thinks that it asks its own site, and sends that site's name."""
     assert client.get("/api/places", headers={"host": host}).status_code == 403
     assert client.get("/", params={"token": TOKEN}, headers={"host": host}).status_code == 403
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", f"https://127.0.0.1:{PORT}", "http://127.0.0.1:1", ""])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", f"https://127.0.0.1:{PORT}", "http://127.0.0.1:1", ""]
+)
 def test_another_sites_page_may_neither_read_nor_write(client: TestClient, origin: str) -> None:
     assert client.get("/api/places", headers={"origin": origin}).status_code == 403
     assert client.post("/api/stop", json={}, headers={"origin": origin}).status_code == 403

@@ -53,7 +53,9 @@ def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
         Places.of(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("path", ["/../pyproject.toml", "/..%2f..%2fguard.py", "/%2e%2e/guard.py", "/sources.json/../../guard.py"])
+@pytest.mark.parametrize(
+    "path", ["/../pyproject.toml", "/..%2f..%2fguard.py", "/%2e%2e/guard.py", "/sources.json/../../guard.py"]
+)
 def test_the_pages_files_are_its_own(client: TestClient, path: str) -> None:
     answer = client.get(path)
     assert answer.status_code == 404

@@ -31,14 +31,26 @@ const KNOB = 52;  // px from the hand to what turns it
 export class Plane {
   private scale = 1;
   private origin: Point = [0, 0];
-  private area: { path: Path2D; map: ReachMap; scale: number; x: number; y: number } | null = null;
+  private readonly still = document.createElement("canvas");  // what a drag does not change
+  private drawn = "";
+  private drawnMap: ReachMap | null = null;
 
   readonly paint = (canvas: Canvas, tint: Colours): void => {
-    const { context } = canvas, { opened, answer } = this.scene;
+    const { context, width, height } = canvas, { opened, answer, map } = this.scene;
     if (!opened) return;
     this.fit(canvas, opened);
-    this.axes(canvas, tint);
-    this.reach(context, tint, opened);
+    const ratio = canvas.element.width / width, now = `${width} ${height} ${ratio} ${tint.paper} ${opened.version} ${opened.model}`;
+    if (now !== this.drawn || map !== this.drawnMap) {
+      [this.drawn, this.drawnMap] = [now, map];
+      [this.still.width, this.still.height] = [canvas.element.width, canvas.element.height];
+      const below = this.still.getContext("2d")!;
+      below.setTransform(ratio, 0, 0, ratio, 0, 0);
+      below.font = context.font;
+      this.axes(below, width, height, tint);
+      if (opened.mode === "point" && map) this.reach(below, tint, map);
+    }
+    context.drawImage(this.still, 0, 0, width, height);
+    if (opened.mode === "hand") this.handsReach(context, tint);
     this.clamp(context, tint);
     context.strokeStyle = tint.muted;
     context.lineWidth = 1;
@@ -74,7 +86,7 @@ export class Plane {
     this.origin = [42 + 0.5 * room[0] - 0.5 * this.scale * (left + right), 22 + 0.5 * room[1] + 0.5 * this.scale * (low + high)];
   }
 
-  private axes({ context, width, height }: Canvas, tint: Colours): void {
+  private axes(context: CanvasRenderingContext2D, width: number, height: number, tint: Colours): void {
     const [left, high] = this.metres([0, 0]), [right, low] = this.metres([width, height]);
     const count = Math.max(3, Math.round(width / 110));
     const step = ticks(left, right, count);
@@ -102,22 +114,31 @@ export class Plane {
     context.fillText("y [mm]", 8, 16);
   }
 
-  private reach(context: CanvasRenderingContext2D, tint: Colours, opened: Opened): void {
-    const { map, edge } = this.scene;
-    if (opened.mode === "hand") {
-      if (!edge || !edge.length) return;
-      trace(context, edge.map(([end]) => this.px(end)), true);
-      context.fillStyle = tint.blue;
-      context.globalAlpha = 0.1;
-      context.fill();
-      context.globalAlpha = 1;
-      edge.forEach(([end, limit], i) => this.side(context, tint, [end, edge[(i + 1) % edge.length]![0]], limit));
-      return;
+  private handsReach(context: CanvasRenderingContext2D, tint: Colours): void {
+    const { edge } = this.scene;
+    if (!edge || !edge.length) return;
+    trace(context, edge.map(([end]) => this.px(end)), true);
+    context.fillStyle = tint.blue;
+    context.globalAlpha = 0.1;
+    context.fill();
+    context.globalAlpha = 1;
+    edge.forEach(([end, limit], i) => this.side(context, tint, [end, edge[(i + 1) % edge.length]![0]], limit));
+  }
+
+  // All triangles as one path, turned alike, so that no seam shows between them.
+  private reach(context: CanvasRenderingContext2D, tint: Colours, map: ReachMap): void {
+    const path = new Path2D(), at = map.points_m.map(this.px);
+    for (const [i, j, k] of map.triangles) {
+      const [a, b, c] = [at[i]!, at[j]!, at[k]!];
+      const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
+      path.moveTo(...a);
+      path.lineTo(...(turned ? c : b));
+      path.lineTo(...(turned ? b : c));
+      path.closePath();
     }
-    if (!map) return;
     context.fillStyle = tint.blue;
     context.globalAlpha = 0.11;
-    context.fill(this.filled(map));
+    context.fill(path);
     context.globalAlpha = 1;
     for (const { limit, line_m } of map.edges) this.side(context, tint, line_m, limit);
   }
@@ -130,23 +151,6 @@ export class Plane {
     trace(context, line.map(this.px));
     context.stroke();
     context.setLineDash([]);
-  }
-
-  // All triangles as one path, turned alike, so that no seam shows between them.
-  private filled(map: ReachMap): Path2D {
-    const known = this.area;
-    if (known && known.map === map && known.scale === this.scale && known.x === this.origin[0] && known.y === this.origin[1]) return known.path;
-    const path = new Path2D(), at = map.points_m.map(this.px);
-    for (const [i, j, k] of map.triangles) {
-      const [a, b, c] = [at[i]!, at[j]!, at[k]!];
-      const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
-      path.moveTo(...a);
-      path.lineTo(...(turned ? c : b));
-      path.lineTo(...(turned ? b : c));
-      path.closePath();
-    }
-    this.area = { path, map, scale: this.scale, x: this.origin[0], y: this.origin[1] };
-    return path;
   }
 
   private clamp(context: CanvasRenderingContext2D, tint: Colours): void {

@@ -140,7 +140,7 @@ class Bending:
         ellipse = None
         if known is not None and self.hand is None:
             ellipse = ellipse_of(self.pushed, known, state)
-        goal = pose if answer.limit else answer.goal
+        goal: list[float] = (pose if answer.limit else answer.goal).tolist()
         if self.hand is None:
             command = reach_line(self.model, goal, self.push_s, self.point_s, self.max_force)
         else:

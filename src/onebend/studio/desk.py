@@ -1,6 +1,7 @@
 """What the pages share: the beams that are bent, the work that runs, and everybody who looks on.
 
-All tabs see the same: each answer goes to all of them. Of drags that come faster than they are answered, the last counts.
+All tabs see the same: each answer goes to all of them. Of drags that come faster than they are answered, the last
+counts.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import Places
-from onebend.workers import leave_interrupts_to_parent
+from onebend.workers import end_with_parent
 
 if TYPE_CHECKING:  # and in `_load`: the page is there before the mechanics are loaded
     from onebend.studio.bending import Bending
@@ -70,13 +71,17 @@ class Desk:
     @staticmethod
     def _process() -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(1, mp_context=context, initializer=leave_interrupts_to_parent)
+        return ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
 
     def begin(self) -> None:
         """Load the mechanics, here and beside, while the page is already being looked at."""
-        self.thread.submit(_load)
-        self.beside.submit(_load)
+        loaded = self.thread.submit(_load)
+        loaded.add_done_callback(lambda _: self._load_beside())  # then: the first picture has both cores
         self._spawn(self._answer_drags())
+
+    def _load_beside(self) -> None:
+        with contextlib.suppress(RuntimeError):  # it was ended meanwhile
+            self.beside.submit(_load)
 
     async def end(self) -> None:
         """Stop what runs."""

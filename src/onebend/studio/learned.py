@@ -71,7 +71,9 @@ def film_data(folder: Path) -> dict[str, Any] | None:
             raise StudioError(f"{path.name} is larger than any report. Learn again")
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise StudioError(f"{folder.name} has no report to take the film from. Learn again without --no-report") from error
+        raise StudioError(
+            f"{folder.name} has no report to take the film from. Learn again without --no-report"
+        ) from error
     held = _DATA.search(text)
     try:
         data = json.loads(held[1]) if held else {}

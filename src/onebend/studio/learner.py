@@ -24,7 +24,6 @@ from onebend.learning.inference.stages import FitSettings
 from onebend.learning.paper.selection import RegressionSettings
 from onebend.pipeline import Run, learn
 from onebend.recording.observe import ObserveSettings
-from onebend.report.figures.drawing import draw_all
 from onebend.report.figures.pictures import Pictures
 from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import learned_writer
@@ -85,6 +84,8 @@ def work(wanted: Mapping[str, Any]) -> None:
         made_from = provenance(inputs, dict(wanted), settings)
         _put(place, run, Pictures(), made_from)  # the fit is safe before a picture is drawn
         tell({"published": True})
+        from onebend.report.figures.drawing import draw_all  # here: Matplotlib is for pictures alone
+
         _put(place, run, draw_all(run, progress=progress), made_from)
     except BaseException:
         abandon(place)

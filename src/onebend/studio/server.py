@@ -157,7 +157,9 @@ def opened_socket(port: int) -> socket.socket:
         found.bind((HOST, port))
     except OSError as error:
         found.close()
-        raise StudioError(f"port {port} cannot be had ({error.strerror}). Take another --port, or leave it out") from error
+        raise StudioError(
+            f"port {port} cannot be had ({error.strerror}). Take another --port, or leave it out"
+        ) from error
     return found
 
 
@@ -188,4 +190,5 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
         server_header=False,
         timeout_graceful_shutdown=2,
     )
-    Server(config).run(sockets=[listening])
+    with contextlib.suppress(KeyboardInterrupt):  # the way to end it
+        Server(config).run(sockets=[listening])

@@ -65,7 +65,7 @@ class ReachMap:
         sides = np.stack([b - a, c - a], axis=-1)
         flat = np.abs(np.linalg.det(sides)) < 1e-16
         sides[flat] = np.eye(2) * 1e-300  # no place lies in it
-        return a, np.linalg.inv(sides)
+        return a, np.asarray(np.linalg.inv(sides))
 
     @cached_property
     def edges(self) -> IntArray:
@@ -122,46 +122,33 @@ class ReachMap:
         return LoadedState(self.q[chosen], np.append(self.force[chosen], 0.0))
 
 
+@dataclass(frozen=True)
+class _Sheet:
+    """Equilibria under forces of D directions and R sizes; NaN in `points` where there is none."""
+
+    force: Array  # (D, R, 2) N
+    q: Array  # (D, R, n) rad
+    points: Array  # (D, R, 2) m
+
+
 @one_blas_thread
 def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
     """The map of all forces up to `max_force` [N] at the push. Raises `ControlError` for a bound without meaning."""
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
-    turns, sizes = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS), max_force * _SIZES
-    q, points = _sampled(pushed, turns, sizes)
-    for _ in range(2):
-        bent = np.concatenate([np.broadcast_to(pushed.start.q, q[:, :1].shape), q], axis=1)
-        turned = np.max(np.abs(np.diff(bent, axis=1) @ pushed.b.T), axis=-1)
-        steps = np.flatnonzero(np.max(np.where(np.isfinite(points[..., 0]), turned, 0.0), axis=0) > _TOO_COARSE)
-        if not len(steps) or len(sizes) + len(steps) > _MOST_SIZES:
-            break
-        middle = 0.5 * (np.append(0.0, sizes)[steps] + sizes[steps])
-        order = np.argsort(np.concatenate([sizes, middle]), kind="stable")
-        new_q, new_points = _sampled(pushed, turns, middle)
-        sizes = np.concatenate([sizes, middle])[order]
-        q, points = np.concatenate([q, new_q], axis=1)[:, order], np.concatenate([points, new_points], axis=1)[:, order]
-    for _ in range(_ROUNDS):
-        gaps = np.flatnonzero(_apart(pushed, q, points, _TOO_COARSE).any(axis=1))
-        if not len(gaps) or len(turns) > 3 * _DIRECTIONS:
-            break
-        after = np.append(turns[1:], turns[0] + 2.0 * np.pi)
-        middle = 0.5 * (turns[gaps] + after[gaps])
-        new_q, new_points = _sampled(pushed, middle, sizes)
-        order = np.argsort(np.concatenate([turns, middle]), kind="stable")
-        turns = np.concatenate([turns, middle])[order]
-        q, points = np.concatenate([q, new_q])[order], np.concatenate([points, new_points])[order]
-    apart = _apart(pushed, q, points, _SAME_BRANCH)
-    sheet = _Sheet(_forces(turns, sizes), q, points)
-    vertices, triangles = [sheet], [_fan(sheet, apart), 1 + _quads(np.isfinite(points[..., 0]), apart, cyclic=True)]
-    count = 1 + points[..., 0].size
+    sheet = _grown(pushed, max_force)
+    apart = _apart(pushed, sheet.q, sheet.points, _SAME_BRANCH)
+    known = np.isfinite(sheet.points[..., 0])
+    vertices, triangles = [sheet], [_fan(sheet, apart), 1 + _quads(known, apart, cyclic=True)]
+    count, (directions, sizes) = 1 + known.size, known.shape
     for gap in np.flatnonzero(apart.any(axis=1)):
-        for side, way in ((gap, 1.0), ((gap + 1) % len(turns), -1.0)):
-            chosen = np.flatnonzero(apart[gap] & np.isfinite(points[side, :, 0]))
+        for side, way in ((gap, 1.0), ((gap + 1) % directions, -1.0)):
+            chosen = np.flatnonzero(apart[gap] & known[side])
             if not len(chosen):
                 continue
             more = _turned_on(pushed, sheet, int(side), chosen, way)
             joined = np.arange(count, count + more.points[..., 0].size)
-            joined[: len(chosen)] = 1 + side * len(sizes) + chosen  # where it begins are the vertices of that direction
+            joined[: len(chosen)] = 1 + side * sizes + chosen  # where it begins are the vertices of that direction
             vertices.append(more)
             triangles.append(joined[_near(pushed, more, _quads(np.isfinite(more.points[..., 0]), None, cyclic=False))])
             count += len(joined)
@@ -175,13 +162,37 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
     )
 
 
-@dataclass(frozen=True)
-class _Sheet:
-    """Equilibria under forces of D directions and R sizes; NaN in `points` where there is none."""
+def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
+    """Forces that grow from rest in all directions, close enough together for triangles with straight sides."""
+    turns, sizes = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS), max_force * _SIZES
+    q, points = _sampled(pushed, turns, sizes)
+    for _ in range(2):
+        bent = np.concatenate([np.broadcast_to(pushed.start.q, q[:, :1].shape), q], axis=1)
+        turned = np.max(np.abs(np.diff(bent, axis=1) @ pushed.b.T), axis=-1)
+        steps = np.flatnonzero(np.max(np.where(np.isfinite(points[..., 0]), turned, 0.0), axis=0) > _TOO_COARSE)
+        if not len(steps) or len(sizes) + len(steps) > _MOST_SIZES:
+            break
+        middle = 0.5 * (np.append(0.0, sizes)[steps] + sizes[steps])
+        more_q, more_points = _sampled(pushed, turns, middle)
+        sizes, order = _merged(sizes, middle)
+        q, points = np.concatenate([q, more_q], 1)[:, order], np.concatenate([points, more_points], 1)[:, order]
+    for _ in range(_ROUNDS):
+        gaps = np.flatnonzero(_apart(pushed, q, points, _TOO_COARSE).any(axis=1))
+        if not len(gaps) or len(turns) > 3 * _DIRECTIONS:
+            break
+        after = np.append(turns[1:], turns[0] + 2.0 * np.pi)
+        middle = 0.5 * (turns[gaps] + after[gaps])
+        more_q, more_points = _sampled(pushed, middle, sizes)
+        turns, order = _merged(turns, middle)
+        q, points = np.concatenate([q, more_q])[order], np.concatenate([points, more_points])[order]
+    return _Sheet(_forces(turns, sizes), q, points)
 
-    force: Array  # (D, R, 2) N
-    q: Array  # (D, R, n) rad
-    points: Array  # (D, R, 2) m
+
+def _merged(values: Array, more: Array) -> tuple[Array, IntArray]:
+    """Both, rising, and the order that they are then in."""
+    every = np.concatenate([values, more])
+    order = np.argsort(every, kind="stable")
+    return every[order], order
 
 
 def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, way: float) -> _Sheet:

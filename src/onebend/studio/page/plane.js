@@ -8,14 +8,28 @@ export class Plane {
     scene;
     scale = 1;
     origin = [0, 0];
-    area = null;
+    still = document.createElement("canvas");
+    drawn = "";
+    drawnMap = null;
     paint = (canvas, tint) => {
-        const { context } = canvas, { opened, answer } = this.scene;
+        const { context, width, height } = canvas, { opened, answer, map } = this.scene;
         if (!opened)
             return;
         this.fit(canvas, opened);
-        this.axes(canvas, tint);
-        this.reach(context, tint, opened);
+        const ratio = canvas.element.width / width, now = `${width} ${height} ${ratio} ${tint.paper} ${opened.version} ${opened.model}`;
+        if (now !== this.drawn || map !== this.drawnMap) {
+            [this.drawn, this.drawnMap] = [now, map];
+            [this.still.width, this.still.height] = [canvas.element.width, canvas.element.height];
+            const below = this.still.getContext("2d");
+            below.setTransform(ratio, 0, 0, ratio, 0, 0);
+            below.font = context.font;
+            this.axes(below, width, height, tint);
+            if (opened.mode === "point" && map)
+                this.reach(below, tint, map);
+        }
+        context.drawImage(this.still, 0, 0, width, height);
+        if (opened.mode === "hand")
+            this.handsReach(context, tint);
         this.clamp(context, tint);
         context.strokeStyle = tint.muted;
         context.lineWidth = 1;
@@ -50,7 +64,7 @@ export class Plane {
         this.scale = Math.min(room[0] / (right - left), room[1] / (high - low));
         this.origin = [42 + 0.5 * room[0] - 0.5 * this.scale * (left + right), 22 + 0.5 * room[1] + 0.5 * this.scale * (low + high)];
     }
-    axes({ context, width, height }, tint) {
+    axes(context, width, height, tint) {
         const [left, high] = this.metres([0, 0]), [right, low] = this.metres([width, height]);
         const count = Math.max(3, Math.round(width / 110));
         const step = ticks(left, right, count);
@@ -79,24 +93,30 @@ export class Plane {
         context.textAlign = "left";
         context.fillText("y [mm]", 8, 16);
     }
-    reach(context, tint, opened) {
-        const { map, edge } = this.scene;
-        if (opened.mode === "hand") {
-            if (!edge || !edge.length)
-                return;
-            trace(context, edge.map(([end]) => this.px(end)), true);
-            context.fillStyle = tint.blue;
-            context.globalAlpha = 0.1;
-            context.fill();
-            context.globalAlpha = 1;
-            edge.forEach(([end, limit], i) => this.side(context, tint, [end, edge[(i + 1) % edge.length][0]], limit));
+    handsReach(context, tint) {
+        const { edge } = this.scene;
+        if (!edge || !edge.length)
             return;
+        trace(context, edge.map(([end]) => this.px(end)), true);
+        context.fillStyle = tint.blue;
+        context.globalAlpha = 0.1;
+        context.fill();
+        context.globalAlpha = 1;
+        edge.forEach(([end, limit], i) => this.side(context, tint, [end, edge[(i + 1) % edge.length][0]], limit));
+    }
+    reach(context, tint, map) {
+        const path = new Path2D(), at = map.points_m.map(this.px);
+        for (const [i, j, k] of map.triangles) {
+            const [a, b, c] = [at[i], at[j], at[k]];
+            const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
+            path.moveTo(...a);
+            path.lineTo(...(turned ? c : b));
+            path.lineTo(...(turned ? b : c));
+            path.closePath();
         }
-        if (!map)
-            return;
         context.fillStyle = tint.blue;
         context.globalAlpha = 0.11;
-        context.fill(this.filled(map));
+        context.fill(path);
         context.globalAlpha = 1;
         for (const { limit, line_m } of map.edges)
             this.side(context, tint, line_m, limit);
@@ -109,22 +129,6 @@ export class Plane {
         trace(context, line.map(this.px));
         context.stroke();
         context.setLineDash([]);
-    }
-    filled(map) {
-        const known = this.area;
-        if (known && known.map === map && known.scale === this.scale && known.x === this.origin[0] && known.y === this.origin[1])
-            return known.path;
-        const path = new Path2D(), at = map.points_m.map(this.px);
-        for (const [i, j, k] of map.triangles) {
-            const [a, b, c] = [at[i], at[j], at[k]];
-            const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
-            path.moveTo(...a);
-            path.lineTo(...(turned ? c : b));
-            path.lineTo(...(turned ? b : c));
-            path.closePath();
-        }
-        this.area = { path, map, scale: this.scale, x: this.origin[0], y: this.origin[1] };
-        return path;
     }
     clamp(context, tint) {
         const [x, y] = this.px([0, 0]);
