@@ -11,7 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from onebend.results.model import save_model
-from onebend.studio.places import Places
+from onebend.studio.places import StudioFolder
 from onebend.studio.server import application
 from tests import made_up
 
@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def stranger(folder: Path) -> TestClient:
     """A client that has not shown the token. Nothing is computed: the work is not begun."""
-    return TestClient(application(Places.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False)
+    return TestClient(application(StudioFolder.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False)
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def client(stranger: TestClient) -> TestClient:
 @pytest.fixture(scope="module")
 def working(folder: Path) -> Iterator[TestClient]:
     """The studio at work."""
-    with TestClient(application(Places.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False) as found:
+    with TestClient(application(StudioFolder.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False) as found:
         found.get("/", params={"token": TOKEN})
         yield found
 

@@ -142,3 +142,16 @@ def test_a_goal_without_meaning_is_refused(folder: Path) -> None:
     for goal in ([0.1], [float("nan"), 0.0], [0.0] * 4):
         with pytest.raises(StudioError):
             bending.drag(goal)
+
+
+def test_a_beam_that_was_learned_anew_is_opened_again(working: TestClient, folder: Path) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "beam")
+        (folder / "odd").mkdir(exist_ok=True)
+        (folder / "odd" / "recording.toml").write_text("format = 1\n")
+        asked = {"recordings": ["odd"], "out": "beam"}
+        assert working.post("/api/learn", json=asked, headers=own()).status_code == 200
+        assert heard(socket, "forgotten")["model"] == "beam"
+        socket.send_json({"do": "open", "model": "beam"})
+        assert heard(socket, "beam")["opened"]["model"] == "beam"

@@ -8,7 +8,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from onebend.errors import StudioError
-from onebend.studio.places import Places
+from onebend.studio.places import StudioFolder
 from tests.studio.conftest import own
 
 OUTSIDE = (
@@ -18,7 +18,7 @@ OUTSIDE = (
 
 
 @pytest.fixture
-def places(tmp_path: Path) -> Places:
+def places(tmp_path: Path) -> StudioFolder:
     for folder in (tmp_path / "secret" / "inner", tmp_path / "studio" / "beam"):
         folder.mkdir(parents=True)
         for name in ("model.json", "summary.json", "recording.toml"):
@@ -27,30 +27,30 @@ def places(tmp_path: Path) -> Places:
     (tmp_path / "studio" / "file").mkdir()
     for name in ("model.json", "recording.toml"):
         (tmp_path / "studio" / "file" / name).symlink_to(tmp_path / "secret" / "inner" / name)
-    return Places.of(tmp_path / "studio")
+    return StudioFolder.of(tmp_path / "studio")
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_no_name_leads_out(places: Places, name: str) -> None:
+def test_no_name_leads_out(places: StudioFolder, name: str) -> None:
     for way in (places.result, places.recording):
         with pytest.raises(StudioError):
             way(name)
 
 
-def test_a_link_to_a_file_outside_is_none(places: Places) -> None:
+def test_a_link_to_a_file_outside_is_none(places: StudioFolder) -> None:
     for way in (places.result, places.recording):
         with pytest.raises(StudioError, match="out of"):
             way("file")
 
 
-def test_what_is_there_is_found_by_name(places: Places) -> None:
+def test_what_is_there_is_found_by_name(places: StudioFolder) -> None:
     assert [(one.name, one.kind) for one in places.found()] == [("beam", "recording"), ("beam", "result")]
     assert places.result("beam").name == "beam"
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(StudioError, match="not a folder"):
-        Places.of(tmp_path / "nowhere")
+        StudioFolder.of(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ export function bend(place: HTMLElement, at: URLSearchParams): void {
 
   function flush(): void {
     waiting = 0;
+    for (const [n, began] of asked) if (performance.now() - began > 1000) asked.delete(n);  // nobody answers it any more
     if (!wanted || asked.size > 2) return;  // the next answer sends what is wanted then
     number += 1;
     asked.set(number, performance.now());
@@ -62,6 +63,7 @@ export function bend(place: HTMLElement, at: URLSearchParams): void {
     if (message.what === "places") void fill(false);
     if (message.what === "error") say(message.text as string);
     if (message.model !== model) return;
+    if (message.what === "forgotten" && !document.hidden) open(model);
     if (message.what === "beam") {
       const opened = message.opened as Opened;
       if (opened.version !== scene.opened?.version) scene.map = null;
@@ -173,7 +175,9 @@ export function bend(place: HTMLElement, at: URLSearchParams): void {
   element.addEventListener("focus", () => { scene.focus = element.matches(":focus-visible"); canvas.redraw(); });
   element.addEventListener("blur", () => { scene.focus = false; canvas.redraw(); });
 
-  atEnd(listen(hear), onReturn(() => { asked.clear(); void fill(true); }), () => canvas.end());
+  const back = (): void => { if (!document.hidden) send({ do: "open", model }); };
+  document.addEventListener("visibilitychange", back);
+  atEnd(() => document.removeEventListener("visibilitychange", back), listen(hear), onReturn(() => { asked.clear(); void fill(true); }), () => canvas.end());
 }
 
 // The angle nearest to another: a hand may be turned round and round.

@@ -21,9 +21,9 @@ export interface Scene {
   goal: Point | null; held: boolean; focus: boolean;
 }
 
-// An ellipse to first order says nothing where it is as long as a good part of the beam.
+// Near the edge of stability some of the probable beams fall: an ellipse says nothing of where they lie then.
 export function telling(ellipse: Ellipse, opened: Opened): boolean {
-  return ellipse.draws > 0 || ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
+  return ellipse.lost < 0.01 && ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
 }
 
 const KNOB = 52;  // px from the hand to what turns it
@@ -100,7 +100,7 @@ export class Plane {
       const at = Math.round(this.px([x, 0])[0]) + 0.5;
       trace(context, [[at, 0], [at, height]]);
       context.stroke();
-      if (at > 50 && at < width - 30) context.fillText(fixed(1000 * x, apart < 0.001 ? 1 : 0), at, height - 6);
+      if (at > 50 && at < width - 62) context.fillText(fixed(1000 * x, apart < 0.001 ? 1 : 0), at, height - 6);
     }
     context.textAlign = "right";
     for (let i = Math.ceil(low / apart); i * apart <= high; i++) {
@@ -176,16 +176,6 @@ export class Plane {
 
   private bent(context: CanvasRenderingContext2D, tint: Colours, opened: Opened, answer: Answer): void {
     const line = answer.line_m.map(this.px), at = this.px([answer.pose[0], answer.pose[1]]);
-    if (answer.ellipse && telling(answer.ellipse, opened)) {
-      trace(context, answer.ellipse.outline_m.map(this.px), true);
-      context.fillStyle = context.strokeStyle = tint.orange;
-      context.globalAlpha = 0.22;
-      context.fill();
-      context.globalAlpha = 0.9;
-      context.lineWidth = 1.2;
-      context.stroke();
-      context.globalAlpha = 1;
-    }
     for (const [wide, colour] of [[9, tint.paper], [5, tint.blue]] as const) {
       context.strokeStyle = colour;
       context.lineWidth = wide;
@@ -197,6 +187,16 @@ export class Plane {
     this.force(context, tint, opened, answer);
     if (opened.mode === "hand") this.hand(context, tint, at, answer.pose[2]);
     this.handle(context, tint, at);
+    if (answer.ellipse && telling(answer.ellipse, opened)) {
+      trace(context, answer.ellipse.outline_m.map(this.px), true);
+      context.fillStyle = context.strokeStyle = tint.orange;
+      context.globalAlpha = 0.22;
+      context.fill();
+      context.globalAlpha = 0.9;
+      context.lineWidth = 1.2;
+      context.stroke();
+      context.globalAlpha = 1;
+    }
   }
 
   private missed(context: CanvasRenderingContext2D, tint: Colours, goal: Point, at: Point, answer: Answer): void {
@@ -221,7 +221,7 @@ export class Plane {
   private force(context: CanvasRenderingContext2D, tint: Colours, opened: Opened, answer: Answer): void {
     const [fx, fy] = answer.force_N, size = Math.hypot(fx, fy);
     if (size < 1e-9) return;
-    const from = this.px(answer.push_m), long = Math.max(24, 0.36 * this.scale * opened.length_m * Math.min(1, size / opened.max_force_N));
+    const from = this.px(answer.push_m), long = Math.max(42, 0.36 * this.scale * opened.length_m * Math.min(1, size / opened.max_force_N));
     const to: Point = [from[0] + long * fx / size, from[1] - long * fy / size];
     arrow(context, from, to, tint.paper, 6);
     arrow(context, from, to, tint.orange, 3);
@@ -265,16 +265,20 @@ export class Plane {
   }
 
   private handle(context: CanvasRenderingContext2D, tint: Colours, [x, y]: Point): void {
+    for (const [wide, colour] of [[6, tint.paper], [2.5, tint.orange]] as const) {
+      context.beginPath();
+      context.arc(x, y, this.scene.held ? 12 : 10, 0, 2 * Math.PI);
+      context.strokeStyle = colour;
+      context.lineWidth = wide;
+      context.stroke();
+    }
     context.beginPath();
-    context.arc(x, y, this.scene.held ? 10 : 8, 0, 2 * Math.PI);
+    context.arc(x, y, 2.5, 0, 2 * Math.PI);
     context.fillStyle = tint.orange;
     context.fill();
-    context.strokeStyle = tint.paper;
-    context.lineWidth = 2.5;
-    context.stroke();
     if (!this.scene.focus) return;
     context.beginPath();
-    context.arc(x, y, 14, 0, 2 * Math.PI);
+    context.arc(x, y, 16, 0, 2 * Math.PI);
     context.strokeStyle = tint.blue;
     context.lineWidth = 2;
     context.stroke();

@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.jobs import Jobs
-from onebend.studio.places import Places
+from onebend.studio.places import StudioFolder
 from onebend.workers import end_with_parent
 
 if TYPE_CHECKING:  # and in `_load`: the page is there before the mechanics are loaded
@@ -54,7 +54,7 @@ class Client:
 class Desk:
     """State of the studio. All methods run in the server's loop."""
 
-    def __init__(self, places: Places) -> None:
+    def __init__(self, places: StudioFolder) -> None:
         self.places = places
         self.clients: set[Client] = set()
         self.jobs = Jobs(self._job_changed)
@@ -135,7 +135,7 @@ class Desk:
             folder = self.places.result(model)
             bending = await self._in_thread(lambda: _opened(model, folder))
             while len(self.beams) >= _MOST_BEAMS:
-                self.beams.pop(next(iter(self.beams)))
+                self.forget(next(iter(self.beams)))
             self.beams.setdefault(model, bending)
             self._spawn(self._map(model))
         bending = self.beams[model]
@@ -147,8 +147,9 @@ class Desk:
             self._spawn(self._edge(model))
 
     def forget(self, model: str) -> None:
-        """A beam that was learned anew."""
-        self.beams.pop(model, None)
+        """A beam that was learned anew, or one too many; who looks at it opens it again."""
+        if self.beams.pop(model, None) is not None:
+            self.tell({"what": "forgotten", "model": model})
 
     async def _set(self, model: str, settings: dict[str, Any]) -> None:
         bending = self._beam(model)

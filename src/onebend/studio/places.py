@@ -27,17 +27,17 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Places:
+class StudioFolder:
     """A folder, and the names below it."""
 
     root: Path
 
     @staticmethod
-    def of(folder: Path) -> Places:
+    def of(folder: Path) -> StudioFolder:
         """Raises `StudioError` where there is no such folder."""
         if not folder.is_dir():
             raise StudioError(f"{folder} is not a folder. Give the one that holds your recordings and results")
-        return Places(folder.resolve())
+        return StudioFolder(folder.resolve())
 
     def path(self, name: str) -> Path:
         """The place of this name below the folder.

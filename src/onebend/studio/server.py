@@ -22,7 +22,7 @@ from onebend.errors import OnebendError, StudioError
 from onebend.studio.commands import learn_line
 from onebend.studio.desk import Desk
 from onebend.studio.guard import Guard
-from onebend.studio.places import Places
+from onebend.studio.places import StudioFolder
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
@@ -30,7 +30,7 @@ LONGEST_MESSAGE = 64 * 1024  # bytes of the socket
 _MOST_RECORDINGS = 50
 
 
-def application(places: Places, token: str, port: int) -> ASGIApp:
+def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
     """The whole studio as an ASGI application that answers only to this token, at this port."""
     desk = Desk(places)
     asked = Asked(desk)
@@ -171,7 +171,7 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
     """
     import uvicorn  # here: the application itself is made and tested without
 
-    places = Places.of(folder)
+    places = StudioFolder.of(folder)
     listening = opened_socket(port)
     number, token = listening.getsockname()[1], secrets.token_urlsafe(24)
 

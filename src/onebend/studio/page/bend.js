@@ -38,6 +38,9 @@ export function bend(place, at) {
     }
     function flush() {
         waiting = 0;
+        for (const [n, began] of asked)
+            if (performance.now() - began > 1000)
+                asked.delete(n);
         if (!wanted || asked.size > 2)
             return;
         number += 1;
@@ -53,6 +56,8 @@ export function bend(place, at) {
             say(message.text);
         if (message.model !== model)
             return;
+        if (message.what === "forgotten" && !document.hidden)
+            open(model);
         if (message.what === "beam") {
             const opened = message.opened;
             if (opened.version !== scene.opened?.version)
@@ -178,7 +183,10 @@ export function bend(place, at) {
     });
     element.addEventListener("focus", () => { scene.focus = element.matches(":focus-visible"); canvas.redraw(); });
     element.addEventListener("blur", () => { scene.focus = false; canvas.redraw(); });
-    atEnd(listen(hear), onReturn(() => { asked.clear(); void fill(true); }), () => canvas.end());
+    const back = () => { if (!document.hidden)
+        send({ do: "open", model }); };
+    document.addEventListener("visibilitychange", back);
+    atEnd(() => document.removeEventListener("visibilitychange", back), listen(hear), onReturn(() => { asked.clear(); void fill(true); }), () => canvas.end());
 }
 function near(angle, other) {
     return angle + 2 * Math.PI * Math.round((other - angle) / (2 * Math.PI));

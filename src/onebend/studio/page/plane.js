@@ -1,7 +1,7 @@
 import { arrow, label, ticks, trace } from "./draw.js";
 import { digits, fixed } from "./dom.js";
 export function telling(ellipse, opened) {
-    return ellipse.draws > 0 || ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
+    return ellipse.lost < 0.01 && ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
 }
 const KNOB = 52;
 export class Plane {
@@ -78,7 +78,7 @@ export class Plane {
             const at = Math.round(this.px([x, 0])[0]) + 0.5;
             trace(context, [[at, 0], [at, height]]);
             context.stroke();
-            if (at > 50 && at < width - 30)
+            if (at > 50 && at < width - 62)
                 context.fillText(fixed(1000 * x, apart < 0.001 ? 1 : 0), at, height - 6);
         }
         context.textAlign = "right";
@@ -152,16 +152,6 @@ export class Plane {
     }
     bent(context, tint, opened, answer) {
         const line = answer.line_m.map(this.px), at = this.px([answer.pose[0], answer.pose[1]]);
-        if (answer.ellipse && telling(answer.ellipse, opened)) {
-            trace(context, answer.ellipse.outline_m.map(this.px), true);
-            context.fillStyle = context.strokeStyle = tint.orange;
-            context.globalAlpha = 0.22;
-            context.fill();
-            context.globalAlpha = 0.9;
-            context.lineWidth = 1.2;
-            context.stroke();
-            context.globalAlpha = 1;
-        }
         for (const [wide, colour] of [[9, tint.paper], [5, tint.blue]]) {
             context.strokeStyle = colour;
             context.lineWidth = wide;
@@ -175,6 +165,16 @@ export class Plane {
         if (opened.mode === "hand")
             this.hand(context, tint, at, answer.pose[2]);
         this.handle(context, tint, at);
+        if (answer.ellipse && telling(answer.ellipse, opened)) {
+            trace(context, answer.ellipse.outline_m.map(this.px), true);
+            context.fillStyle = context.strokeStyle = tint.orange;
+            context.globalAlpha = 0.22;
+            context.fill();
+            context.globalAlpha = 0.9;
+            context.lineWidth = 1.2;
+            context.stroke();
+            context.globalAlpha = 1;
+        }
     }
     missed(context, tint, goal, at, answer) {
         context.strokeStyle = tint.orange;
@@ -199,7 +199,7 @@ export class Plane {
         const [fx, fy] = answer.force_N, size = Math.hypot(fx, fy);
         if (size < 1e-9)
             return;
-        const from = this.px(answer.push_m), long = Math.max(24, 0.36 * this.scale * opened.length_m * Math.min(1, size / opened.max_force_N));
+        const from = this.px(answer.push_m), long = Math.max(42, 0.36 * this.scale * opened.length_m * Math.min(1, size / opened.max_force_N));
         const to = [from[0] + long * fx / size, from[1] - long * fy / size];
         arrow(context, from, to, tint.paper, 6);
         arrow(context, from, to, tint.orange, 3);
@@ -241,17 +241,21 @@ export class Plane {
         context.stroke();
     }
     handle(context, tint, [x, y]) {
+        for (const [wide, colour] of [[6, tint.paper], [2.5, tint.orange]]) {
+            context.beginPath();
+            context.arc(x, y, this.scene.held ? 12 : 10, 0, 2 * Math.PI);
+            context.strokeStyle = colour;
+            context.lineWidth = wide;
+            context.stroke();
+        }
         context.beginPath();
-        context.arc(x, y, this.scene.held ? 10 : 8, 0, 2 * Math.PI);
+        context.arc(x, y, 2.5, 0, 2 * Math.PI);
         context.fillStyle = tint.orange;
         context.fill();
-        context.strokeStyle = tint.paper;
-        context.lineWidth = 2.5;
-        context.stroke();
         if (!this.scene.focus)
             return;
         context.beginPath();
-        context.arc(x, y, 14, 0, 2 * Math.PI);
+        context.arc(x, y, 16, 0, 2 * Math.PI);
         context.strokeStyle = tint.blue;
         context.lineWidth = 2;
         context.stroke();
