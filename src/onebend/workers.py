@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -40,6 +41,10 @@ def leave_interrupts_to_parent() -> None:
 def end_with_parent() -> None:
     """Initialiser of a worker process: interrupts are its parent's, and it ends when the parent is gone, however."""
     leave_interrupts_to_parent()
-    parent = multiprocessing.parent_process()
+    threading.Thread(target=_end_after, args=(multiprocessing.parent_process(),), daemon=True).start()
+
+
+def _end_after(parent: BaseProcess | None) -> None:
     if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()
+        parent.join()
+        os._exit(0)

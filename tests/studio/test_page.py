@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -73,6 +74,15 @@ def dragged(page: Page, x: float, y: float) -> None:
 
 def force(page: Page) -> float:
     return float(page.locator(".big b").inner_text().replace("−", "-"))
+
+
+def test_it_listens_on_this_computer_alone(address: str) -> None:
+    port = int(address.split(":")[2].split("/")[0])
+    others = {row[4][0] for row in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {"127.0.0.1"}
+    for host in ("127.0.0.2", *others):
+        with socket.socket() as line, pytest.raises(OSError, match="refused|unreachable"):
+            line.settimeout(2.0)
+            line.connect((host, port))
 
 
 def test_drag_the_tip_read_the_force_reload_and_go_on(page: Page) -> None:

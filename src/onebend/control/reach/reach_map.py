@@ -164,7 +164,8 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
 
 def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
     """Forces that grow from rest in all directions, close enough together for triangles with straight sides."""
-    turns, sizes = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS), max_force * _SIZES
+    turns: Array = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+    sizes: Array = np.asarray(max_force * _SIZES, dtype=float)
     q, points = _sampled(pushed, turns, sizes)
     for _ in range(2):
         bent = np.concatenate([np.broadcast_to(pushed.start.q, q[:, :1].shape), q], axis=1)
