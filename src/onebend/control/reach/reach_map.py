@@ -24,7 +24,7 @@ from onebend.errors import ControlError
 from onebend.records import Array, BoolArray, IntArray
 
 _DIRECTIONS = 72
-_SIZES = (np.arange(1, 13) / 12) ** 1.5  # of the largest force: the beam yields most to the first of it
+_SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # of the largest force: the first of it bends the beam most
 _MOST_SIZES = 40
 _TOO_COARSE = 0.2  # rad: between directions with shapes that differ by more are others: triangles have straight sides
 _SAME_BRANCH = 0.6  # rad: what then still differs by more lies apart
@@ -164,8 +164,7 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
 
 def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
     """Forces that grow from rest in all directions, close enough together for triangles with straight sides."""
-    turns: Array = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
-    sizes: Array = np.asarray(max_force * _SIZES, dtype=float)
+    turns, sizes = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False), max_force * _SIZES
     q, points = _sampled(pushed, turns, sizes)
     for _ in range(2):
         bent = np.concatenate([np.broadcast_to(pushed.start.q, q[:, :1].shape), q], axis=1)
