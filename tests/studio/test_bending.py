@@ -16,6 +16,7 @@ from onebend.cli import app
 from onebend.errors import StudioError
 from onebend.results.model import read_model
 from onebend.studio.bending import Bending
+from onebend.studio.clients import text_of
 from tests.studio.conftest import PORT, own
 
 SOCKET = f"ws://127.0.0.1:{PORT}/socket"
@@ -155,3 +156,8 @@ def test_a_beam_that_was_learned_anew_is_opened_again(working: TestClient, folde
         assert heard(socket, "forgotten")["model"] == "beam"
         socket.send_json({"do": "open", "model": "beam"})
         assert heard(socket, "beam")["opened"]["model"] == "beam"
+
+
+def test_a_number_that_is_not_finite_is_null() -> None:
+    sent = text_of({"what": "answer", "answer": {"margin": float("nan"), "pose": [0.1, float("inf")]}})
+    assert json.loads(sent) == {"what": "answer", "answer": {"margin": None, "pose": [0.1, None]}}

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
@@ -150,3 +151,28 @@ def test_a_killed_studio_leaves_no_process_behind(folder: Path) -> None:
     time.sleep(1.0)  # the process beside has begun
     served.kill()
     served.communicate(timeout=20)
+
+
+@pytest.mark.slow
+def test_a_killed_studio_loses_no_result(folder: Path) -> None:
+    """What learns goes on without it, and its result is put in place whole."""
+    command = [sys.executable, "-m", "onebend", "studio", str(folder), "--no-open"]
+    served = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    assert served.stdout is not None
+    while "token" not in (line := served.stdout.readline()):
+        pass
+    home = line.strip().partition("/?")[0]
+    with httpx2.Client(base_url=home, headers={"origin": home}) as person:
+        person.get(line.strip().removeprefix(home))
+        asked = {"recordings": ["hung weights"], "out": "after the end"}
+        assert person.post("/api/learn", json=asked).status_code == 200
+        while not person.get("/api/job").json()["job"]["stages"]:
+            time.sleep(0.1)
+    served.kill()
+    served.wait()
+    served.stdout.close()
+    end = time.monotonic() + 60.0
+    while not (folder / "after the end" / "report.html").is_file():
+        assert time.monotonic() < end
+        time.sleep(0.2)
+    assert result_data("after the end", folder / "after the end")["verdict"]["grade"]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Thread
 from typing import Annotated
 
 import typer
@@ -33,6 +35,11 @@ def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) 
         def ready(address: str) -> None:
             say(f"The studio of {folder.resolve()} is at\n\n  {address}\n\nCtrl-C ends it.")
             if not no_open:
-                webbrowser.open(address)
+                Thread(target=_shown, args=(address,), daemon=True).start()  # some browsers hold on to who calls them
 
         serve(folder, port=port, ready=ready)
+
+
+def _shown(address: str) -> None:
+    with suppress(webbrowser.Error):  # the address stands in the terminal
+        webbrowser.open(address)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from onebend.errors import OnebendError, StudioError
+from onebend.studio.clients import Client
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
 from onebend.workers import end_with_parent
@@ -25,30 +25,8 @@ from onebend.workers import end_with_parent
 if TYPE_CHECKING:  # and in `_load`: the page is there before the mechanics are loaded
     from onebend.studio.bending import Bending
 
-_MOST_BEAMS, _MOST_WAITING = 8, 64
-_ENOUGH_ANSWERS = 3  # that wait for a slow tab: it does without the next
+_MOST_BEAMS = 8
 _RESTS = 0.3  # s without a drag, after which the ellipse is made exactly
-
-
-class Client:
-    """One tab."""
-
-    count = itertools.count(1)
-
-    def __init__(self, socket: WebSocket) -> None:
-        self.socket, self.number = socket, next(self.count)
-        self.waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
-
-    def put(self, message: dict[str, Any]) -> None:
-        """Send, soon; a tab that takes nothing any more misses it, and asks again when it is back."""
-        size = self.waiting.qsize()
-        if size < _MOST_WAITING and not (message["what"] == "answer" and size > _ENOUGH_ANSWERS):
-            self.waiting.put_nowait(message)
-
-    async def write(self) -> None:
-        while True:
-            message = await self.waiting.get()
-            await self.socket.send_json(message)
 
 
 class Desk:

@@ -19,6 +19,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from onebend.errors import OnebendError, StudioError
+from onebend.strict_json import plain
 from onebend.studio.commands import learn_line
 from onebend.studio.desk import Desk
 from onebend.studio.guard import Guard
@@ -63,18 +64,18 @@ class Asked:
     async def places(self, _request: Request) -> Response:
         found = await run_in_threadpool(self.desk.places.found)
         rows = [{"name": one.name, "kind": one.kind, "changed": one.changed, **one.about} for one in found]
-        return JSONResponse({"folder": str(self.desk.places.root), "found": rows})
+        return JSONResponse(plain({"folder": str(self.desk.places.root), "found": rows}))
 
     async def result(self, request: Request) -> Response:
         from onebend.studio.learned import result_data  # here: not before the first picture
 
         name = _name(request)
-        return JSONResponse(_finite(await run_in_threadpool(result_data, name, self.desk.places.result(name))))
+        return JSONResponse(plain(await run_in_threadpool(result_data, name, self.desk.places.result(name))))
 
     async def film(self, request: Request) -> Response:
         from onebend.studio.learned import film_data
 
-        return JSONResponse(await run_in_threadpool(film_data, self.desk.places.result(_name(request))))
+        return JSONResponse(plain(await run_in_threadpool(film_data, self.desk.places.result(_name(request)))))
 
     async def job(self, _request: Request) -> Response:
         job = self.desk.jobs.job
@@ -138,15 +139,6 @@ def _names(asked: dict[str, Any], key: str) -> list[str]:
     if not isinstance(found, list) or len(found) > _MOST_RECORDINGS or not all(isinstance(one, str) for one in found):
         raise StudioError(f"{key}: give names of recordings")
     return [one if not one.startswith("-") else f"./{one}" for one in found]
-
-
-def _finite(data: Any) -> Any:
-    """JSON has no NaN and no infinity: null."""
-    if isinstance(data, float):
-        return data if data - data == 0.0 else None
-    if isinstance(data, dict):
-        return {key: _finite(value) for key, value in data.items()}
-    return [_finite(one) for one in data] if isinstance(data, list | tuple) else data
 
 
 def opened_socket(port: int) -> socket.socket:
