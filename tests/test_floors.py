@@ -27,6 +27,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("terminal",),
     ("design", "paper"),
     ("__init__",),
+    ("studio",),
     ("cli",),
     ("__main__",),
 )

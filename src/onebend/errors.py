@@ -47,6 +47,10 @@ class ExportError(OnebendError):
     """A beam cannot be written for other software: no mass, an unknown kind of file, a setting without meaning."""
 
 
+class StudioError(OnebendError):
+    """What the page asked for is not there, or not in the studio's folder."""
+
+
 PAGE = "troubleshooting.md"  # in docs/
 
 SECTIONS: dict[str, str] = {

@@ -103,7 +103,7 @@ COMMANDS = {
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "loop": Place(
-        "looping",
+        "control",
         "loop",
         "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
         "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
@@ -162,6 +162,12 @@ COMMANDS = {
         "rerun_command",
         "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
         "out/linear-beam examples/linear-beam/fast",
+    ),
+    "studio": Place(
+        "studio",
+        "studio",
+        "Open a local page: learn recordings and look at them, bend learned beams with the pointer.",
+        "out",
     ),
     "design": Place(
         "making",
