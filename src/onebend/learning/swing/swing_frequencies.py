@@ -101,7 +101,7 @@ def frequencies_of(
 def _too_many(time: Array, inside: IntArray, looked_at: IntArray) -> Remark:
     text = (
         f"{len(inside)} samples from {time[inside[0]]:.2f} to {time[inside[-1]]:.2f} s are more than are looked at: "
-        f"the first {len(looked_at)} are, up to {time[looked_at[-1]]:.2f} s. Write fewer samples a second for a longer part"
+        f"the first {len(looked_at)} are, to {time[looked_at[-1]]:.2f} s. For more of it write fewer samples a second"
     )
     return Remark("note", text)
 
