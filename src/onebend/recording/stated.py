@@ -125,7 +125,7 @@ def _sizes(rec: Recording) -> dict[str, Array]:
     if beam.section_file is not None:
         table = read_columns(beam.section_file, ("s",), (*SIZES, "I_m4"), kind="table of the section", strict=True)
         s, known = table.get("s"), [name for name in (*SIZES, "I_m4") if name in table.numbers]
-        measured = {name: _measured(table, name) for name in known}
+        measured = {name: _measured(table, name, beam.length) for name in known}
         _refuse_places(table, "the sizes", steps=True)
         if not measured:
             raise RecordingError(
@@ -188,11 +188,14 @@ def _check_known_shape(rec: Recording, section: StatedSection | None) -> None:
         )
 
 
-def _measured(table: Columns, name: str) -> Array:
+def _measured(table: Columns, name: str, length: float) -> Array:
     """(P,) m, one size of the section; m^4 its second moment."""
     size = table.get(name)
     unit = "m^4" if name == "I_m4" else "metres"
     table.refuse(~((size > 0.0) & (size <= LONGEST)), f"{name} must be above zero, and in {unit}.")
+    if name != "thickness_m":  # in the plane of bending; 12 I is the fourth power of a square's side
+        thick = (12.0 * size) ** 0.25 if name == "I_m4" else size
+        table.refuse(thick > length, f"the beam is thicker than long there. Correct {name}; it is in {unit}.")
     return size
 
 
