@@ -10,7 +10,7 @@ from onebend.errors import RecordingError
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.beam_entry import LONGEST
 from onebend.recording.toml.entries import Recording
-from onebend.records import Array, MassLine, PointMass, SectionShapeName, Stated, StatedSection
+from onebend.records import GRAVITY_SD, Array, MassLine, PointMass, SectionShapeName, Stated, StatedSection
 
 # recording.toml's width lies in the plane of bending
 SIZES = ("width_m", "thickness_m", "diameter_m", "inner_diameter_m", "across_flats_m")
@@ -47,6 +47,7 @@ def stated_in(recording: Recording) -> Stated:
         turn_sd=tags.turn_sd,
         place_sd=recording.place_sd,
         direction_sd=recording.direction_sd,
+        gravity_sd=GRAVITY_SD if recording.gravity is None else recording.gravity.direction_sd,
         clamp_sd=recording.clamp_sd,
         curvature_sd=beam.curvature_sd,
         scale_sd=recording.scale_sd,
