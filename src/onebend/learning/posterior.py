@@ -47,7 +47,14 @@ from onebend.learning.inference.stages import (
     with_mass_found,
 )
 from onebend.learning.known_shape import with_shared_shape
-from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length, riding_masses
+from onebend.learning.learned_mass import (
+    from_legendre,
+    leans,
+    learned_mass,
+    mass_per_length,
+    riding_masses,
+    weight_doubts,
+)
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
@@ -134,6 +141,7 @@ class Posterior:
             doubts.append("the push hardly acts where at_s says")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
+        doubts += weight_doubts(self.mass, leans(self.recordings, self.layout, self.mean))
         for o in (recording.observations for recording in self.recordings):
             doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
         return tuple(doubts)
@@ -222,7 +230,8 @@ class Posterior:
     @property
     def mass(self) -> LearnedMass | None:
         """The beam's mass; None where nothing weighs or it was held as written."""
-        return learned_mass(self.recordings, self.layout, self.mean, self.covariance, self.stiffness, self.gain_sd)
+        bare = stiffness_of(self.problem, self.optimum, self.gain_sd)  # its doubts ask for the mass
+        return learned_mass(self.recordings, self.layout, self.mean, self.covariance, bare, self.gain_sd)
 
 
 @one_blas_thread

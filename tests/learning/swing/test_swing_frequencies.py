@@ -74,6 +74,23 @@ def test_a_part_is_found_and_slow_motion_is_sped_up() -> None:
     assert frequencies_of(np.arange(420) / RATE, seen, FilmPart(2.0, 5.0)).begin == pytest.approx(2.0)
 
 
+def test_in_a_long_record_noise_is_no_mode() -> None:
+    for seed in range(10):
+        noise = np.random.default_rng(seed).standard_normal((20_000, 1))
+        with pytest.raises(LearningError, match="nothing in it swings"):
+            swing_frequencies(np.arange(20_000) / RATE, noise)
+
+
+def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("onebend.learning.swing.swing_frequencies._MOST", 600)
+    found = frequencies_of(TIME, swing(0, 0.02))
+    assert found.samples == 200
+    assert found.end < 4.0
+    [note] = [remark.text for remark in found.remarks if "looked at" in remark.text]
+    assert "first 200" in note
+    assert found.modes[0].frequency == pytest.approx(2.3, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("time", "signals", "says"),
     [

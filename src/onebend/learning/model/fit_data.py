@@ -20,7 +20,7 @@ from onebend.learning.model.force_error import ForceError, force_error
 from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical
 from onebend.learning.model.held_ends import HeldEnds, held_ends, resolution_of
 from onebend.learning.model.mass import NEEDS_MASS
-from onebend.learning.model.own_weight import POWERS, OwnWeight, own_weight
+from onebend.learning.model.own_weight import POWERS, OwnWeight, gravity_direction, own_weight
 from onebend.learning.model.readings import pose_whitening
 from onebend.learning.model.spline import Spline
 from onebend.learning.pose_equilibria import SeenPoses, seen_poses
@@ -104,6 +104,9 @@ def fit_data(
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
     mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
+    leaning = (
+        gravity_direction(o, problem, gravity, line, o.stated.masses) if "gravity direction" in allowances else None
+    )
     return FitData(
         observations=o,
         number=number,
@@ -126,7 +129,7 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=allowed if mass is None else (*allowed, mass),
+        allowances=(*allowed, *(one for one in (mass, leaning) if one is not None)),
     )
 
 
