@@ -91,7 +91,8 @@ def test_where_nothing_tells_the_places_keep_their_weights() -> None:
 
 
 def test_a_push_that_acts_farther_out_is_accused_by_the_same_level() -> None:
-    search = fitted(1.0, 0.7).place
+    one = fitted(1.0, 0.7)  # the k(s) found there is one that no step leads away from
+    search = search_place(one.problem, one.optimum, SETTINGS)
     assert search is not None
     assert search.accused
     assert search.s[np.argmax(search.gain)] > 0.9

@@ -24,6 +24,7 @@ from onebend.learning.inference.hyperparameters import Evidence, with_stiffness_
 from onebend.learning.inference.linear_gaussian import data_information
 from onebend.learning.inference.optimizer import OptimizerSettings, Optimum, find_maximum
 from onebend.learning.inference.stages import FitSettings, carried_over, first_problem
+from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import Array
 
@@ -61,9 +62,17 @@ def with_own_noise(fit: AtPlace) -> AtPlace | None:
 
 
 def moved(fit: AtPlace, place: float, settings: FitSettings) -> AtPlace | None:
-    """The fit with the push at another place, from one beside it and under its noise; None where there is none."""
-    few = _few(fit.problem, fit.estimate, fit.place, place, settings)
-    return None if few is None else under(few, fit.estimate.hyperparameters)
+    """The fit with the push at another place, under the noise of one beside it; None where there is none.
+
+    It begins at the k(s) found there, and where that leads nowhere at the even beam that is nearest to the tags: a k(s)
+    that makes up for a wrong place may be one that no step leads away from.
+    """
+    for even in (False, True):
+        few = _few(fit.problem, fit.estimate, fit.place, place, settings, even=even)
+        found = None if few is None else under(few, fit.estimate.hyperparameters)
+        if found is not None and found.estimate.converged:
+            return found
+    return None
 
 
 def under(fit: AtPlace, common: Hyperparameters) -> AtPlace | None:
@@ -84,16 +93,19 @@ def under(fit: AtPlace, common: Hyperparameters) -> AtPlace | None:
     return AtPlace(fit.place, problem, estimate, value) if np.isfinite(value) else None
 
 
-def _few(problem: FitProblem, near: MapEstimate, before: float, place: float, settings: FitSettings) -> AtPlace | None:
+def _few(
+    problem: FitProblem, near: MapEstimate, before: float, place: float, settings: FitSettings, *, even: bool = False
+) -> AtPlace | None:
     """A few frames with the push at `place`, and where to begin with them: as near with the push at `before`, k as much
-    larger as the moment."""
+    larger as the moment, or `even`."""
     o = problem.recordings[0].observations
     there = replace(o, push_s=np.where(np.isfinite(o.push_s), place, o.push_s))
     try:
-        few, _ = first_problem([there], 1.0, replace(settings, first_frames=_FRAMES))
+        start = start_of([there], None) if even else 1.0
+        few, begin = first_problem([there], start, replace(settings, first_frames=_FRAMES))
         few = replace(few, level=problem.level)
         x, p = near.x.copy(), problem.layout.spline.count
-        x[:p] += few.layout.spline.nearest(lambda s: log_ratio(s, before, place))
+        x[:p] = begin[:p] if even else x[:p] + few.layout.spline.nearest(lambda s: log_ratio(s, before, place))
         return AtPlace(place, few, carried_over(problem, replace(near, x=x), few, [0]), np.nan)
     except (LearningError, np.linalg.LinAlgError):
         return None
