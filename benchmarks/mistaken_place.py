@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.special import betaincinv
 
 from onebend.errors import OnebendError
 from onebend.lab.filming.force_log_file import write_log
@@ -177,11 +178,18 @@ def counts(name: str, outcomes: Iterable[Outcome]) -> str:
     doubted = sum(not one.refused and not one.trusted for one in all_of)
     good = [one for one in all_of if one.trusted]
     silent, warned = [one for one in good if one.silent], [one for one in good if one.accused]
-    half = np.median([one.half for one in good]) if good else np.nan
+    known = [one for one in good if one.identified]
+    half = np.median([one.half for one in known]) if known else np.nan
+    places = np.average([one.outside for one in known], weights=[one.identified for one in known]) if known else np.nan
     return (
-        f"| {name} | {len(all_of)} | {refused} | {doubted} | {len(warned)} | {len(good)} | {len(silent)} | "
-        f"{100.0 * np.expm1(half):.0f} |"
+        f"| {name} | {len(all_of)} | {refused} | {doubted} | {len(warned)} | {len(good)} | {len(silent)} "
+        f"({at_most(len(silent), len(all_of))}) | {100.0 * places:.0f} | {100.0 * np.expm1(half):.0f} |"
     )
+
+
+def at_most(count: int, of: int) -> str:
+    """The share that `count` of so many leave possible, at 95 % (Clopper and Pearson, one side)."""
+    return f"at most {100.0 * (betaincinv(count + 1, of - count, 0.95) if count < of else 1.0):.0f} %"
 
 
 def main() -> None:
@@ -194,16 +202,24 @@ def main() -> None:
     wrong = [(asked.first + i, True) for i in range(asked.mistakes)]
     right = [(asked.first + i, False) for i in range(asked.right)]
     both = sorted([*wrong, *right])  # in turn, so that a run that is cut short tells of both
-    done = study(both, asked.kept or kept())
+    show(study(both, asked.kept or kept()))
+
+
+def show(done: Sequence[Outcome]) -> None:
+    """The table, and the recordings that went wrong."""
     print(
         "| the place | recordings | refused | in doubt | trusted, with a warning of it | trusted | of them outside "
-        "the band | half-width of the band, trusted [%] |"
+        "the band (share of all, at 95 %) | identified places outside, trusted [%] | half-width of the band, trusted "
+        "[%] |"
     )
-    print("| --- " * 8 + "|")
+    print("| --- " * 9 + "|")
     for i, way in enumerate(WAYS):
         print(counts(f"said {way}", (one for one in done if one.mistaken and one.seed % len(WAYS) == i)))
+    right = [one for one in done if not one.mistaken]
     print(counts("all mistakes", (one for one in done if one.mistaken)))
-    print(counts("said rightly", (one for one in done if not one.mistaken)))
+    print(counts("said rightly", right))
+    accused = sum(one.accused for one in right)
+    print(f"\nRight places accused: {accused} of {len(right)} ({at_most(accused, len(right))} of all, at 95 %).")
     print("\nSilently wrong, and rightly said but accused:\n")
     for one in done:
         if (one.mistaken and one.silent) or (not one.mistaken and (one.accused or not one.trusted or one.silent)):

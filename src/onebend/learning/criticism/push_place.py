@@ -158,7 +158,7 @@ def _weights(s: Array, gain: Array, written: float) -> Array:
     every = np.sort(np.append(s, written))
     edges = np.concatenate([[INNERMOST], 0.5 * (every[1:] + every[:-1]), [1.0]])
     own = np.diff(edges)[np.searchsorted(every, s[order])]
-    share = MISTAKEN * ((1.0 - AT_TIP) * own / (1.0 - INNERMOST) + AT_TIP * (s[order] == 1.0))
+    share = MISTAKEN * ((1.0 - AT_TIP) * own / (1.0 - INNERMOST) + AT_TIP * (s[order] > 1.0 - 1e-9))
     most = max(float(np.max(gain)), 0.0)
     weight = share * np.exp(gain[order] - most)
     out = np.zeros(len(s))
