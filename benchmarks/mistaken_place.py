@@ -2,8 +2,8 @@
 
 Every recording is a beam, bench and push drawn at random, every second with effects of a real bench, written as a
 folder of marker tracks and learned by the public call. `outside`: trusted, with k(s) out of the 95 % band on more than
-10 % of the identified places. `accused`: in doubt, or with a warning, of the place of the push. The camera sees the
-tool in films alone (`tool_place`); here nothing but the tags and the force can tell.
+10 % of the identified places. `accused`: in doubt for the place of the push; a warning alone may be of millimetres. The
+camera sees the tool in films alone (`tool_place`); here nothing but the tags and the force can tell.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from onebend.lab.filming.recording_toml import recording_toml
 from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.lab.random_effects import LABORATORY
 from onebend.lab.virtual import VirtualBench, VirtualRecording, true_stiffness, virtual_recording
+from onebend.learning.inference.misfit import DOUBTS
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.pipeline import Run, learn
 from onebend.records import Array
@@ -37,6 +38,7 @@ WAYS = ("at the tip, acts inside", "inside, acts at the tip", "elsewhere")  # sa
 LEAST, MOST = 0.05, 0.4  # of the length, that a place is wrong by
 INNERMOST = 0.4  # where a push is said to act, or acts
 MUCH = 0.1  # of the identified places outside the band
+PLACE_DOUBTS = ("the push hardly acts where at_s says", DOUBTS["tool place"])
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,12 @@ class Outcome:
 
     @property
     def accused(self) -> bool:
-        """Of a wrong place of the push."""
+        """In doubt for the place of the push."""
+        return bool(set(PLACE_DOUBTS) & set(self.doubts))
+
+    @property
+    def warned(self) -> bool:
+        """Of a wrong place of the push, by any test."""
         return bool({"push place", "tool place"} & set(self.about))
 
 
@@ -177,7 +184,7 @@ def counts(name: str, outcomes: Iterable[Outcome]) -> str:
     refused = sum(bool(one.refused) for one in all_of)
     doubted = sum(not one.refused and not one.trusted for one in all_of)
     good = [one for one in all_of if one.trusted]
-    silent, warned = [one for one in good if one.silent], [one for one in good if one.accused]
+    silent, warned = [one for one in good if one.silent], [one for one in good if one.warned]
     known = [one for one in good if one.identified]
     half = np.median([one.half for one in known]) if known else np.nan
     places = np.average([one.outside for one in known], weights=[one.identified for one in known]) if known else np.nan
@@ -220,9 +227,9 @@ def show(done: Sequence[Outcome]) -> None:
     print(counts("said rightly", right))
     accused = sum(one.accused for one in right)
     print(f"\nRight places accused: {accused} of {len(right)} ({at_most(accused, len(right))} of all, at 95 %).")
-    print("\nSilently wrong, and rightly said but accused:\n")
+    print("\nSilently wrong, and rightly said but refused, in doubt, warned of or outside the band:\n")
     for one in done:
-        if (one.mistaken and one.silent) or (not one.mistaken and (one.accused or not one.trusted or one.silent)):
+        if (one.mistaken and one.silent) or (not one.mistaken and (one.warned or not one.trusted or one.silent)):
             print(
                 f"- {'mistake' if one.mistaken else 'right'} {one.seed}: acts {one.acts_s:g}, said {one.said_s:g}, "
                 f"{one.tags} tags, {100 * one.outside:.0f} % outside, k off by {np.exp(one.worst):.2g} times at worst"
