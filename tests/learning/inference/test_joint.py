@@ -66,6 +66,16 @@ def form_of(j: Array, y: Array, sd: Array) -> InformationForm:
     return InformationForm(weighted @ j, weighted @ y, float(np.sum((y / sd) ** 2)), float(np.sum(np.log(sd))))
 
 
+def test_evidence_with_own_parameters_at_their_most_probable_has_no_volume_of_theirs() -> None:
+    case, own = Case(), slice(SHARED, SIZE)
+    posterior, onto = solved(case.data, case.before), case.j @ case.root
+    precision = np.eye(SIZE) + onto.T @ onto
+    away = case.y - case.j @ case.before.mean
+    least = float(away @ away - away @ onto @ np.linalg.solve(precision, onto.T @ away))
+    volume = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(precision[own, own])[1]
+    np.testing.assert_allclose(posterior.log_evidence_of_shared, -0.5 * (least + volume))
+
+
 def test_a_root_does_what_its_matrix_does() -> None:
     rng = np.random.default_rng(1)
     root = beside(root_of(rng, 2), root_of(rng, 4))

@@ -126,19 +126,23 @@ def _chosen(hyperparameters: Hyperparameters) -> Array:
 
 
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
-    """Sizes of the force error of greatest evidence, and the mean prior of log k under them; where its shape is stated,
-    that prior stays as it is."""
+    """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
     bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
     options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
-    chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
+    return with_stiffness_prior(evidence, evidence.hyperparameters_at(start, result.x))
+
+
+def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -> Hyperparameters:
+    """The hyperparameters with the mean prior of log k under them; where its shape is stated, it stays as it is."""
+    problem = evidence.problem
     if problem.layout.known is not None:
-        return chosen
-    spline = problem.layout.spline
+        return hyperparameters
+    form = evidence.stiffness_form(evidence.posterior(hyperparameters))
     variances, chains = mean_part_variances(
-        spline, evidence.stiffness_form(evidence.posterior(chosen)), problem.level, _ON_THE_WAY, start.chains
+        problem.layout.spline, form, problem.level, _ON_THE_WAY, hyperparameters.chains
     )
-    return replace(chosen, part_variances=variances, chains=chains)
+    return replace(hyperparameters, part_variances=variances, chains=chains)
 
 
 def averaged_posterior(

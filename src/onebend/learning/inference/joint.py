@@ -121,9 +121,15 @@ class Solved:
     @property
     def log_evidence(self) -> float:
         """But for a constant; of no meaning with a damping."""
+        return self.log_evidence_of_shared - self.left.log_noise
+
+    @property
+    def log_evidence_of_shared(self) -> float:
+        """The same with the shared parameters integrated out and each recording's own ones at their most probable: less
+        the volumes of noise and own parameters."""
         mean, left = self.before.mean[self.before.parts[0]], self.left
         misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
-        return float(-0.5 * misfit - left.log_noise - np.sum(np.log(np.diag(self.factor))))
+        return float(-0.5 * misfit - np.sum(np.log(np.diag(self.factor))))
 
     def solve(self, v: Array) -> Array:
         """(P, ...) `A^-1 v`, A being the precision of z."""
