@@ -18,7 +18,7 @@ from onebend.learning.model.parameters import Block, Layout
 from onebend.records import Array, Observations, PointMass
 
 # Of the pull of an even beam of the written mass on its clamp: a cone on its base has 0.5, a mass at the tip 2.
-LEAST_PULL, MOST_PULL = 0.35, 2.2
+LEAST_PULL, MOST_PULL = 0.42, 2.2
 LEANS = 4.0  # sds of gravity's written direction, beyond which it is another one
 
 
