@@ -1,0 +1,178 @@
+"""What all frames of a recording share when the force is told from the shape: the beam, the place of the contact, how
+the tags sit, the clamp, the rest shape; each with its sd, and the derivatives of the tags with it.
+
+The unknowns a frame has of its own are the force's two components and, where it is asked for, its place. All that is
+shared is integrated out to first order: it adds `B C B^T` to the noise of the tags, B their derivatives, C the
+covariance after the beam at rest was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.grid import apply
+from onebend.beam.loads import push, weight
+from onebend.beam.model import Beam
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.statics.continuation import follow, refine
+from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.problem import Problem, make_problem
+from onebend.beam.statics.sensitivity import (
+    of_clamp_angle,
+    of_force,
+    of_moment,
+    of_rest_curvature,
+    of_stiffness,
+    respond,
+)
+from onebend.learning.model.fit_data import REST_MODES
+from onebend.learning.model.frames import known_loads, whitening
+from onebend.learning.model.held_ends import RESOLUTION
+from onebend.learning.model.parameters import Priors, clamp_sd, curvature_sd, scale_sd
+from onebend.learning.model.tag_jacobian import TagRide, along_and_across, tag_blocks
+from onebend.records import Array, IntArray, Observations
+
+_RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
+_REST_STEPS = 4
+_PLACES = 401
+_SLIGHT = 3e-3  # of log k
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Beam and mounting, as the beam at rest leaves them: what the frames share is `mean`, of covariance `root root^T`.
+
+    Parts of it, in order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, rest curvature (3), the
+    tags' places along and across and their turns (m each), the origin (2), the picture's scale.
+    """
+
+    beam: Beam
+    stiffness: UncertainStiffness | None
+    ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
+    observations: Observations
+    mean: Array  # (n,)
+    root: Array  # (n, n)
+    place_sd: float  # m, of the contact's place where it is said
+
+    @property
+    def parts(self) -> dict[str, slice]:
+        """Where each part stands."""
+        m, p = len(self.observations.marker_s), self.ways.shape[1]
+        sizes = {"log k": p, "gain": 1, "clamp": 1, "curvature": REST_MODES.n}
+        sizes |= {"along": m, "across": m, "turn": m, "origin": 2, "scale": 1}
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        return {name: slice(a, b) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)}
+
+
+@dataclass(frozen=True)
+class Tags:
+    """Tags of F frames as force and place put them, with derivatives; m, m, rad."""
+
+    solved: Equilibrium
+    pose: Array  # (F, m, 3)
+    by_force: Array  # (F, m, 3, 2) per N
+    by_place: Array  # (F, m, 3) per metre that the force acts farther out
+    by_shared: Array  # (F, m, 3, n) per unit of what the frames share
+    angle: Array  # (F,) rad, of the beam where the force acts
+
+
+def make_bench(beam: Beam, observations: Observations, stiffness: UncertainStiffness | None, place_sd: float) -> Bench:
+    """Priors as stated, and then what the tags at rest say of them (Gauss-Newton, the beam without a force)."""
+    o, priors = observations, Priors()
+    m, stated = len(o.marker_s), o.stated
+    ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
+    sds = [0.0 if stiffness is None else stiffness.gain_sd, clamp_sd(o, priors)]
+    sds += [curvature_sd(o, priors)] * REST_MODES.n + [stated.placement_sd] * (2 * m) + [stated.turn_sd] * m
+    sds += [stated.placement_sd] * 2 + [scale_sd(o, priors)]
+    root = np.diag([1.0] * ways.shape[1] + sds)
+    n = len(root)
+    bench = Bench(beam, stiffness, ways, o, np.zeros(n), root, place_sd)
+    seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
+    if not np.isfinite(seen).any():
+        return bench
+    whiten, mean, inner = whitening(seen, o.rest_covariance), bench.mean, np.eye(n)
+    for _ in range(_REST_STEPS):
+        tags = rest_tags(replace(bench, mean=mean))
+        rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, n)
+        away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ mean
+        inner = np.linalg.inv(np.eye(n) + rows.T @ rows)
+        mean = root @ (inner @ (rows.T @ (whiten @ away[..., None]).ravel()))
+    return replace(bench, mean=mean, root=root @ np.linalg.cholesky(0.5 * (inner + inner.T)))
+
+
+def ways_of(stiffness: UncertainStiffness) -> Array:
+    """(c, p) of the coefficients: the independent ways in which log k is off, each of variance 1, without those that
+    change log k by less than `_SLIGHT`, root mean square over the beam."""
+    values, vectors = np.linalg.eigh(stiffness.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    on_beam = stiffness.basis(np.linspace(0.0, 1.0, _PLACES)) @ root / np.sqrt(_PLACES)
+    _, size, turn = np.linalg.svd(on_beam, full_matrices=False)
+    return np.asarray(root @ turn[size > _SLIGHT].T)
+
+
+def rest_tags(bench: Bench) -> Tags:
+    """The tags of the beam with nothing on it, one frame."""
+    problem = _with_rest(bench, make_problem(bench.beam, push(np.zeros((1, 2))), RESOLUTION))
+    return tags_of(bench, follow(problem), np.zeros((1, 2)), np.ones(1))
+
+
+def problem_of(bench: Bench, frames: IntArray, place: Array) -> Problem:
+    """The beam in `frames` (F,) under all that acts but the force that is sought, on a grid with an edge at its `place`
+    (F,)."""
+    o = bench.observations
+    chosen = np.zeros(len(o.time), dtype=bool)
+    chosen[frames] = True  # frames rise
+    loads = push(np.zeros((len(frames), 2)), place) + known_loads(o, chosen)
+    if np.any(o.gravity[frames] != 0.0):
+        loads = loads + weight(o.gravity[frames])
+    return _with_rest(bench, make_problem(bench.beam, loads, RESOLUTION))
+
+
+def solve(problem: Problem, force: Array, place: Array, start: Array | None) -> Equilibrium:
+    """Equilibria under `force` (F, 2) N at `place` (F,) besides; near the curvatures `start` (F, Q) where given."""
+    beyond = np.asarray(problem.grid.nodes < place[:, None], dtype=float)
+    loaded = replace(problem, dead_force=problem.dead_force + beyond[..., None] * force[:, None])
+    return follow(loaded) if start is None else refine(loaded, start)
+
+
+def _with_rest(bench: Bench, problem: Problem) -> Problem:
+    """With rest curvature and clamp angle as they are thought to be."""
+    parts = bench.parts
+    q0 = np.asarray(bench.beam.rest_curvature(problem.grid.nodes)) + (
+        REST_MODES.curvature(problem.grid.nodes) @ bench.mean[parts["curvature"]]
+    )
+    return replace(problem, q0=q0, alpha0=np.asarray(bench.beam.clamp_angle + float(bench.mean[parts["clamp"]][0])))
+
+
+def poses_of(bench: Bench, solved: Equilibrium) -> tuple[Array, TagRide, Array]:
+    """(F, m, 3) m, m, rad: the tags in the picture; how they ride, and the places (m,) of the beam under them."""
+    parts, mean, length = bench.parts, bench.mean, bench.observations.length
+    at = bench.observations.marker_s + mean[parts["along"]] / length
+    s = np.clip(at, 0.0, 1.0)
+    scale = 1.0 + float(mean[parts["scale"]][0])
+    ride = TagRide(solved.angle(s), length * (at - s), mean[parts["across"]], scale)
+    xy = scale * (solved.xy(s) + ride.offset) + mean[parts["origin"]]
+    return np.concatenate([xy, (ride.angle + mean[parts["turn"]])[..., None]], axis=-1), ride, s
+
+
+def tags_of(bench: Bench, solved: Equilibrium, force: Array, place: Array) -> Tags:
+    """Where the tags are, and how they move with force, place and all that the frames share."""
+    problem, nodes, parts = solved.problem, solved.problem.grid.nodes, bench.parts
+    pose, ride, s = poses_of(bench, solved)
+    level = problem.k[..., None]
+    functions = level
+    if bench.stiffness is not None:
+        off = (bench.stiffness.basis(nodes.ravel()) @ bench.ways).reshape(*nodes.shape, -1)
+        functions = np.concatenate([level * off, level], axis=-1)
+    changes = of_force(problem, place) + of_moment(problem, place) + of_stiffness(solved, functions)
+    changes = changes + of_clamp_angle(problem) + of_rest_curvature(problem, REST_MODES.curvature(nodes))
+    moved = ride.carry(respond(solved, changes).poses(s))
+    angle = solved.angle(place[:, None])[:, 0]
+    across = along_and_across(force, angle)[1]
+    xy = (pose[..., :2] - bench.mean[parts["origin"]]) / ride.scale
+    bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
+    riding = tag_blocks(ride.motion(xy, bend))
+    shared = np.concatenate([moved[..., 3:], *(riding[name] for name in _RIDING)], axis=-1)
+    return Tags(solved, pose, moved[..., :2], moved[..., 2] * across[:, None, None], shared, angle)

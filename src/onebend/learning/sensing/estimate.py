@@ -1,0 +1,190 @@
+"""The force of each frame: maximum a posteriori by Gauss-Newton, many frames at once.
+
+Whitened by the tags' noise and by what the frames share (`bench.py`), the residuals r of a frame and their derivatives
+J with its own unknowns u, in units of their prior's sd, give steps `(J^T J + (1 + d) I) du = J^T r - u`; d, of each
+frame, grows where a step did not lower `|r|^2 + |u|^2` and falls where it did. The covariance is `(J^T J + I)^-1`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.grid import apply
+from onebend.learning.model.frames import whitening
+from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.learning.sensing.bench import Bench, poses_of, problem_of, solve, tags_of
+from onebend.records import Array, BoolArray, IntArray, covariance_with_camera
+
+CHUNK = 250  # frames solved together
+_STEPS = 40
+_SETTLED = 1e-5  # posterior sds: a step this small is the last
+_RESTARTS = 4
+_FAR = 3.0  # times what is usual
+_LAST = 1e-3  # the same, of a step after which a further one is not worth its cost: the next is its square
+_MOST = 1e8  # damping: no step is left that lowers anything
+PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
+_INNERMOST = 0.03  # s: nearer to the clamp a force bends nothing
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Forces of F frames. NaN where none was found."""
+
+    force: Array  # (F, 2) N
+    place: Array  # (F,) s
+    covariance: Array  # (F, d, d) of force and, where it was sought, place: N, s
+    objective: Array  # (F,) squared residuals, whitened, and the prior's part
+    chi2: Array  # (F,) squared residuals, whitened
+    angle: Array  # (F,) rad, of the beam at the place
+    pose: Array  # (F, m, 3) the tags that belong to it
+
+
+@dataclass
+class _State:
+    """Where the search of F frames stands."""
+
+    unknown: Array  # (F, d)
+    q: Array  # (F, Q)
+    stands: BoolArray  # (F,) an equilibrium was found
+    pose: Array  # (F, m, 3)
+    angle: Array  # (F,)
+    root: Array  # (F, 3 m, 3 m): applied to residuals over the tags' noise
+    residual: Array  # (F, 3 m) in units of all noise
+    slopes: Array  # (F, 3 m, d) of the same with the unknowns over their priors' sd
+
+    def put(self, rows: IntArray, other: _State) -> None:
+        """These rows as in `other`."""
+        for name, values in vars(self).items():
+            values[rows] = getattr(other, name)
+
+
+def estimate(
+    bench: Bench, frames: IntArray, place: Array, prior_sd: float, *, seek_place: bool, force: Array | None = None
+) -> Estimates:
+    """The force in `frames` (F,), rising, from `force` (F, 2) N (default none) at `place` (F,), which is where it acts
+    or, with `seek_place`, where the search begins. `prior_sd`: N, of each component, mean zero."""
+    first = np.zeros((len(frames), 2)) if force is None else force
+    found = _searched(bench, frames, place, prior_sd, seek_place, first)
+    for _ in range(_RESTARTS):  # frames that ended far from what their neighbours explain begin anew where those ended
+        numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
+        lost = np.flatnonzero(~(found.objective < _FAR * np.maximum(numbers, np.nanmedian(found.objective))))
+        good = np.setdiff1d(np.arange(len(frames)), lost)
+        if not (lost.size and good.size):
+            break
+        near = good[np.argmin(np.abs(good - lost[:, None]), axis=1)]
+        at = found.place[near] if seek_place else place[lost]
+        again = _searched(bench, frames[lost], at, prior_sd, seek_place, found.force[near])
+        better = np.flatnonzero(again.objective < found.objective[lost])
+        if not better.size:
+            break
+        for name, values in vars(found).items():
+            values[lost[better]] = getattr(again, name)[better]
+    return found
+
+
+def _searched(
+    bench: Bench, frames: IntArray, place: Array, prior_sd: float, seek_place: bool, force: Array
+) -> Estimates:
+    parts = [
+        _Search(bench, frames[i : i + CHUNK], place[i : i + CHUNK], prior_sd, seek_place).run(force[i : i + CHUNK])
+        for i in range(0, len(frames), CHUNK)
+    ]
+    return Estimates(*(np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)))
+
+
+class _Search:
+    """Gauss-Newton for one chunk of frames."""
+
+    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: float, seek_place: bool) -> None:
+        o = bench.observations
+        self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
+        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
+        self.whiten = whitening(self.seen, covariance_with_camera(o)[frames])
+        self.sd = np.array([prior_sd, prior_sd, PLACE_PRIOR[1]][: 3 if seek_place else 2])
+        self.mean = np.array([0.0, 0.0, PLACE_PRIOR[0]][: len(self.sd)])
+        self.problem = problem_of(bench, frames, place)
+
+    def run(self, force: Array) -> Estimates:
+        """From `force` (F, 2)."""
+        unknown = np.concatenate([force, self.place[:, None]], axis=1)[:, : len(self.sd)]
+        rows = np.arange(len(unknown))
+        state = self._state(rows, unknown, self._solved(rows, unknown, None))
+        damping = np.full(len(unknown), 1e-6)
+        for _ in range(_STEPS):
+            step, size = self._step(state, rows, damping[rows])
+            trial = self._inside(state.unknown[rows] + step)
+            there = self._solved(rows, trial, state.q[rows])
+            away = self._residual(rows, state.root[rows], poses_of(self.bench, there)[0])
+            lower = self._objective(away, trial) < self._objective(state.residual[rows], state.unknown[rows])
+            better = np.flatnonzero(there.converged & lower)
+            if better.size:
+                state.put(rows[better], self._state(rows[better], trial[better], there.take(better)))
+            won = np.isin(np.arange(len(rows)), better)
+            damping[rows] = np.where(won, np.maximum(damping[rows] / 30.0, 1e-12), 10.0 * damping[rows])
+            done = (size < _SETTLED) | (won & (size < _LAST)) | (damping[rows] > _MOST)
+            rows = rows[~done]
+            if not rows.size:
+                break
+        return self._estimates(state)
+
+    def _estimates(self, state: _State) -> Estimates:
+        inverse = np.linalg.inv(np.swapaxes(state.slopes, 1, 2) @ state.slopes + np.eye(len(self.sd)))
+        covariance = self.sd[:, None] * inverse * self.sd
+        known = np.where(state.stands[:, None], state.unknown, np.nan)
+        place = known[:, 2] if self.seek_place else np.where(state.stands, self.place, np.nan)
+        objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
+        chi2 = np.sum(state.residual**2, axis=1)
+        return Estimates(known[:, :2], place, covariance, objective, chi2, state.angle, state.pose)
+
+    def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
+        """The beam in frames `rows` of the chunk."""
+        if self.seek_place:
+            place, problem = unknown[:, 2], problem_of(self.bench, self.frames[rows], unknown[:, 2])
+        else:
+            place, problem = self.place[rows], self.problem.take(rows)
+        return solve(problem, unknown[:, :2], place, start)
+
+    def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium) -> _State:
+        """Whitened by the tags' noise, what the frames share and, where it is said, the place's tolerance."""
+        place = unknown[:, 2] if self.seek_place else self.place[rows]
+        tags = tags_of(self.bench, solved, unknown[:, :2], place)
+        count = 3 * self.seen.shape[1]
+        shared = self._flat(rows, tags.by_shared @ self.bench.root)
+        own = tags.by_force
+        if self.seek_place:
+            own = np.concatenate([own, self.bench.observations.length * tags.by_place[..., None]], axis=-1)
+        else:
+            said = self._flat(rows, tags.by_place[..., None]) * self.bench.place_sd
+            shared = np.concatenate([shared, said], axis=-1)
+        root = np.linalg.inv(np.linalg.cholesky(np.eye(count) + shared @ np.swapaxes(shared, 1, 2)))
+        slopes = root @ self._flat(rows, own * self.sd)
+        residual = self._residual(rows, root, tags.pose)
+        return _State(unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes)
+
+    def _residual(self, rows: IntArray, root: Array, pose: Array) -> Array:
+        return apply(root, self._flat(rows, np.nan_to_num(self.seen[rows] - pose)[..., None])[..., 0])
+
+    def _flat(self, rows: IntArray, of_tags: Array) -> Array:
+        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
+        return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
+
+    def _step(self, state: _State, rows: IntArray, damping: Array) -> tuple[Array, Array]:
+        """The step (F, d) of some frames, and its size in posterior sds."""
+        slopes, z = state.slopes[rows], (state.unknown[rows] - self.mean) / self.sd
+        normal = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))
+        right = np.einsum("frd,fr->fd", slopes, state.residual[rows]) - z
+        diagonal = np.einsum("fdd->fd", normal)
+        damped = normal + (damping[:, None] * diagonal)[..., None] * np.eye(len(self.sd))
+        step = np.linalg.solve(damped, right[..., None])[..., 0]
+        size = np.sqrt(np.maximum(np.einsum("fd,fde,fe->f", step, normal, step), 0.0))
+        return step * self.sd, size
+
+    def _objective(self, residual: Array, unknown: Array) -> Array:
+        return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))
+
+    def _inside(self, unknown: Array) -> Array:
+        if self.seek_place:
+            unknown = np.column_stack([unknown[:, :2], np.clip(unknown[:, 2], _INNERMOST, 1.0)])
+        return unknown
