@@ -60,6 +60,7 @@ SECTIONS: dict[str, str] = {
     "mass unknown": "the-mass-is-not-identifiable",
     "tag missed": "the-simulated-beam-misses-a-tag",
     "another beam": "the-validation-misses-by-more-than-the-noise",
+    "sensed misfit": "no-force-explains-the-shapes",
     "no validation": "a-recording-cannot-validate-itself",
     "no equilibrium": "the-simulated-beam-snaps-or-buckles",
     "no regression": "the-papers-regression-found-no-beam",

@@ -64,6 +64,12 @@ COMMANDS = {
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
+    "sense": Place(
+        "sensing",
+        "sense",
+        "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
+        "out/linear-beam examples/linear-beam/fast",
+    ),
     "reach": Place(
         "control",
         "reach",

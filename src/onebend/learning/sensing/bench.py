@@ -16,8 +16,9 @@ from onebend.beam.grid import apply
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow, refine
-from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.equilibrium import Equilibrium, is_stable
+from onebend.beam.statics.newton import correct
 from onebend.beam.statics.problem import Problem, make_problem
 from onebend.beam.statics.sensitivity import (
     of_clamp_angle,
@@ -36,6 +37,8 @@ from onebend.records import Array, IntArray, Observations
 
 _RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
 _REST_STEPS = 4
+_TRUST = 3.0  # rad: Newton's method may turn the beam no further
+_REMAINING = 1e-11  # rad
 _PLACES = 401
 _SLIGHT = 3e-3  # of log k
 
@@ -44,8 +47,8 @@ _SLIGHT = 3e-3  # of log k
 class Bench:
     """Beam and mounting, as the beam at rest leaves them: what the frames share is `mean`, of covariance `root root^T`.
 
-    Parts of it, in order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, rest curvature (3), the
-    tags' places along and across and their turns (m each), the origin (2), the picture's scale.
+    Parts of it, in order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, rest
+    curvature (3), the tags' places along and across and their turns (m each), the origin (2), the picture's scale.
     """
 
     beam: Beam
@@ -122,19 +125,37 @@ def problem_of(bench: Bench, frames: IntArray, place: Array) -> Problem:
     """The beam in `frames` (F,) under all that acts but the force that is sought, on a grid with an edge at its `place`
     (F,)."""
     o = bench.observations
-    chosen = np.zeros(len(o.time), dtype=bool)
-    chosen[frames] = True  # frames rise
-    loads = push(np.zeros((len(frames), 2)), place) + known_loads(o, chosen)
-    if np.any(o.gravity[frames] != 0.0):
-        loads = loads + weight(o.gravity[frames])
-    return _with_rest(bench, make_problem(bench.beam, loads, RESOLUTION))
+    return _on_grid(bench, o, frames, place, len(frames))
+
+
+def problem_apart(bench: Bench, frames: IntArray, place: Array) -> Problem:
+    """The same on one grid a frame, of as many panels wherever the places are."""
+    rows, at = np.append(frames, frames[-1]), np.append(place, 0.5 * place[-1])  # a frame more, of another place
+    return _on_grid(bench, bench.observations, rows, at, len(frames))
+
+
+def _on_grid(bench: Bench, o: Observations, rows: IntArray, at: Array, count: int) -> Problem:
+    loads = push(np.zeros((len(rows), 2)), at)
+    if o.known_loads is not None:
+        loads = loads + known_loads(o, np.ones(len(o.time), dtype=bool)).take(rows)
+    if np.any(o.gravity[rows] != 0.0):
+        loads = loads + weight(o.gravity[rows])
+    problem = make_problem(bench.beam, loads, RESOLUTION)
+    return _with_rest(bench, problem if count == len(rows) else problem.take(np.arange(count)))
 
 
 def solve(problem: Problem, force: Array, place: Array, start: Array | None) -> Equilibrium:
-    """Equilibria under `force` (F, 2) N at `place` (F,) besides; near the curvatures `start` (F, Q) where given."""
+    """Equilibria under `force` (F, 2) N at `place` (F,) besides; with the curvatures `start` (F, Q) by Newton's method
+    from there alone: frames where it goes astray, or to what does not stand, have not converged."""
     beyond = np.asarray(problem.grid.nodes < place[:, None], dtype=float)
     loaded = replace(problem, dead_force=problem.dead_force + beyond[..., None] * force[:, None])
-    return follow(loaded) if start is None else refine(loaded, start)
+    if start is None:
+        return follow(loaded)
+    ones = np.ones(len(force))
+    q, near, count = correct(loaded, start, ones, trust=_TRUST * ones, remaining=_REMAINING * ones)
+    near &= is_stable(loaded, q)
+    never = np.full(len(force), np.nan)
+    return Equilibrium(loaded, q, near, near.copy(), np.where(near, 1.0, np.nan), never, np.zeros_like(near), count)
 
 
 def _with_rest(bench: Bench, problem: Problem) -> Problem:

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.grid import apply
-from onebend.learning.model.frames import whitening
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.learning.sensing.bench import Bench, poses_of, problem_of, solve, tags_of
+from onebend.learning.model.frames import whitening
+from onebend.learning.sensing.bench import Bench, poses_of, problem_apart, problem_of, solve, tags_of
 from onebend.records import Array, BoolArray, IntArray, covariance_with_camera
 
 CHUNK = 250  # frames solved together
 _STEPS = 40
+_STRIDE = 1.5  # of k/L: no longer step of the force at once
 _SETTLED = 1e-5  # posterior sds: a step this small is the last
-_RESTARTS = 4
 _FAR = 3.0  # times what is usual
-_LAST = 1e-3  # the same, of a step after which a further one is not worth its cost: the next is its square
+_LAST = 1e-4  # the same, of a step after which a further one is not worth its cost: the next is its square
 _MOST = 1e8  # damping: no step is left that lowers anything
 PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
 _INNERMOST = 0.03  # s: nearer to the clamp a force bends nothing
@@ -61,13 +61,20 @@ class _State:
 
 
 def estimate(
-    bench: Bench, frames: IntArray, place: Array, prior_sd: float, *, seek_place: bool, force: Array | None = None
+    bench: Bench,
+    frames: IntArray,
+    place: Array,
+    prior_sd: float,
+    *,
+    seek_place: bool,
+    force: Array | None = None,
+    restarts: int = 4,
 ) -> Estimates:
     """The force in `frames` (F,), rising, from `force` (F, 2) N (default none) at `place` (F,), which is where it acts
     or, with `seek_place`, where the search begins. `prior_sd`: N, of each component, mean zero."""
     first = np.zeros((len(frames), 2)) if force is None else force
     found = _searched(bench, frames, place, prior_sd, seek_place, first)
-    for _ in range(_RESTARTS):  # frames that ended far from what their neighbours explain begin anew where those ended
+    for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
         lost = np.flatnonzero(~(found.objective < _FAR * np.maximum(numbers, np.nanmedian(found.objective))))
         good = np.setdiff1d(np.arange(len(frames)), lost)
@@ -91,7 +98,7 @@ def _searched(
         _Search(bench, frames[i : i + CHUNK], place[i : i + CHUNK], prior_sd, seek_place).run(force[i : i + CHUNK])
         for i in range(0, len(frames), CHUNK)
     ]
-    return Estimates(*(np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)))
+    return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
 
 
 class _Search:
@@ -105,6 +112,7 @@ class _Search:
         self.sd = np.array([prior_sd, prior_sd, PLACE_PRIOR[1]][: 3 if seek_place else 2])
         self.mean = np.array([0.0, 0.0, PLACE_PRIOR[0]][: len(self.sd)])
         self.problem = problem_of(bench, frames, place)
+        self.longest = _STRIDE * float(np.mean(self.problem.k)) / bench.observations.length
 
     def run(self, force: Array) -> Estimates:
         """From `force` (F, 2)."""
@@ -141,7 +149,7 @@ class _Search:
     def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
         """The beam in frames `rows` of the chunk."""
         if self.seek_place:
-            place, problem = unknown[:, 2], problem_of(self.bench, self.frames[rows], unknown[:, 2])
+            place, problem = unknown[:, 2], problem_apart(self.bench, self.frames[rows], unknown[:, 2])
         else:
             place, problem = self.place[rows], self.problem.take(rows)
         return solve(problem, unknown[:, :2], place, start)
@@ -179,7 +187,9 @@ class _Search:
         damped = normal + (damping[:, None] * diagonal)[..., None] * np.eye(len(self.sd))
         step = np.linalg.solve(damped, right[..., None])[..., 0]
         size = np.sqrt(np.maximum(np.einsum("fd,fde,fe->f", step, normal, step), 0.0))
-        return step * self.sd, size
+        step = step * self.sd
+        longest = np.maximum(np.hypot(step[:, 0], step[:, 1]) / self.longest, 1.0)
+        return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
 
     def _objective(self, residual: Array, unknown: Array) -> Array:
         return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))

@@ -48,11 +48,13 @@ def misfit(bench: Bench, frames: IntArray, found: Estimates, *, sought_place: bo
     if not sought_place:
         shared = np.concatenate([shared, along * bench.place_sd], axis=-1)
     left = flat(np.nan_to_num(seen - tags.pose)[..., None])
-    basis, size, _ = np.linalg.svd(own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-300), full_matrices=False)
+    basis, size, _ = np.linalg.svd(
+        own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-300), full_matrices=False
+    )
     basis = basis * (size > 1e-9 * size[:, :1])[:, None]
     left, shared = (x - basis @ (np.swapaxes(basis, 1, 2) @ x) for x in (left, shared))
     rows, away = shared.reshape(-1, shared.shape[-1]), left.ravel()
     by = rows.T @ away
-    value = away @ away - by @ np.linalg.solve(np.eye(len(by)) + rows.T @ rows, by)
+    value = float(away @ away - by @ np.linalg.solve(np.eye(len(by)) + rows.T @ rows, by))
     measured = int(np.sum(np.isfinite(seen) & np.any(whiten != 0.0, axis=-1)))
-    return Misfit(float(max(value, 0.0)), measured - int(np.sum(size > 1e-9 * size[:, :1])), len(frames))
+    return Misfit(max(value, 0.0), measured - int(np.sum(size > 1e-9 * size[:, :1])), len(frames))

@@ -26,7 +26,7 @@ PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
 _TOUCH = float(chi2.ppf(LEVEL, 2))
 _RUN = 3  # frames in a row that show a force, before it is a contact
 _EVERY = 8  # frames of the first look, from which the others begin
-_SCAN = np.linspace(0.1, 1.0, 10)  # places where the search for the contact begins
+_SCAN = np.linspace(0.2, 1.0, 9)  # places where the search for the contact begins
 _AS_WELL = float(chi2.ppf(LEVEL, 1))  # of the objective: two places explain a frame about as well
 _APART = 0.1  # of the beam: closer places are one
 _PLACE_KNOWN = 0.1  # sd of s beyond which the place of the contact is not told
@@ -78,6 +78,27 @@ class Sensed:
     misfit: Misfit | None  # None: no frame shows a force
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
     remarks: tuple[Remark, ...] = ()
+
+    @property
+    def peak(self) -> int | None:
+        """Index of the largest force among the frames of a contact; None where there is none."""
+        inside = np.zeros(len(self.time), dtype=bool)
+        for one in self.contacts:
+            inside |= (self.time >= one.begin) & (self.time <= one.end)
+        size = np.where(inside & self.touched, np.hypot(*self.force.T), -1.0)
+        return int(np.argmax(size)) if np.any(size > 0.0) else None
+
+    @property
+    def against_log(self) -> tuple[float, float] | None:
+        """N, RMS over the touched frames of the difference to the log: in the direction in which the force is known
+        best, and in that in which least. None where there is no log, or no frame that shows a force."""
+        shown = self.touched & np.isfinite(self.logged).all(axis=1)
+        if not np.any(shown):
+            return None
+        away, angle = (self.force - self.logged)[shown], self.weak_angle[shown]
+        least = away[:, 0] * np.cos(angle) + away[:, 1] * np.sin(angle)
+        best = away[:, 1] * np.cos(angle) - away[:, 0] * np.sin(angle)
+        return float(np.sqrt(np.mean(best**2))), float(np.sqrt(np.mean(least**2)))
 
     def along(self, angle: Array | float) -> tuple[Array, Array]:
         """(T,) N each: the force in the direction `angle` [rad] against x, and its sd."""
@@ -171,7 +192,7 @@ def _at_known_place(bench: Bench, frames: IntArray, place: Array, prior: float) 
 def _at_unknown_place(bench: Bench, frames: IntArray, prior: float) -> tuple[Estimates, Array]:
     """From the place of a scan that explains a frame best; and (F,) another that does about as well, NaN: none."""
     exact = replace(bench, place_sd=0.0)
-    scan = [_at_known_place(exact, frames, np.full(len(frames), s), prior) for s in _SCAN]
+    scan = [estimate(exact, frames, np.full(len(frames), s), prior, seek_place=False, restarts=0) for s in _SCAN]
     objective = np.stack([one.objective for one in scan])  # (places, F)
     best, every = np.argmin(objective, axis=0), np.arange(len(frames))
     force = np.nan_to_num(np.stack([one.force for one in scan])[best, every])
