@@ -65,7 +65,7 @@ COMMANDS = {
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "sense": Place(
-        "sensing",
+        "motion",
         "sense",
         "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",

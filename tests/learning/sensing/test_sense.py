@@ -21,7 +21,7 @@ from onebend.report.figures.pictures import draw
 from onebend.report.figures.sensing import sensing
 from onebend.results.sensing import FORCE_COLUMNS, sense_summary, sense_writer
 from onebend.strict_json import to_json
-from onebend.terminal.sensing import show_sensed
+from onebend.terminal.damping import show_sensed
 from tests.learning.bench import SOFT, forces, observed
 
 WIDE = SenseSettings(force_prior=1e5)  # N: it says nothing
@@ -75,7 +75,7 @@ def test_regions_hold_noise_mounting_and_the_band_of_k() -> None:
     beam, rng, distances = Beam(0.15, stiffness.profile), np.random.default_rng(0), []
     for true_k in stiffness.draw(10, seed=1):
         force = forces(5, most=0.25)
-        o = observed(Beam(0.15, true_k), force, noise=(3e-5, 1e-3), seed=int(rng.integers(1e6)))
+        o = observed(Beam(0.15, true_k), force, noise=(3e-5, 1e-3), seed=int(rng.integers(1000)))
         o = replace(o, stated=replace(o.stated, place_sd=0.0, placement_sd=1e-5, turn_sd=1e-4))
         found = sense(beam, o, stiffness=stiffness)
         away = found.force - force

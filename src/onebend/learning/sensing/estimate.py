@@ -42,7 +42,7 @@ class Estimates:
 
 
 @dataclass
-class _State:
+class _SearchState:
     """Where the search of F frames stands."""
 
     unknown: Array  # (F, d)
@@ -54,7 +54,7 @@ class _State:
     residual: Array  # (F, 3 m) in units of all noise
     slopes: Array  # (F, 3 m, d) of the same with the unknowns over their priors' sd
 
-    def put(self, rows: IntArray, other: _State) -> None:
+    def put(self, rows: IntArray, other: _SearchState) -> None:
         """These rows as in `other`."""
         for name, values in vars(self).items():
             values[rows] = getattr(other, name)
@@ -137,7 +137,7 @@ class _Search:
                 break
         return self._estimates(state)
 
-    def _estimates(self, state: _State) -> Estimates:
+    def _estimates(self, state: _SearchState) -> Estimates:
         inverse = np.linalg.inv(np.swapaxes(state.slopes, 1, 2) @ state.slopes + np.eye(len(self.sd)))
         covariance = self.sd[:, None] * inverse * self.sd
         known = np.where(state.stands[:, None], state.unknown, np.nan)
@@ -154,7 +154,7 @@ class _Search:
             place, problem = self.place[rows], self.problem.take(rows)
         return solve(problem, unknown[:, :2], place, start)
 
-    def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium) -> _State:
+    def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium) -> _SearchState:
         """Whitened by the tags' noise, what the frames share and, where it is said, the place's tolerance."""
         place = unknown[:, 2] if self.seek_place else self.place[rows]
         tags = tags_of(self.bench, solved, unknown[:, :2], place)
@@ -169,7 +169,7 @@ class _Search:
         root = np.linalg.inv(np.linalg.cholesky(np.eye(count) + shared @ np.swapaxes(shared, 1, 2)))
         slopes = root @ self._flat(rows, own * self.sd)
         residual = self._residual(rows, root, tags.pose)
-        return _State(unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes)
+        return _SearchState(unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes)
 
     def _residual(self, rows: IntArray, root: Array, pose: Array) -> Array:
         return apply(root, self._flat(rows, np.nan_to_num(self.seen[rows] - pose)[..., None])[..., 0])
@@ -178,7 +178,7 @@ class _Search:
         """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
         return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
 
-    def _step(self, state: _State, rows: IntArray, damping: Array) -> tuple[Array, Array]:
+    def _step(self, state: _SearchState, rows: IntArray, damping: Array) -> tuple[Array, Array]:
         """The step (F, d) of some frames, and its size in posterior sds."""
         slopes, z = state.slopes[rows], (state.unknown[rows] - self.mean) / self.sd
         normal = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))

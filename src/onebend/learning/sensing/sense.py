@@ -47,7 +47,7 @@ class SenseSettings:
 
 
 @dataclass(frozen=True)
-class Contact:
+class Touch:
     """A stretch of frames that show a force: its first and last time."""
 
     begin: float  # s
@@ -74,7 +74,7 @@ class Sensed:
     strong_sd: Array  # (T,) N, across it
     chi2: Array  # (T,) squared residuals in units of all noise
     touched: BoolArray  # (T,) zero force lies outside the 95 % region
-    contacts: tuple[Contact, ...]
+    contacts: tuple[Touch, ...]
     misfit: Misfit | None  # None: no frame shows a force
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
     remarks: tuple[Remark, ...] = ()
@@ -251,11 +251,11 @@ def _logged(o: Observations, frames: IntArray) -> Array:
     return o.force[frames]
 
 
-def _contacts(touched: BoolArray, time: Array) -> tuple[Contact, ...]:
+def _contacts(touched: BoolArray, time: Array) -> tuple[Touch, ...]:
     """Stretches of at least `_RUN` frames in a row that show a force."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], touched, [False]]).astype(int)))
     runs = zip(edges[::2], edges[1::2], strict=True)
-    return tuple(Contact(float(time[a]), float(time[b - 1])) for a, b in runs if b - a >= _RUN)
+    return tuple(Touch(float(time[a]), float(time[b - 1])) for a, b in runs if b - a >= _RUN)
 
 
 def _remarks(sensed: Sensed, bench: Bench) -> tuple[Remark, ...]:
