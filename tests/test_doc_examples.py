@@ -115,6 +115,7 @@ GIVEN = {
     "control-shape.md": control_shape,
     "control-loop.md": control_loop,
     "damping.md": damping,
+    "dynamics.md": nothing,
     "export.md": nothing,
     "plan.md": plan,
     "real-lab.md": plan,
@@ -149,6 +150,8 @@ def assert_sound(page: str, there: dict[str, Any]) -> None:
         assert np.isfinite(there["robot"].pushed).all()
     elif page == "damping.md":
         assert there["fit"].damping.loss_time > 0.0
+    elif page == "dynamics.md":
+        assert there["hangs"][0] > there["laden"][0] > 0.0
     elif page == "export.md":
         assert "<mujoco" in Path("beam.xml").read_text(encoding="utf-8")
     elif page == "real-lab.md":

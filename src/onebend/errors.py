@@ -62,6 +62,8 @@ SECTIONS: dict[str, str] = {
     "another beam": "the-validation-misses-by-more-than-the-noise",
     "sensed misfit": "no-force-explains-the-shapes",
     "no validation": "a-recording-cannot-validate-itself",
+    "pose": "no-equilibrium-is-near-the-points-of-a-pose",
+    "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",
     "no equilibrium": "the-simulated-beam-snaps-or-buckles",
     "no regression": "the-papers-regression-found-no-beam",
     # the force
@@ -76,6 +78,7 @@ SECTIONS: dict[str, str] = {
     "bad rows": "rows-or-pictures-are-missing",
     "push place": "the-push-acts-elsewhere",
     "push beside": "the-push-acts-elsewhere",
+    "tool place": "the-film-shows-the-tool-elsewhere",
     # the clocks
     "clock": "force-and-tags-disagree-in-time",
     "no overlap": "film-and-log-do-not-overlap",
@@ -110,7 +113,9 @@ SECTIONS: dict[str, str] = {
     "rest shape": "the-beam-is-bent-at-rest",
     "curvature": "the-beam-is-bent-at-rest",
     "stiffness along": "ks-varies-otherwise-than-stated",
+    "rest change": "the-beam-is-bent-at-rest",
     "swing": "the-swing-is-not-as-the-model-says",
+    "frequencies": "a-frequency-is-not-as-the-fit-says",
     "no material": "youngs-modulus-is-that-of-no-material",
     # recording.toml
     "two sections": "the-recordings-state-different-sections",

@@ -15,6 +15,7 @@ from onebend.blas import one_blas_thread
 from onebend.errors import LearningError, ObservationError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
+from onebend.learning.frequencies.compared import frequency_remarks
 from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.frames import with_seen_tags
 from onebend.learning.model.held_ends import stated_remarks
@@ -142,7 +143,8 @@ def _not_learned_from(
 
 def _same_data(one: Observations, other: Observations) -> bool:
     (one,), (other,) = with_seen_tags([one]), with_seen_tags([other])
-    return np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
+    same = np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
+    return same and one.frequencies == other.frequencies
 
 
 def check_together(wanted: Sequence[Recording], fitting: FitSettings | None) -> None:
@@ -218,7 +220,8 @@ def _fit(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    remarks = fit_remarks(posterior) + mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
+    remarks = fit_remarks(posterior) + frequency_remarks(posterior.frequencies)
+    remarks += mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
     if len({one.stated.gain_sd for one in seen if one.source.clean_force is not None}) > 1:
         text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
         remarks += (Remark("note", text),)
@@ -264,7 +267,8 @@ def compare(
 
 
 def _warned(found: Comparison, seen: Observations, learned_from: Sequence[Observations]) -> Comparison:
-    if not any(np.array_equal(one.xy, seen.xy, equal_nan=True) for one in learned_from):
+    pairs = ((one.xy, one.frequencies) for one in learned_from)
+    if not any(np.array_equal(xy, seen.xy, equal_nan=True) and swings == seen.frequencies for xy, swings in pairs):
         return found
     return replace(found, remarks=(_no_validation(found.name, "this is no validation"), *found.remarks))
 

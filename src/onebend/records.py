@@ -181,6 +181,47 @@ class KnownLoads:
 
 
 @dataclass(frozen=True)
+class Readings:
+    """How the points of static poses were read, where not each by itself, from the clamp and at a mark on the beam."""
+
+    at: Literal["mark", "x"] = "mark"  # "x": a ruler stands where `Observations.xy` says, and y is of what passes there
+    bare: int = -1  # the frame in which the readings were zeroed; -1: they count from the clamp
+    error_length: float = 0.0  # m along the beam, over which errors of a pose are alike; 0: each point has its own
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """Something small that rides on the beam: a clip, a sensor."""
+
+    s: float
+    mass: float  # kg
+
+
+@dataclass(frozen=True)
+class MeasuredFrequency:
+    """A natural frequency of the beam, clamped at its base and free otherwise, as it swings a little about rest."""
+
+    frequency: float  # Hz, undamped
+    sd: float  # Hz
+    mode: int  # 1 is the slowest; 0: not said
+    gravity: tuple[float, ...]  # (2,) m/s^2 in the beam's frame; zeros where it swings across gravity
+    tip_mass: float = 0.0  # kg, fixed to the tip
+
+
+@dataclass(frozen=True)
+class BenchPoses:
+    """The names of static poses, and how the beam came into each; NaN where nobody says it.
+
+    Between two poses loads keep their direction in the room, and change slowly.
+    """
+
+    name: tuple[str, ...]  # (T,)
+    clamp: Array  # (T,) rad, the beam's x axis in the room
+    turned_from: Array  # (T,) rad, `clamp` before the base was turned into the pose
+    order: Array  # (T,) rising from each pose to that which it was led into
+
+
+@dataclass(frozen=True)
 class MassLine:
     """Mass per metre, where it is known along the beam."""
 
@@ -215,7 +256,8 @@ class Stated:
     rest: Rest
     mass: float  # kg, NaN where unknown
     placement_sd: float  # m, tolerance of the tags' places
-    mass_sd: float = math.nan  # one sd of the mass over itself
+    mass_sd: float = math.nan  # one sd of a mass that was guessed, over itself
+    weighed_sd: float = math.nan  # one sd of the mass that is written, over itself
     mass_line: MassLine | None = None  # None: the mass is evenly spread
     mass_along: MassAlong = "unknown"  # how it is spread, where somebody knows it
     # "even": somebody knows that k is one number; "section": that it goes with the second moment of `section`
@@ -232,6 +274,8 @@ class Stated:
     tag_size: float = math.nan  # m, side of a tag's black square; NaN for markers that are no tags
     load_error_sd: float = math.nan  # N, of a force error that comes with the load; NaN: found by the fit
     section: StatedSection | None = None  # None: not measured, or not whole
+    rest_change_sd: float = 0.0  # rad, one sd of the Legendre states of q0 from recording to recording of one beam
+    masses: tuple[PointMass, ...] = ()  # that ride on the beam, besides `mass`
 
 
 @dataclass(frozen=True)
@@ -275,10 +319,13 @@ class Observations:
     held: BoolArray | None = None  # (T,) the end s = 1 is held by an unknown force and moment; None: never
     known_loads: KnownLoads | None = None
     sd_known: bool = True  # the covariance is what was said or seen; False where it is a guess, to be estimated
+    readings: Readings = Readings()
     static: bool = False  # bench poses: no order in time; loads that were weighed, known to `force_sd`, not logged
+    poses: BenchPoses | None = None  # where static: names, and how the beam came into them
     # (T, m, 3, n) m, m, rad: what one sd of each of n unknowns of the camera and of the tags' plane does to the poses
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
     by_camera: Array | None = None
+    frequencies: tuple[MeasuredFrequency, ...] = ()
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

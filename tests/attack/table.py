@@ -19,6 +19,7 @@ from tests.attack.hostile_bags import BAG
 from tests.attack.hostile_bags import CASES as BAGS
 from tests.attack.test_absurd_options import REQUESTS
 from tests.attack.test_check import CASES as FILMS
+from tests.attack.test_check import ELSEWHERE
 from tests.attack.test_hostile_text import CSV_CASES, FILE_CASES, MODEL_CASES, TOML_CASES
 from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.test_parquet import CASES as PARQUET
@@ -77,7 +78,7 @@ FAMILIES = (
         lambda case: REQUESTS[case.name],
     ),
     Family("users' mistakes in tracks, check", MISTAKES, on_tracks, lambda _: ["check", "rec"]),
-    Family("users' mistakes in a film, check", FILMS, on_film, lambda _: ["check", "rec"]),
+    Family("users' mistakes in a film, check", [*FILMS, ELSEWHERE], on_film, lambda _: ["check", "rec"]),
     Family("users' mistakes in a film, learn", [c for c in FILMS if not c.passes], on_film, lambda _: LEARN, 400.0),
 )
 

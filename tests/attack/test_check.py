@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,8 @@ CASES = [
     Case("kilonewtons", forces_times(0.001), "Is the log in kilonewtons"),
     Case("milliseconds", edit(TOML, '[force]\nfile', '[force]\ntime_unit = "ms"\nfile'), "do not overlap"),
 ]  # fmt: skip
+# It ends nothing, and is warned of: the film shows where the tool is.
+ELSEWHERE = Case("the push said elsewhere", edit(TOML, "at_s = 1.0", "at_s = 0.8"), "shows the tool at s = (0.9|1.0)")
 QUICK = {"sound", "x of opposite sign", "two tags exchanged", "millinewtons"}
 
 
@@ -73,3 +76,12 @@ def test_learn_ends_with_the_same(victim: Victim, film: Path, case: Case) -> Non
     case.harm(film)
     outcome = victim.attack(["learn", "rec", "-q", "-o", "out"], film.parent, seconds=400.0)
     withstood(outcome, case, seconds=400.0)
+
+
+def test_a_tool_that_is_elsewhere_is_warned_of(victim: Victim, film: Path) -> None:
+    ELSEWHERE.harm(film)
+    outcome = victim.attack(["check", "rec"], film.parent)
+    assert outcome.verdict == "done", outcome.err[-2000:]
+    said = " ".join((outcome.out + outcome.err).split())
+    assert re.search(ELSEWHERE.words, said), said
+    assert "troubleshooting.md#the-film-shows-the-tool-elsewhere" in said

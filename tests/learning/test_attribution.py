@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.attribution import FORCE_SCALE, GROUPS, LEFT, Attribution, attributions
+from onebend.learning.attribution import FORCE_SCALE, GROUPS, LEFT, Attribution, attributions, hidden_by
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.optimizer import Optimum
@@ -101,7 +101,7 @@ def test_widening_and_shift_are_those_of_the_conditional_gaussian(name: str) -> 
 def test_every_block_but_the_stiffness_is_in_one_group() -> None:
     named = [block for blocks in GROUPS.values() for block in blocks]
     assert len(named) == len(set(named))
-    assert {b.name for b in BLOCKS} - set(named) == {"stiffness", "end", "end turn"}
+    assert {b.name for b in BLOCKS} - set(named) == {"stiffness", "end", "end turn", "zero"}
 
 
 def test_the_largest_cause_comes_first_then_what_is_left_then_what_every_bench_has() -> None:
@@ -189,3 +189,20 @@ def test_shift_and_widening_are_those_of_a_fit_without_it() -> None:
     assert place.shift > 0.02
     assert place.widening == pytest.approx(np.sqrt(mean(variance, variance) / mean(left, variance)), rel=0.1)
     assert place.widening > 1.1
+
+
+def test_what_is_hidden_is_what_the_precision_says() -> None:
+    """Known exactly is left out of the precision: the sd with one thing left open inverts what remains of it."""
+    problem, optimum = toy(3)
+    (dense,) = optimum.covariance.pairs
+    rows, precision = of_log_k(problem), np.linalg.inv(dense)
+    log_k = log_k_map(problem)[0]
+    alone, with_one = hidden_by(problem, optimum, GAIN_SD, S)
+    assert set(with_one) == set(FREE)
+    for sd, free in [(alone, log_k)] + [
+        (with_one[name], np.union1d(log_k, columns(problem.layout, name))) for name in ("rest shape", "length")
+    ]:
+        left = np.linalg.inv(precision[np.ix_(free, free)])
+        expected = np.sqrt(np.einsum("si,ij,sj->s", rows[:, free], left, rows[:, free]) + GAIN_SD**2)
+        np.testing.assert_allclose(sd, expected, rtol=1e-6)
+    assert all(np.all(one >= alone - 1e-12) for one in with_one.values())

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Uniform
 from onebend.learning.attribution import FORCE_SCALE, GROUPS, Attribution
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.posterior import fit
+from onebend.learning.start import start_of
+from onebend.recording.observe import observe
 from onebend.records import GAIN_SD, PLACE_SD, Observations
-from onebend.report.allowance_words import narrower_words, share_words, what_to_do
+from onebend.report.allowance_words import narrower_words, share_words, what_to_do, why_words
 from onebend.report.verdict import verdict_of
 from tests import made_up
+from tests.recording.tracked import ROD_S, pose_folder
 
 
 def share(widening: float = 1.0, shift: float = 0.0, sds: float = 0.0) -> Attribution:
@@ -76,3 +85,28 @@ def test_the_verdict_names_each_allowance_with_its_share() -> None:
     assert verdict.headline == f"k(s) holds with allowances: {', '.join(share_words(a) for a in matter[:4])}"
     assert dict(verdict.rows).get("narrower", "") == verdict.narrower == narrower_words(findings.posterior)
     assert "narrower" not in dict(verdict_of(made_up.findings(0, fitted=False)).rows)
+
+
+@pytest.mark.parametrize(
+    ("sd", "free", "words"),
+    [
+        (1e-3, 'rest = "unknown"', ["one pose does not tell it from rest shape", "add poses under other loads"]),
+        (0.2, 'rest = "straight"', ["one pose does not tell it even were all else known: bend the beam further"]),
+    ],
+)
+def test_one_pose_says_why_it_does_not_tell_k(tmp_path: Path, sd: float, free: str, words: list[str]) -> None:
+    """A rod with one weight: its rest shape may be what bends it, or the points are too rough."""
+    rod = Beam(0.5, Uniform(0.3))
+    shown = rod.equilibrium(np.array([[0.0, -0.2]])).xy(ROD_S)
+    o = observe(
+        pose_folder(
+            tmp_path,
+            loads="pose,s,fy_N\n0,1,-0.2\n",
+            gravity="",
+            shown=np.asarray(shown).reshape(1, 5, 2),
+            beam=f"{free}\nrest_curvature_sd_deg = 40\n" if "unknown" in free else f"{free}\n",
+            poses=f"sd_m = {sd}\n",
+        )
+    )
+    said = why_words(fit([o], start_of([o], None), settings=FitSettings(functions=10)))
+    assert all(word in said for word in words), said

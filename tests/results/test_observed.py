@@ -13,7 +13,19 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.records import ForceNoise, KnownLoads, MassLine, Observations, Remark, Stated, StatedSection
+from onebend.records import (
+    BenchPoses,
+    ForceNoise,
+    KnownLoads,
+    MassLine,
+    MeasuredFrequency,
+    Observations,
+    PointMass,
+    Readings,
+    Remark,
+    Stated,
+    StatedSection,
+)
 from onebend.results.observations_file import load_observations, observations_beside, save_observations
 from onebend.results.record_json import fields_from, to_data
 from tests import made_up
@@ -45,6 +57,7 @@ def full() -> Observations:
         mass=0.1,
         placement_sd=1e-3,
         mass_sd=0.2,
+        weighed_sd=0.01,
         mass_line=MassLine(np.array([0.0, 1.0]), np.array([0.3, 1 / 7])),
         mass_along="table",
         stiffness_along="even",
@@ -69,6 +82,8 @@ def full() -> Observations:
             moment=np.full(2, 1e-9),
             moment_sd=0.05,
         ),
+        rest_change_sd=1 / 30,
+        masses=(PointMass(0.3, 1 / 300), PointMass(1.0, 0.001)),
     )
     known = KnownLoads(
         rng.normal(size=(frames, 2, 2)), np.ones((frames, 2)), np.zeros((frames, 0)), np.ones((frames, 0))
@@ -80,9 +95,17 @@ def full() -> Observations:
         force_sd=np.array([np.inf, 1 / 3]),
         held=np.arange(frames) > 3,
         known_loads=known,
+        frequencies=(MeasuredFrequency(1 / 3, 0.01, 2, (0.1, -9.81), 0.02),),
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
+        readings=Readings("x", 2, 1 / 7),
         static=True,
+        poses=BenchPoses(
+            tuple(f"pose {i}" for i in range(frames)),
+            rng.normal(size=frames),
+            np.where(np.arange(frames) > 2, np.nan, rng.normal(size=frames)),
+            np.arange(frames, dtype=float),
+        ),
     )
 
 

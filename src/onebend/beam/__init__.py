@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from onebend.beam.loads import push as push
     from onebend.beam.loads import twist as twist
     from onebend.beam.loads import weight as weight
+    from onebend.beam.motion.dynamics import Body as Body
+    from onebend.beam.motion.frequencies import natural_frequencies as natural_frequencies
+    from onebend.beam.motion.vibration import Vibration as Vibration
     from onebend.beam.profiles.modulus import ModulusBand as ModulusBand
     from onebend.beam.profiles.modulus import modulus_band as modulus_band
     from onebend.beam.profiles.modulus import one_modulus as one_modulus
@@ -31,12 +34,17 @@ if TYPE_CHECKING:
     from onebend.beam.statics.problem import Problem as Problem
     from onebend.beam.statics.problem import Resolution as Resolution
     from onebend.beam.statics.problem import Rod as Rod
+    from onebend.records import PointMass as PointMass
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
             "onebend.beam.grid": "Grid",
             "onebend.beam.loads": "Loads push twist weight",
+            "onebend.beam.motion.dynamics": "Body",
+            "onebend.records": "PointMass",
+            "onebend.beam.motion.frequencies": "natural_frequencies",
+            "onebend.beam.motion.vibration": "Vibration",
             "onebend.beam.profiles.modulus": "ModulusBand modulus_band one_modulus",
             "onebend.beam.profiles.piecewise": "Pieces",
             "onebend.beam.profiles.polyline": "Polyline",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.snap_through import Side
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
-from onebend.records import Array
+from onebend.records import Array, PointMass
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,15 @@ class Beam:
     thickness: float | None = None  # h0, m, in the plane of bending where k is its mean; None: no stretch, no shear
     poisson: float = POISSON  # nu
     varies: Literal["thickness", "width"] = "thickness"  # what makes k(s) vary
+    masses: tuple[PointMass, ...] = ()  # that ride on it, besides its own
 
     def __post_init__(self) -> None:
         if not self.length > 0.0:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
         _ = self.section  # checks its numbers
+        for one in self.masses:
+            if not (0.0 <= one.s <= 1.0 and 0.0 <= one.mass < math.inf):
+                raise MechanicsError(f"a mass rides at s in [0, 1] and is 0 kg or more, got {one.mass} kg at {one.s}")
 
     @property
     def section(self) -> RectangularSection | None:
@@ -116,6 +121,7 @@ class Beam:
             "clamp_angle_rad": self.clamp_angle,
             "mass_per_length_kg_m": self.mass_per_length.as_dict(),
             **({} if self.thickness is None else section),
+            **({"masses": [{"s": m.s, "mass_kg": m.mass} for m in self.masses]} if self.masses else {}),
         }
 
     @classmethod
@@ -131,6 +137,7 @@ class Beam:
                 thickness=None if data.get("thickness_m") is None else float(data["thickness_m"]),
                 poisson=float(data.get("poisson", POISSON)),
                 varies=data.get("varies", "thickness"),
+                masses=tuple(PointMass(float(m["s"]), float(m["mass_kg"])) for m in data.get("masses", ())),
             )
         except KeyError as error:
             raise MechanicsError(f"the beam's data lack {error}") from error

@@ -70,6 +70,12 @@ COMMANDS = {
         "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
+    "frequencies": Place(
+        "motion",
+        "frequencies",
+        "Find the natural frequencies in a free swing, to be written in recording.toml.",
+        "examples/ruler/swing.csv",
+    ),
     "reach": Place(
         "control",
         "reach",

@@ -1,4 +1,4 @@
-"""Commands on a film of a learned beam: how it swings, and what force is on it."""
+"""Commands on films of a beam: how it swings, and what force is on it."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from onebend.learning.sensing.sense import Sensed, SenseSettings
 from onebend.learning.sensing.sense import sense as sense_force
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
+from onebend.learning.swing.swing_frequencies import frequencies_of
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
-from onebend.recording.observe import ObserveSettings, observe
+from onebend.recording.observe import ObserveSettings, observe, swing_signals
 from onebend.report.figures.pictures import draw
 from onebend.results.detection_cache import detection_cache
 from onebend.results.model import model_file, model_text
 from onebend.results.provenance import inputs_of
 from onebend.results.recording_files import recording_files
 from onebend.results.sensing import SENSE_FORMAT, sense_summary, sense_writer
-from onebend.results.summary import damp_summary
-from onebend.terminal.damping import show_damping, show_sensed
+from onebend.results.summary import damp_summary, frequencies_summary
+from onebend.terminal.damping import show_damping, show_frequencies, show_sensed
 
 FromS = Annotated[
     float | None,
@@ -72,6 +73,45 @@ ForcePrior = Annotated[
         help="One sd of each component of the force before any shape is seen; default: three times k/L.",
     ),
 ]
+
+
+Swinging = Annotated[
+    Path,
+    typer.Argument(
+        metavar="REC",
+        help="A recording (film or tracks) with a free swing, or a CSV with time_s and a column for each signal.",
+    ),
+]
+Slowed = Annotated[
+    float,
+    typer.Option(
+        "--slowed", min=LEAST, metavar="TIMES", help="It plays so many times slower than it was, as slow motion does."
+    ),
+]
+MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="How many modes, at most.")]
+
+
+def frequencies(
+    source: Swinging,
+    *,
+    begin: FromS = None,
+    end: ToS = None,
+    slowed: Slowed = 1.0,
+    most: MostModes = 4,
+    threads: Threads = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the natural frequencies in a free swing, to be written in recording.toml."""
+    with clean_errors(), progress_of(quiet) as progress:
+        detect = detection_cache(onebend.__version__).detect
+        signals = swing_signals(source, threads=threads, detect=detect, progress=progress)
+        found = frequencies_of(signals.time, signals.value, FilmPart(begin, end), most=most, name=signals.name)
+    found = found.sped_up(slowed)
+    if as_json:
+        print_json({**frequencies_summary(str(source), found, written_by=BY)})
+    else:
+        show_frequencies(screen(), found)
 
 
 def damp(

@@ -44,7 +44,7 @@ def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chai
 
     Args:
         hinges: more bend more finely and simulate more slowly.
-        mass: kg, spread evenly along the beam; None takes the beam's own.
+        mass: kg, spread evenly along the beam; None takes the beam's own. What rides on it comes on top.
 
     Raises:
         ExportError: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
@@ -61,10 +61,15 @@ def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chai
     begins = np.concatenate([edges[starts], [1.0]])
     per_metre = checked_mass(beam, mass, places)
     halves = beam.length * weights * per_metre  # kg at every node
-    link_mass = np.add.reduceat(halves.sum(axis=1), starts)
     away = beam.length * (places - np.repeat(begins[:-1], np.diff([*starts, 2 * hinges]))[:, None])
-    centre = np.add.reduceat((halves * away).sum(axis=1), starts) / link_mass
-    second = np.add.reduceat((halves * away**2).sum(axis=1), starts)
+    link_mass, first, second = (np.add.reduceat((halves * away**i).sum(axis=1), starts) for i in range(3))
+    for one in beam.masses:
+        link = int(np.searchsorted(edges[1::2], one.s, side="left"))
+        lever = beam.length * (one.s - begins[link])
+        link_mass[link] += one.mass
+        first[link] += one.mass * lever
+        second[link] += one.mass * lever**2
+    centre = first / link_mass
     return Chain(
         hinge_s=edges[1::2],
         stiffness=1.0 / compliance,

@@ -34,6 +34,12 @@ def checked_stiffness(beam: Beam, s: Array) -> Array:
     return k
 
 
+def refuse_masses(beam: Beam, what: str) -> None:
+    """Raises `ExportError` where something rides on the beam that an export does not carry."""
+    if beam.masses:
+        raise ExportError(f"{what} holds a mass per metre only, and {len(beam.masses)} masses ride on this beam")
+
+
 def checked_mass(beam: Beam, mass: float | None, s: Array) -> Array:
     """Mass per metre at `s` [kg/m], `mass` [kg] spread evenly where given; or an `ExportError` where none is known."""
     if mass is not None:

@@ -7,7 +7,7 @@ from importlib.resources import files
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.export.checks import checked_stiffness
+from onebend.export.checks import checked_stiffness, refuse_masses
 from onebend.records import Array
 
 PLACES = 401
@@ -18,8 +18,9 @@ def function(beam: Beam) -> str:
     """Python source: the module `onebend.export.alone` with this beam in it.
 
     Raises:
-        ExportError: k(s) is not positive somewhere.
+        ExportError: k(s) is not positive somewhere, or masses ride on the beam.
     """
+    refuse_masses(beam, "the Python function")
     s = np.linspace(0.0, 1.0, PLACES)
     k = checked_stiffness(beam, s)
     return with_beam(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.export.checks import checked_mass, checked_stiffness
+from onebend.export.checks import checked_mass, checked_stiffness, refuse_masses
 from onebend.export.function import PLACES, table, with_beam
 
 
@@ -16,8 +16,9 @@ def pyelastica(beam: Beam, *, mass: float | None = None) -> str:
         mass: kg, spread evenly along the beam; None takes the beam's own.
 
     Raises:
-        ExportError: k(s) is not positive somewhere, or no mass is known.
+        ExportError: k(s) is not positive somewhere, no mass is known, or masses ride on the beam.
     """
+    refuse_masses(beam, "the PyElastica rod")
     s = np.linspace(0.0, 1.0, PLACES)
     k = checked_stiffness(beam, s)
     return with_beam(

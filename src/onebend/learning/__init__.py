@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from onebend.learning.criticism.criticism import Criticism as Criticism
     from onebend.learning.criticism.criticism import Finding as Finding
     from onebend.learning.criticism.score_tests import Score as Score
+    from onebend.learning.frequencies.frequency_data import FrequencyData as FrequencyData
+    from onebend.learning.frequencies.frequency_data import Posture as Posture
+    from onebend.learning.frequencies.predicted import PredictedFrequencies as PredictedFrequencies
     from onebend.learning.inference.fit_problem import FitProblem as FitProblem
     from onebend.learning.inference.fit_problem import Hyperparameters as Hyperparameters
     from onebend.learning.inference.fit_problem import RecordingNoise as RecordingNoise
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     from onebend.learning.model.parameters import Priors as Priors
     from onebend.learning.model.rest import AtRest as AtRest
     from onebend.learning.model.spline import Spline as Spline
+    from onebend.learning.pose_equilibria import SeenPoses as SeenPoses
     from onebend.learning.posterior import Nuisance as Nuisance
     from onebend.learning.sensing.misfit import Misfit as Misfit
     from onebend.learning.sensing.sense import Sensed as Sensed
@@ -52,6 +56,9 @@ if TYPE_CHECKING:
     from onebend.learning.swing.damping import SwingFit as SwingFit
     from onebend.learning.swing.free_swing import FilmPart as FilmPart
     from onebend.learning.swing.free_swing import Swing as Swing
+    from onebend.learning.swing.swing_frequencies import FoundFrequencies as FoundFrequencies
+    from onebend.learning.swing.swing_frequencies import SwingFrequency as SwingFrequency
+    from onebend.learning.swing.swing_frequencies import frequencies_of as frequencies_of
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -61,6 +68,8 @@ else:
             "onebend.learning.criticism.alternatives": "Suspect",
             "onebend.learning.criticism.criticism": "Criticism Finding",
             "onebend.learning.criticism.score_tests": "Score",
+            "onebend.learning.frequencies.frequency_data": "FrequencyData Posture",
+            "onebend.learning.frequencies.predicted": "PredictedFrequencies",
             "onebend.learning.inference.fit_problem": "FitProblem Hyperparameters RecordingNoise",
             "onebend.learning.inference.misfit": "Miss",
             "onebend.learning.inference.joint_covariance": "Conditioning JointCovariance",
@@ -79,11 +88,13 @@ else:
             "onebend.learning.model.parameters": "Block Layout Priors",
             "onebend.learning.model.rest": "AtRest",
             "onebend.learning.model.spline": "Spline",
+            "onebend.learning.pose_equilibria": "SeenPoses",
             "onebend.learning.posterior": "FitSettings Nuisance",
             "onebend.learning.sensing.misfit": "Misfit",
             "onebend.learning.sensing.sense": "Sensed SenseSettings Touch",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",
             "onebend.learning.swing.free_swing": "FilmPart Swing",
+            "onebend.learning.swing.swing_frequencies": "FoundFrequencies SwingFrequency frequencies_of",
         },
     )

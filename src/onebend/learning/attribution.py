@@ -36,7 +36,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "clamp that gives": ("clamp gives",),
         "posture-dependent bias": ("posture",),
         "length": ("length",),
-        "rest shape": ("curvature",),
+        "rest shape": ("curvature", "rest change"),
         "places of the tags": ("along", "across", "turn"),
         "clamp and origin": ("clamp", "origin"),
         "direction of the force": ("direction",),
@@ -96,9 +96,7 @@ def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array
     `gain_sd` is of the force's common scale, 0 where it is exact.
     """
     layout, covariance = problem.layout, optimum.covariance
-    log_k, onto = log_k_map(problem)
-    basis = np.zeros((len(s), layout.shared))
-    basis[:, log_k] = layout.spline.finer.basis(s) @ onto
+    basis = _basis(problem, s)
     variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True) + gain_sd**2
     weights = 1.0 / variance / np.sum(1.0 / variance)
     out = [_attribution(FORCE_SCALE, weights, variance, np.full(len(s), gain_sd**2))] if gain_sd > 0.0 else []
@@ -113,6 +111,34 @@ def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array
         sds = float(np.sqrt(max(known.chi_squared - (count - 1), 0.0)))
         out.append(_attribution(name, weights, variance, known.explained, change, sds))
     return tuple(sorted(out, key=_place))
+
+
+def hidden_by(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array) -> tuple[Array, dict[str, Array]]:
+    """(S,) sd of log k at places `s` (S,), were all but k known exactly; and the same with one thing left as it is, by
+    its name in `GROUPS`. Where several could each stand for another, knowing one of them alone would change nothing."""
+    layout, covariance = problem.layout, optimum.covariance
+    basis = _basis(problem, s)
+    variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True)
+    log_k, _ = log_k_map(problem)
+
+    def spread(left: tuple[str, ...]) -> Array:
+        known = [b for b in layout.blocks if b.start >= 0 and b.name not in left]
+        index, away = _away(problem, optimum, known)
+        others = ~np.isin(index[0], log_k)
+        index[0], away[0] = index[0][others], away[0][others]
+        explained = covariance.conditioned(basis, index, away).explained
+        return np.asarray(np.sqrt(np.maximum(variance - explained, 0.0) + gain_sd**2))
+
+    free = {b.name for b in layout.blocks if b.start >= 0}
+    return spread(()), {name: spread(blocks) for name, blocks in GROUPS.items() if free & set(blocks)}
+
+
+def _basis(problem: FitProblem, s: Array) -> Array:
+    """(S, n) log k at places, by the shared parameters."""
+    log_k, onto = log_k_map(problem)
+    basis = np.zeros((len(s), problem.layout.shared))
+    basis[:, log_k] = problem.layout.spline.finer.basis(s) @ onto
+    return basis
 
 
 def _attribution(

@@ -88,11 +88,14 @@ def cause_words(finding: Finding, posterior: Posterior) -> _Words:
         what, do = _MECHANICS[suspect.name](value, posterior)
     elif suspect.kind == "prior":
         what, do = _PRIORS[suspect.name](value, suspect.tag)
-        do = do if suspect.name != "scale" or _filmed(posterior) else "Check the unit and the scale of the tags' places"
     elif suspect.kind == "change":
         what, do = _CHANGES[suspect.name](finding.score.size, suspect.tag)
     else:
         what, do = symptom_words(finding, posterior), "Look at the residuals of this tag in the report"
+    if all(one.observations.static for one in posterior.recordings):
+        do = _OF_POSES.get(suspect.name, do)
+    if suspect.name == "scale" and not _filmed(posterior):
+        do = "Check the unit and the scale of the tags' places"
     return whose + what, do
 
 
@@ -227,10 +230,10 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
     "turn": lambda v, tag: (f"tag {tag} is turned by {_degrees(v[0])}", _PLACES),
     "clamp": lambda v, _: (
         f"the clamp is turned by {_degrees(v[0])}",
-        "Check the direction of the clamp, or state clamp_sd_deg in [beam]",
+        "Check the direction of the clamp, or state clamp_sd_deg",
     ),
     "origin": lambda v, _: (
-        f"the clamp is {_millimetres(float(np.linalg.norm(v)))} from where the base tag puts it",
+        f"the clamp is {_millimetres(float(np.linalg.norm(v)))} from where it is taken to be",
         "Check where the beam leaves the clamp, length_m and the tags' s",
     ),
     "scale": lambda v, _: (
@@ -243,6 +246,17 @@ _PRIORS: dict[str, Callable[[Array, int], _Words]] = {
         "Check mass_kg, [gravity], and that the log is in newtons (not kg or g)",
     ),
     "curvature": lambda _, __: ("the beam at rest is bent more than expected", "Check the tags' places and the rest"),
+    "rest change": lambda _, __: (
+        "the beam's shape at rest changed by more than rest_change_sd_deg says",
+        "Look whether it took a set between the recordings",
+    ),
+}
+_OF_POSES = {  # what to do where nothing was filmed, pushed or logged
+    "stretch": "Hang less on, or more across the beam; a beam that stretches is beyond this model",
+    "mass": "Check mass_kg, [gravity], and that weight_N is in newtons and the loads' mass_kg in kilograms",
+    "origin": "Check that x_m and y_m are from where the beam leaves the clamp, length_m, and the points' s",
+    "clamp": "Check clamp_deg and base_angle_deg, or state a wider clamp_sd_deg",
+    "curvature": "Check the points of the bare beam, or state a wider rest_curvature_sd_deg",
 }
 _CHANGES: dict[str, Callable[[float, int], _Words]] = {
     "creep": lambda size, _: (

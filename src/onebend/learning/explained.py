@@ -7,6 +7,8 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
+from onebend.learning.model.parameters import Layout
+from onebend.learning.model.readings import zeroed_coordinates
 from onebend.learning.outcome import Comparison, Explained
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
@@ -32,8 +34,8 @@ def _one(posterior: Posterior, recording: FitData, prediction: Prediction, rms: 
         time=observations.time[recording.frames],
         tag_id=observations.tag_id,
         marker_s=observations.marker_s,
-        measured=recording.measured[used, :, :2],
-        predicted=prediction.pose[used, :, :2],
+        measured=_points(recording, layout, x, recording.measured)[used],
+        predicted=_points(recording, layout, x, prediction.pose)[used],
         force=prediction.force[used],
         push_s=recording.push_s[used],
         stable=prediction.solved.stable[used],
@@ -43,3 +45,13 @@ def _one(posterior: Posterior, recording: FitData, prediction: Prediction, rms: 
         static=observations.static,
     )
     return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, recording.force[used])
+
+
+def _points(recording: FitData, layout: Layout, x: Array, poses: Array) -> Array:
+    """(F, m, 2) m, poses (F, m, 3) counted from the clamp, and at their rulers."""
+    points, zeros = poses[..., :2].copy(), layout.get(x, "zero", recording.number)
+    for (i, c), zero in zip(zeroed_coordinates(recording.observations), zeros, strict=True):
+        points[:, i, c] += zero
+    if recording.rulers is not None:
+        points[..., 0] = np.where(np.isfinite(points[..., 1]), recording.rulers, np.nan)
+    return points

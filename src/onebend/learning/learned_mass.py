@@ -15,7 +15,7 @@ from onebend.learning.model.frames import mass_profile
 from onebend.learning.model.mass import KNOWN, TOLD, LearnedMass
 from onebend.learning.model.own_weight import following
 from onebend.learning.model.parameters import Block, Layout
-from onebend.records import Array, Observations
+from onebend.records import Array, Observations, PointMass
 
 
 def learned_mass(
@@ -71,6 +71,12 @@ def mass_per_length(
     s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.stated.mass_line.s]))
     value = mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
     return Table(tuple(s.tolist()), tuple(value.tolist()))
+
+
+def riding_masses(recordings: Sequence[FitData]) -> tuple[PointMass, ...]:
+    """What rides on the beam in every recording of it."""
+    first, *others = (recording.observations.stated.masses for recording in recordings)
+    return tuple(one for one in first if all(one in masses for masses in others))
 
 
 def from_legendre(states: Array) -> Profile:

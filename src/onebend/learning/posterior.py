@@ -23,16 +23,19 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
+from onebend.learning.frequencies.compared import GROSS, worst_off
+from onebend.learning.frequencies.modes import with_modes
+from onebend.learning.frequencies.predicted import PredictedFrequencies
 from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.joint_covariance import JointCovariance
-from onebend.learning.inference.misfit import Miss, misses
+from onebend.learning.inference.misfit import Miss, doubts_of, misses
 from onebend.learning.inference.nuisances import quantities
 from onebend.learning.inference.optimizer import (
     Optimum,
     estimate_at,
-    find_maximum,
     laplace_posterior,
 )
+from onebend.learning.inference.pose_branches import find_on_branches
 from onebend.learning.inference.stages import (
     FitSettings,
     carried_over,
@@ -42,7 +45,7 @@ from onebend.learning.inference.stages import (
     with_mass_found,
 )
 from onebend.learning.known_shape import with_shared_shape
-from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length
+from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length, riding_masses
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
@@ -52,10 +55,9 @@ from onebend.learning.model.parameters import Layout
 from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.progress import Progress, Silent
-from onebend.records import Array, Observations
+from onebend.records import Array, BoolArray, Observations
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
-CONTRADICTED = "the force contradicts the bending"
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class Posterior:
     optimum: Optimum
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
+    left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -105,6 +108,11 @@ class Posterior:
         return tuple(predict(recording, self.layout, self.mean, now.solved.q) for recording, now in pairs)
 
     @cached_property
+    def frequencies(self) -> tuple[PredictedFrequencies, ...]:
+        """The natural frequencies of each recording that has measured ones, at the optimum."""
+        return self.problem.predicted_frequencies(self.mean)
+
+    @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """The recordings that the fit cannot explain; empty as a rule."""
         return misses(self.recordings, self.slow)
@@ -119,9 +127,10 @@ class Posterior:
         ideal = not any(recording.allowances for recording in self.recordings)
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
+        if worst_off(self.frequencies) > GROSS:
+            doubts.append("the frequencies contradict the fit")
         for o in (recording.observations for recording in self.recordings):
-            if any(remark.doubt for remark in o.source.remarks):
-                doubts.append(f"{o.source.name}: {CONTRADICTED}" if several else CONTRADICTED)
+            doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
         return tuple(doubts)
 
     @cached_property
@@ -198,6 +207,7 @@ class Posterior:
             self.stiffness.profile,
             rest_curvature=from_legendre(self.layout.get(self.mean, "curvature")),
             mass_per_length=mass_per_length(self.recordings, self.layout, self.mean, self.stiffness),
+            masses=riding_masses(self.recordings),
         )
 
     @property
@@ -224,6 +234,7 @@ def fit(
             equations that rounding makes unsolvable.
     """
     check_same_beam(recordings)
+    recordings = with_modes(recordings)
     try:
         some = [recordings[i] for i in first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start
@@ -251,11 +262,13 @@ def _fit(
     recordings = with_shared_shape(recordings)
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
-    near = find_maximum(problem, estimate_at(problem, x), early, progress)
+    few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
     recordings, near = with_mass_found(recordings, problem, near)
 
-    whole = whole_problem(recordings, problem, settings)
-    estimate = find_maximum(whole, carried_over(problem, near, whole, some), late, progress)
+    every = whole_problem(recordings, problem, settings)
+    whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     progress.done()
-    return Posterior(whole, optimum, gain_sd, criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd)))
+    critic = criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd))
+    left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
+    return Posterior(whole, optimum, gain_sd, critic, left_out)

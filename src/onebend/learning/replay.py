@@ -9,6 +9,7 @@ import numpy as np
 from onebend.beam.profiles.stiffness import Profile
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
+from onebend.errors import LearningError
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.learning.live.settings import OnlineSettings
 from onebend.learning.model.force_error import ForceError, force_error, ramp
@@ -36,9 +37,12 @@ def replay(
     Placement, rest, camera, clock and force noise are taken from the observations where they say them.
 
     Raises:
-        LearningError: as `OnlineLearner`.
+        LearningError: as `OnlineLearner`, or masses ride on the beam, which it does not know.
     """
     o = observations
+    if o.stated.masses and np.any(o.gravity != 0.0):
+        text = f"{o.source.name}: the live learner knows nothing of masses that ride on the beam"
+        raise LearningError(f"{text} ([[beam.masses]]). Learn the recording as a whole")
     learner = OnlineLearner(
         o.length,
         o.marker_s,

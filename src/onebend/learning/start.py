@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.statics.problem import Resolution, make_problem
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.frequencies.level import stiffness_level, swinging_mass
+from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.known_shape import known_shape
 from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
 from onebend.learning.model.held_ends import is_held, resolution_of, sets_no_scale, shapes_of
-from onebend.learning.model.mass import NEEDS_MASS, check_mass_can_be_learned, mass_is_open, shared_mass, weighs
+from onebend.learning.model.mass import (
+    NEEDS_MASS,
+    check_mass_can_be_learned,
+    forced,
+    mass_is_open,
+    needs_mass,
+    shared_mass,
+    weighs,
+)
+from onebend.learning.model.readings import from_the_clamp, points_of
 from onebend.learning.outcome import Learned
 from onebend.records import BoolArray, Observations
 
@@ -22,6 +34,9 @@ _FRAMES = 40  # of each recording
 _FEW = 12  # of each recording, to guess a mass
 _MASSES = np.geomspace(0.02, 20.0, 10)  # masses to try, in units of (largest load) / g
 _TRIED_HELD = np.geomspace(1e-4, 20.0, 16)  # the same with both ends held: it may hang like a rope
+_ROUGH = Resolution(order=6, widest=0.25)  # poses whose equilibria are sought
+_SOFTER, _HALF = 8, 0.5  # cables: so many times softer by this than the softest of those, while they come nearer
+_ELSEWHERE = 0.1  # of the length
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
@@ -34,18 +49,26 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     Raises:
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
+    recordings = with_modes(recordings)
     frames = [_some(o) for o in recordings]
     if mass_is_open(recordings):
-        names = ", ".join(o.source.name for o in recordings if weighs(o))
+        names = ", ".join(o.source.name for o in recordings if needs_mass(o))
         raise LearningError(f"{names}: {NEEDS_MASS}, or guess it first, with `with_mass`")
     if sets_no_scale(recordings):
         return Uniform(1.0)  # as good as any
+    swung = [Uniform(stiffness_level(recordings))] if any(o.frequencies for o in recordings) else []
+    if swung and not any(forced(o) or weighs(o) for o in recordings):
+        return swung[0]  # the tags say nothing of the size
     tried = _TRIED_HELD if any(is_held(o) for o in recordings) else _TRIED
     unit = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True)) * recordings[0].length
     shape, mass = _shape(recordings), _mass(recordings)
     beams = [Beam(recordings[0].length, Scaled(float(unit * k), shape), mass_per_length=mass) for k in tried]
+    beams += [replace(beams[0], stiffness=k) for k in swung]
     beams += [] if learned is None else [learned.beam]
     away = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
+    while all(o.static for o in recordings) and away[0] == min(away) and len(away) < len(tried) + _SOFTER:
+        softer = replace(beams[0], stiffness=Scaled(_HALF, beams[0].stiffness))
+        beams, away = [softer, *beams], [_distance(softer, recordings, frames), *away]
     return beams[int(np.argmin(away))].stiffness  # the stiffest hardly bends: one at least is finite
 
 
@@ -60,6 +83,8 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
     if not mass_is_open(recordings):
         return shared_mass(recordings)
     frames = [_some(o, _FEW) for o in recordings]
+    if not any(weighs(o) for o in recordings):
+        return shared_mass(recordings, _mass_of_swing(with_modes(recordings), frames))
     pull = max(float(np.max(np.linalg.norm(o.gravity, axis=1))) for o in recordings)
     load = max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
     length, best, least, shape = recordings[0].length, np.nan, np.inf, _shape(recordings)
@@ -69,6 +94,16 @@ def with_mass(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
             distance = _distance(beam, recordings, frames)
             best, least = (mass, distance) if distance < least else (best, least)
     return shared_mass(recordings, best)
+
+
+def _mass_of_swing(recordings: Sequence[Observations], frames: list[BoolArray]) -> float:
+    """kg, of the beam that follows the tags and swings as it was seen to; a tip mass, where that alone has a size."""
+    if not any(forced(o) for o in recordings):
+        return max(one.tip_mass for o in recordings for one in o.frequencies)
+    length, load = recordings[0].length, max(_largest_load(o, some) for o, some in zip(recordings, frames, strict=True))
+    levels = (load * length * _TRIED).tolist()
+    away = [_distance(Beam(length, Uniform(k)), recordings, frames) for k in levels]
+    return swinging_mass(recordings, levels[int(np.argmin(away))])
 
 
 def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
@@ -83,13 +118,21 @@ def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
 
 
 def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolArray]) -> float:
-    """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium."""
+    """Root mean square distance of the beam's places under the tags from the tags; infinite without equilibrium.
+
+    A static pose whose equilibrium this beam may not have counts as little more than `_ELSEWHERE`, however far off.
+    """
     total, count = 0.0, 0
     for o, some in zip(recordings, frames, strict=True):
-        solved = shapes_of(o, some, make_problem(beam, loads_of(o, some), resolution_of(o)))
+        laden = replace(beam, masses=o.stated.masses)
+        resolution = _ROUGH if o.static and not is_held(o) else resolution_of(o)
+        solved = shapes_of(o, some, make_problem(laden, loads_of(o, some), resolution))
         if not np.all(solved.converged):
             return float("inf")
-        squared = distances(o.xy[some] - solved.xy(o.marker_s)) ** 2
+        predicted = points_of(o, some, solved)
+        squared = distances(from_the_clamp(o, some, predicted) - predicted) ** 2
+        if o.static:
+            squared = squared / (1.0 + squared / (_ELSEWHERE * o.length) ** 2)
         total, count = total + float(np.nansum(squared)), count + int(np.sum(np.isfinite(squared)))
     return float(np.sqrt(total / count))
 
@@ -101,7 +144,8 @@ def _largest_load(o: Observations, some: BoolArray) -> float:
         moment = np.sum(np.abs(o.known_loads.moment[some]), axis=1) / o.length
         loads = loads + np.sum(np.linalg.norm(o.known_loads.force[some], axis=-1), axis=1) + moment
     if weighs(o):
-        loads = loads + np.nan_to_num(o.stated.mass) * np.linalg.norm(o.gravity[some], axis=1)
+        mass = np.nan_to_num(o.stated.mass) + sum(one.mass for one in o.stated.masses)
+        loads = loads + mass * np.linalg.norm(o.gravity[some], axis=1)
     return max(float(np.max(loads)), 1e-6)
 
 

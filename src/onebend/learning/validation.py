@@ -13,14 +13,18 @@ from onebend.beam.statics.problem import has_mass, make_problem
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.frequencies.compared import validated_frequencies
 from onebend.learning.model.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
 from onebend.learning.model.held_ends import RESOLUTION, is_held, resolution_of, shapes_of
 from onebend.learning.model.mass import NEEDS_MASS, weighs
 from onebend.learning.model.prediction_error import few_frames, variances
+from onebend.learning.model.readings import from_the_clamp, points_of
 from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison
+from onebend.learning.pose_equilibria import SeenPoses, elsewhere, pose_names, pose_rms, seen_poses, unexplained
 from onebend.records import Array, BoolArray, Observations, Remark
 
+_MOST_NAMED = 6  # poses
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -56,10 +60,14 @@ def validate(
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
     solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
-    predicted = np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
+    predicted = _predicted(solved, observations, frames, offset)
     stable = np.concatenate([one.stable for one in solved])
-    measured = observations.xy[frames]
+    measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = _sensor_rms(solved, observations, frames)
+    remarks = _remarks(stable, np.concatenate([one.converged for one in solved]))
+    seen = seen_poses(observations, frames)
+    if seen is not None:
+        remarks += _pose_remarks(observations, frames, seen, solved[0], predicted)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -71,18 +79,18 @@ def validate(
         force=observations.force[frames],
         push_s=push_places(observations)[frames],
         stable=stable,
-        rms=marker_rms(measured - predicted),
+        rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
-        remarks=_remarks(stable, np.concatenate([one.converged for one in solved])),
+        remarks=remarks + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 
 
 def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
-    """Under the measured loads; an end held by an unknown one stands where it was seen."""
+    """Under the measured loads; static poses in the equilibria that their points show."""
     loads = loads_of(observations, frames)
-    if is_held(observations):
+    if observations.static:
         return [shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))]
     return simulate(beam, loads)
 
@@ -94,6 +102,18 @@ def mounting(beam: Beam, observations: Observations) -> Array:
     cos, sin = np.cos(alpha), np.sin(alpha)
     offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
     return np.where(np.isfinite(offset).all(axis=1)[:, None], offset, 0.0)
+
+
+def _predicted(solved: list[Equilibrium], observations: Observations, frames: BoolArray, offset: Array) -> Array:
+    """(T, m, 2) where the tags of the simulated beam are, or what of it is under rulers."""
+    if observations.readings.at == "mark":
+        return np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
+    parts, used = [], np.flatnonzero(frames)
+    for i, one in enumerate(solved):
+        chunk = np.zeros_like(frames)
+        chunk[used[i * _CHUNK : (i + 1) * _CHUNK]] = True
+        parts.append(np.where(one.converged[:, None, None], points_of(observations, chunk, one), np.nan))
+    return np.concatenate(parts)
 
 
 def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
@@ -148,3 +168,37 @@ def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
         text += ": check the force's sign, and that it is this beam"
         out.append(Remark("warning", text, about="no equilibrium"))
     return tuple(out)
+
+
+def _pose_remarks(
+    o: Observations, frames: BoolArray, seen: SeenPoses, solved: Equilibrium, predicted: Array
+) -> tuple[Remark, ...]:
+    """Warnings on single poses: that no stable equilibrium is near the points, or another one than the stated history
+    leads to. Where most poses are far off, it is nothing of one pose."""
+    names, held = pose_names(o, frames), np.zeros(int(np.sum(frames)), dtype=bool) if o.held is None else o.held[frames]
+    rms = pose_rms(o.xy[frames] - predicted)
+    unlike = unexplained(rms, o.length) & ~held
+    out = []
+    if unlike.any():
+        text = (
+            f"no stable equilibrium of the beam under its loads is near the points: {_poses_off(names, rms, unlike)} "
+            "(RMS). Check the loads, clamp_deg, and the points there, and that nothing touched the beam"
+        )
+        out.append(Remark("warning", text, about="pose"))
+    off, other = elsewhere(solved, seen)
+    other &= ~unlike & ~held
+    if other.any():
+        text = (
+            "the points show another equilibrium than the base's turning leads to, and were followed: it would be off "
+            f"by {_poses_off(names, off, other)} (RMS). Check turned_from_deg and order, and that nobody touched the "
+            "beam"
+        )
+        out.append(Remark("warning", text, about="pose history"))
+    return tuple(out)
+
+
+def _poses_off(names: tuple[str, ...], rms: Array, which: BoolArray) -> str:
+    """Poses with their distances [m], the farthest first."""
+    order = [i for i in np.argsort(-rms).tolist() if which[i]]
+    said = ", ".join(f"pose {names[i]} by {1e3 * rms[i]:.3g} mm" for i in order[:_MOST_NAMED])
+    return said + (f" and {len(order) - _MOST_NAMED} more" if len(order) > _MOST_NAMED else "")

@@ -11,6 +11,7 @@ from onebend.learning.criticism.criticism import Finding
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
+from onebend.learning.pose_equilibria import pose_names
 from onebend.learning.posterior import Posterior
 from onebend.records import Array, Observations, Remark
 
@@ -76,8 +77,21 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
     tests = _tests(posterior)
+    wrong += _left_out(posterior)
     odd = (*_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
     return (*wrong, *_search(posterior), *tests, *_hanging(posterior), *odd)
+
+
+def _left_out(posterior: Posterior) -> list[Remark]:
+    """The poses on which k(s) does not rest; why, the comparison with the recording says."""
+    out = []
+    for recording, left_out in zip(posterior.recordings, posterior.left_out, strict=True):
+        names = pose_names(recording.observations, left_out)
+        if names:
+            said = f"pose {names[0]} was" if len(names) == 1 else f"poses {', '.join(names)} were"
+            text = f"{_whose(posterior, recording.observations.source.name)}{said} left out of the fit: no stable "
+            out.append(Remark("note", text + "equilibrium of the beam that fits the others is near the points there"))
+    return out
 
 
 def _tests(posterior: Posterior) -> tuple[Remark, ...]:
@@ -104,7 +118,7 @@ def _search(posterior: Posterior) -> list[Remark]:
 def _first_check(posterior: Posterior) -> str:
     """What is most often wrong where the fit misses the tags."""
     if all(one.observations.static for one in posterior.recordings):
-        return "Check the loads and their unit, then the signs of x and y"
+        return "Check the loads and their unit, then the signs of x and y, and clamp_deg"
     if any(np.any(one.observations.force != 0.0) for one in posterior.recordings):
         return "Check the sign and the axes of [force], then the clocks"
     return "Check the tags' places and the direction of gravity"

@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from onebend.recording.tags.detection import detect_tags as detect_tags
     from onebend.recording.tags.printed_code import PrintedTag as PrintedTag
     from onebend.recording.toml.beam_entry import BeamEntry as BeamEntry
+    from onebend.recording.toml.beam_entry import MassEntry as MassEntry
     from onebend.recording.toml.entries import ForceEntry as ForceEntry
     from onebend.recording.toml.entries import GravityEntry as GravityEntry
     from onebend.recording.toml.entries import PushEntry as PushEntry
     from onebend.recording.toml.entries import Recording as Recording
     from onebend.recording.toml.entries import TagEntry as TagEntry
     from onebend.recording.toml.entries import TagsEntry as TagsEntry
+    from onebend.recording.toml.frequency_entry import FrequencyEntry as FrequencyEntry
     from onebend.recording.toml.source_entries import CameraEntry as CameraEntry
     from onebend.recording.toml.source_entries import MarkersEntry as MarkersEntry
     from onebend.recording.toml.source_entries import PhotosEntry as PhotosEntry
@@ -40,7 +42,8 @@ else:
             "onebend.recording.observe": "Detect ObserveSettings",
             "onebend.recording.tags.detection": "detect_tags",
             "onebend.recording.tags.printed_code": "PrintedTag",
-            "onebend.recording.toml.beam_entry": "BeamEntry",
+            "onebend.recording.toml.beam_entry": "BeamEntry MassEntry",
+            "onebend.recording.toml.frequency_entry": "FrequencyEntry",
             "onebend.recording.toml.entries": "ForceEntry GravityEntry PushEntry Recording TagEntry TagsEntry",
             "onebend.recording.toml.source_entries": "CameraEntry MarkersEntry PhotosEntry PosesEntry VideoEntry",
         },

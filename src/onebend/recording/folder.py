@@ -13,7 +13,7 @@ from onebend.errors import RecordingError
 from onebend.recording.bags.reader import is_bag
 from onebend.recording.bags.recorded_topics import check_bag, with_bags
 from onebend.recording.camera.bag_calibration import known_camera
-from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.beam_entry import BeamEntry, MassEntry
 from onebend.recording.toml.entries import (
     FAMILIES,
     FAMILY_SIZES,
@@ -25,6 +25,7 @@ from onebend.recording.toml.entries import (
     TagEntry,
     TagsEntry,
 )
+from onebend.recording.toml.frequency_entry import FrequencyEntry, read_frequencies
 from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
 from onebend.recording.toml.schema import (
     LONGEST_KEY,
@@ -61,9 +62,11 @@ SECTIONS: dict[str, type] = {
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
+CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
 TABLES = ("beam", "tags", *SECTIONS)
-RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS}
+LISTED: dict[str | int, type] = {"on_base": TagEntry, "on_beam": TagEntry, "masses": MassEntry}  # of [[...]]
+RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS, "frequencies": FrequencyEntry}
 # Which tables know a key: what stands in the wrong one is told its place.
 HOMES: dict[str, tuple[str, ...]] = {
     name: tuple(table for table, one in RECORDS.items() if name in {key.name for key, _ in keys_of(one).values()})
@@ -90,8 +93,11 @@ def read_recording(folder: Path | str) -> Recording:
     check_top(data, mistakes)
     if mistakes.found:
         raise RecordingError(str(mistakes))
-    tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
-    beam = read_table(BeamEntry, data["beam"], ("beam",), mistakes)
+    swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
+    tags: TagsEntry | None = CLAMP_ALONE
+    if "tags" in data:
+        tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
+    beam = read_beam(data["beam"], mistakes)
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in (SECTIONS | {"camera": camera_record(data)}).items()
@@ -115,13 +121,14 @@ def read_recording(folder: Path | str) -> Recording:
         beam=beam,
         tags=tags,
         remarks=(
-            *remarks_on(tags, data),
+            *(remarks_on(tags, data) if "tags" in data else ()),
             *camera_remarks,
             *entry_remarks(beam, entries["camera"]),
             *spread_remarks(beam, entries, scale_sd),
             *unit_remarks(beam, tags, entries),
         ),
         scale_sd=scale_sd,
+        frequencies=swung,
         **entries,
     )
     return with_bags(rec, data)
@@ -148,7 +155,7 @@ def empty_values(content: str) -> list[tuple[int, str]]:
     found = []
     for place, line in lines_of_keys(content).items():
         if EMPTY.match(rows[line - 1]):
-            record = TagEntry if place[1:2] in (("on_base",), ("on_beam",)) else RECORDS.get(str(place[0]))
+            record = LISTED.get(place[1] if len(place) > 1 else "", RECORDS.get(str(place[0])))
             keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
             says = keys[str(place[-1])].says if place[-1] in keys else "a value, or a # before the line"
             found.append((line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
@@ -164,14 +171,15 @@ def camera_record(data: dict[str, Any]) -> type:
 
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     """The tables and keys at the top of the file."""
-    report_unknown(data, ["format", "name", *TABLES], (), mistakes)
+    report_unknown(data, ["format", "name", *TABLES, "frequencies"], (), mistakes)
     if data.get("format") != FORMAT:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
     if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > LONGEST_KEY:
         text = f"name must be text in quotes of at most {LONGEST_KEY} characters, not {quoted(data['name'])}."
         mistakes.add(("name",), text)
     sources = [name for name in SOURCES if name in data]
-    if not sources:
+    alone = not sources and "frequencies" in data  # they need no tag, and no force
+    if not sources and not alone:
         mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
     if len(sources) > 1:
         names = " and ".join(f"[{name}]" for name in sources)
@@ -181,8 +189,24 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
         text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
         mistakes.add(("camera", "camera_info"), text)
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
-        if name not in data:
+        if name not in data and not (alone and name == "tags"):
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
+    for name in ("tags", "force", "push", "camera") if alone else ():
+        if name in data:
+            mistakes.add((name,), f"[{name}] goes with a film, tracks, poses or photos, and there is none. Remove it.")
+
+
+def read_beam(table: Any, mistakes: Mistakes) -> BeamEntry | None:
+    """[beam] with what rides on it."""
+    rows = table.get("masses", []) if isinstance(table, dict) else []
+    if not isinstance(rows, list):
+        mistakes.add(
+            ("beam", "masses"), "[beam] masses must be tables: `[[beam.masses]]` with s and mass_kg, one each."
+        )
+        rows = []
+    read = [read_table(MassEntry, row, ("beam", "masses", i), mistakes) for i, row in enumerate(rows)]
+    masses = tuple(one for one in read if one is not None)
+    return read_table(BeamEntry, table, ("beam",), mistakes, masses=masses)
 
 
 def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
@@ -271,7 +295,13 @@ def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mist
         mistakes.add(("force",), "There is a [force] but no [push]: say where it acts. Add `[push]` with `at_s = 1.0`.")
     if "push" in data and "force" not in data:
         mistakes.add(("push",), "There is a [push] but no [force]: add the force log, or remove [push].")
-    if gravity is not None and math.isnan(gravity.base_angle) == (gravity.base_angle_file is None):
+    if gravity is None:
+        return
+    if "poses" in data or "photos" in data:  # the table of loads may say it in every pose
+        if gravity.base_angle_file is not None:
+            text = "[gravity] base_angle_file: poses have no clock. Give base_angle_deg, or clamp_deg with the loads."
+            mistakes.add(("gravity", "base_angle_file"), text)
+    elif math.isnan(gravity.base_angle) == (gravity.base_angle_file is None):
         mistakes.add(("gravity",), "[gravity] needs either base_angle_deg or base_angle_file, not both.")
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 
 from onebend.blas import one_blas_thread
-from onebend.errors import ObservationError
+from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent
 from onebend.recording.beam_frame import RestShape, rest_shape, to_beam_frame
 from onebend.recording.camera.projection import measure_markers
 from onebend.recording.clock.offset import ClockFit, ClockSettings
-from onebend.recording.folder import read_recording
+from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.recording.force.cleaning import ForceSettings
 from onebend.recording.force.contact import Contact, ContactSettings, find_contact
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
@@ -35,9 +35,17 @@ from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tool.film import tool_in_film, tool_remarks
 from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.marker_tracks import track_markers
+from onebend.recording.tracks.measured_frequencies import frequency_observations, with_frequencies
 from onebend.recording.tracks.pose_tables import pose_observations
+from onebend.recording.tracks.swing_signals import (
+    SwingSignals,
+    signals_of_markers,
+    signals_of_table,
+    signals_of_tracks,
+)
 from onebend.records import (
     Array,
     BoolArray,
@@ -94,6 +102,15 @@ def observe(
         ObservationError: no tags, no overlap of film and log, or a force that contradicts the bending.
     """
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
+    if rec.frequencies and rec.only_frequencies:
+        return frequency_observations(rec)
+    return with_frequencies(_shown(rec, settings, detections, detect, progress), rec)
+
+
+def _shown(
+    rec: Recording, settings: ObserveSettings, detections: Detections | None, detect: Detect, progress: Progress
+) -> Observations:
+    """What film, tracks, photos or poses show of the beam."""
     if rec.poses is not None:
         return pose_observations(rec)
     if rec.photos is not None:
@@ -108,7 +125,39 @@ def observe(
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
-    return assemble(rec, markers, log, base, settings)
+    return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
+
+
+def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:
+    """With a warning where the film shows the tool elsewhere than `at_s` says. `base_angle` (T,) is of every frame."""
+    if rec.video is None or rec.push is None or not np.isfinite(rec.push.at) or not rec.video.file.exists():
+        return seen
+    markers = Markers(
+        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
+        seen.source.view,
+    )  # fmt: skip
+    remarks = tool_remarks(tool_in_film(rec, markers, seen.loaded, seen.frame), rec)
+    return replace(seen, source=replace(seen.source, remarks=(*seen.source.remarks, *remarks))) if remarks else seen
+
+
+def swing_signals(
+    source: Path | str, *, threads: int | None = None, detect: Detect = detect_tags, progress: Progress = Silent()
+) -> SwingSignals:
+    """What swings in a recording (a film or tracks; no rest and no force is needed), or in a table over time.
+
+    Raises:
+        RecordingError: a file is missing or cannot be read, or is of static poses.
+        ObservationError: no tags.
+    """
+    if Path(source).is_file() and Path(source).name != FILE_NAME:
+        return signals_of_table(Path(source))
+    rec = read_recording(source)
+    if rec.markers is not None:
+        return signals_of_tracks(rec)
+    if rec.video is None:
+        raise RecordingError(f"{rec.folder}: nothing in it moves. Give a film or tracks of a free swing, or a table")
+    detections = detect(rec.video, rec.tags, threads=threads, progress=progress)
+    return signals_of_markers(measure_markers(detections, rec), rec.name)
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,10 @@ from onebend.recording.tags.finder import Finder, Sighting
 from onebend.recording.tags.tracking import sure_doubles
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tool.film import tool_in, tool_remarks
+from onebend.recording.tool.place import ToolPlace, not_seen
 from onebend.recording.video import FilmFrame, luma_in, timed
-from onebend.records import Array, Detections, Markers, Remark
+from onebend.records import Array, BoolArray, Detections, Markers, Remark
 from onebend.workers import available_cores
 
 LOOKS = 20  # frames that are searched for tags
@@ -42,6 +44,7 @@ class Preview:
     markers: Markers | None  # from the sightings; None where they make none
     remarks: tuple[Remark, ...]
     fault: str  # what would end the reading of the film; "" where nothing does
+    tool: ToolPlace  # where these frames show the tool that pushes
 
     @property
     def shown(self) -> int:
@@ -58,6 +61,12 @@ def displacement(markers: Markers) -> Array:
     square = np.sum(away**2, axis=-1)
     seen = np.isfinite(square)
     return np.asarray(np.sqrt(np.where(seen, square, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)))
+
+
+def bent(markers: Markers) -> BoolArray:
+    """(P,) the frames in which the beam is not as in the first, where it is taken to be at rest."""
+    away = displacement(markers)
+    return np.asarray(away > AGAIN * float(away.max()))
 
 
 def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
@@ -77,7 +86,7 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
             corners[t, i] = next((tag.corners for tag in found if tag.tag_id == wanted), np.nan)
     share = np.isfinite(corners).all(axis=(2, 3)).mean(axis=0)
     height, width = looked[0].luma.shape
-    markers, fault, remarks = None, "", [*size_remarks(corners, ids)]
+    markers, fault, remarks, tool = None, "", [*size_remarks(corners, ids)], not_seen("no tags")
     try:
         doubled = zip(looked, sightings, strict=True)
         refuse_doubles(rec.video, [(f.index, tag) for f, found in doubled for tag in sure_doubles(found) if tag in ids])
@@ -87,9 +96,11 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
         time = np.array([frame.time for frame in looked])
         markers = measure_markers(Detections(time, np.array(ids), corners, width, height, ()), rec)
         check_turns(markers, rec)
+        tool = tool_in([frame.luma for frame in looked], rec, markers, bent(markers))
+        remarks += tool_remarks(tool, rec)
     except OnebendError as wrong:
         fault = told(wrong)
-    return Preview(frames, whole, tuple(looked), sightings, markers, tuple(remarks), fault)
+    return Preview(frames, whole, tuple(looked), sightings, markers, tuple(remarks), fault, tool)
 
 
 def spread_frames(video: VideoEntry, count: int) -> tuple[list[FilmFrame], int, bool]:

@@ -10,7 +10,7 @@ from onebend.errors import RecordingError
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.beam_entry import LONGEST
 from onebend.recording.toml.entries import Recording
-from onebend.records import Array, MassLine, SectionShapeName, Stated, StatedSection
+from onebend.records import Array, MassLine, PointMass, SectionShapeName, Stated, StatedSection
 
 # recording.toml's width lies in the plane of bending
 SIZES = ("width_m", "thickness_m", "diameter_m", "inner_diameter_m", "across_flats_m")
@@ -38,6 +38,7 @@ def stated_in(recording: Recording) -> Stated:
         mass=mass,
         placement_sd=tags.placement_sd,
         mass_line=line,
+        weighed_sd=beam.mass_sd / mass,
         mass_along=beam.mass_along,
         stiffness_along=beam.stiffness_along,
         turn_sd=tags.turn_sd,
@@ -52,6 +53,8 @@ def stated_in(recording: Recording) -> Stated:
         load_error_sd=math.nan if force is None else force.bias_sd,
         section=section,
         modulus_varies=beam.modulus_varies,
+        rest_change_sd=beam.rest_change_sd,
+        masses=tuple(PointMass(one.s, one.mass) for one in beam.masses),
     )
 
 

@@ -83,6 +83,21 @@ def read_columns(
     return Columns(path, rows, numbers, {name: tuple(str(cell).strip() for cell in cells[name]) for name in labels})
 
 
+def read_every_column(path: Path, needed: str, *, kind: str = "table") -> Columns:
+    """All columns that hold nothing but numbers and empty cells; `needed` must be one of them.
+
+    Raises:
+        RecordingError: unreadable, no such column (those found are listed), or no rows.
+    """
+    cells, _ = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
+    good = [name for name, column in cells.items() if all(_is_number(one) or _is_empty(one) for one in column)]
+    return read_columns(path, (needed,), [name for name in good if name != needed], kind=kind)
+
+
+def _is_empty(cell: object) -> bool:
+    return cell is None or str(cell).strip().lower() in EMPTY
+
+
 def _refuse_others(path: Path, cells: dict[str, Cells], known: Sequence[str], kind: str) -> None:
     """An error where a column that is not known holds numbers: it is probably misnamed, or in another unit."""
     for name in (name for name in cells if name not in known):

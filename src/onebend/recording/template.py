@@ -11,6 +11,7 @@ from onebend.files.single_file import write_file
 from onebend.recording.folder import FILE_NAME, FORMAT
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
+from onebend.recording.toml.frequency_entry import FrequencyEntry
 from onebend.recording.toml.schema import keys_of
 from onebend.recording.toml.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
 
@@ -34,6 +35,8 @@ WHAT: dict[Kind, tuple[str, str]] = {
 EMPTY = ""  # what only the experimenter knows: no value is better than one that looks right
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
+
+FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for each frequency."
 
 
 def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[str, str]) -> Path:
@@ -70,6 +73,7 @@ def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:
     ]
     if kind != "weights":
         parts.append(optional(GRAVITY, table("[gravity]", GravityEntry)))
+    parts.append(optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry)))
     return "\n".join(parts)
 
 

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution
+from onebend.beam.profiles.uncertain import IDENTIFIED_SD, half_width, half_width_words
+from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
 from onebend.learning.posterior import Posterior
 from onebend.records import GAIN_SD, PLACE_SD, Observations
 from onebend.report.wording import ANOTHER, change_words
 
 _MOST_TOLD = 2
+_MOST_HIDING = 3
 
 
 def share_words(share: Attribution) -> str:
@@ -35,6 +37,27 @@ def narrower_words(posterior: Posterior) -> str:
     every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
     told = [f"{what} (up to {widening:.2f} times)" for widening, what in every if what]
     return ", ".join(told[:_MOST_TOLD])
+
+
+def why_words(posterior: Posterior) -> str:
+    """Why k(s) is identified nowhere: what hides it, or that the tags would not tell it were all else known."""
+    s, count = np.linspace(0.0, 1.0, 101), sum(len(one.force) for one in posterior.recordings)
+    alone, with_one = hidden_by(posterior.problem, posterior.optimum, posterior.gain_sd, s)
+    static = all(one.observations.static for one in posterior.recordings)
+    told = "one pose does" if static and count == 1 else "the poses do" if static else "the push does"
+    if np.min(alone) >= IDENTIFIED_SD:
+        more = "bend the beam further, and read the points more exactly" if static else "push further"
+        return f"{told} not tell it even were all else known: {more}"
+    best = int(np.argmin(alone))
+    enough = {name: float(np.min(sd)) for name, sd in with_one.items() if np.min(sd) >= IDENTIFIED_SD}
+    each = enough or {name: float(sd[best]) for name, sd in with_one.items() if sd[best] > WIDENS * alone[best]}
+    names = sorted(each, key=lambda name: -each[name])[:_MOST_HIDING]
+    one = "" if len(names) == 1 else ", each enough to hide it" if enough else ", which hide it together"
+    mends = "state more of that, or add poses under other loads" if static else "state more of that"
+    return (
+        f"{told} not tell it from {', '.join(names)}{one}. Were all else known, k would be known to "
+        f"{half_width_words(float(half_width(alone[best])))} at s = {s[best]:.2g}: {mends}"
+    )
 
 
 def mounting_words(posterior: Posterior) -> str:

@@ -17,7 +17,7 @@ from onebend.learning.verdict import possible
 from onebend.recording.signals import runs
 from onebend.records import Observations
 from onebend.report.findings import Findings
-from onebend.report.kinds import is_forced, only_static
+from onebend.report.kinds import is_forced, only_frequencies, only_static
 from onebend.report.wording import change_words, millimetres, significant
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
@@ -137,6 +137,8 @@ def gain_words(gain_sd: float, *, forced: bool = True) -> str:
 
 def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
     """What the scale of k(s) rests on: the force's, the loads', or the beam's own weight."""
+    if only_frequencies(recordings):
+        return "Only how fast the beam swings was measured: the scale of k(s) is that of its mass."
     forced = [one for one in recordings if is_forced(one)]
     if not only_static(forced) or not forced:
         return gain_words(gain_sd, forced=bool(forced))
@@ -244,11 +246,11 @@ def alarm_words(posterior: Posterior) -> str:
     """The threshold of the tests: among so many, some stand out by chance."""
     critic = possible(posterior).criticism
     written = max(critic.alarm, ALARM_WRITTEN)
+    pushed = f" ({_odds(written)} for place and direction of the push, which people write down)"
     return (
         f"Of {len(critic.findings)} tests some stand out by chance: one counts as standing out beyond "
-        f"{_odds(critic.alarm)} "
-        f"({_odds(written)} for place and direction of the push, which people write down), if k(s) would change by "
-        "more than half of its sd."
+        f"{_odds(critic.alarm)}{'' if only_static([one.observations for one in posterior.recordings]) else pushed}, if "
+        "k(s) would change by more than half of its sd."
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from onebend.records import Observations
 
-Kind = Literal["film", "tracks", "photos", "poses"]
+Kind = Literal["film", "tracks", "photos", "poses", "frequencies"]
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,14 @@ WORDS: dict[Kind, KindWords] = {
     "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock", "recording"),
     "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos", ""),
     "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points", ""),
+    "frequencies": KindWords("frequencies", "frequencies", "as it swings", "Frequencies", ""),
 }
 
 
 def kind_of(observations: Observations) -> Kind:
-    """Film, marker tracks, photos of the loaded beam, or a table of static poses."""
+    """Film, marker tracks, photos of the loaded beam, a table of static poses, or natural frequencies alone."""
+    if observations.frequencies and observations.static and not np.any(observations.marker_s):
+        return "frequencies"
     if observations.static:
         return "poses" if observations.source.view is None else "photos"
     return "tracks" if observations.source.view is None else "film"
@@ -58,6 +61,18 @@ def only_static(recordings: Sequence[Observations]) -> bool:
 
 def learned_from(observations: Observations) -> str:
     """What of it was used: "440 loaded frames of a film (600 in all)", "6 poses under known loads"."""
+    swings = f"{len(observations.frequencies)} natural frequencies"
+    if kind_of(observations) == "frequencies":
+        return swings
+    return _shown(observations) + (f", and {swings}" if observations.frequencies else "")
+
+
+def only_frequencies(recordings: Sequence[Observations]) -> bool:
+    """Whether nothing was seen of the beam but how fast it swings."""
+    return all(kind_of(one) == "frequencies" for one in recordings)
+
+
+def _shown(observations: Observations) -> str:
     count, used, kind = len(observations.time), int(observations.loaded.sum()), kind_of(observations)
     if observations.static:
         of = "photos of the beam" if kind == "photos" else "static poses"

@@ -22,7 +22,7 @@ from onebend.recording.force.implausible_force import refuse_other_unit, size_re
 from onebend.recording.gravity import read_base_log
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.pairing import check_direction, check_pace, read_log
-from onebend.recording.preview import AGAIN, Preview, displacement, look_at
+from onebend.recording.preview import Preview, bent, displacement, look_at
 from onebend.recording.signals import outliers, step
 from onebend.recording.stated import stated_in
 from onebend.recording.toml.entries import Recording
@@ -81,7 +81,8 @@ def overview(folder: Path | str) -> Overview:
         read_base_log(recording.gravity.base_angle_file)
     log = read_log(recording)
     preview = None if recording.video is None else look_at(recording)
-    seen = observe(recording) if recording.markers is not None or recording.poses is not None else None
+    shown = recording.markers is not None or recording.poses is not None or recording.only_frequencies
+    seen = observe(recording) if shown else None
     film = None if preview is None or recording.video is None else film_info(recording.video, preview)
     sizes = [] if section is None else [("section", ", ".join(size_words(section)))]
     rows = [
@@ -89,7 +90,7 @@ def overview(folder: Path | str) -> Overview:
         *sizes,
         *_film_rows(recording, film),
         *_tag_rows(preview),
-        *_log_rows(recording, log),
+        *_log_rows(recording, log, preview),
     ]
     remarks = [*recording.remarks, *(log.remarks if log else ())]
     if seen is not None:
@@ -204,7 +205,7 @@ def _refuse_axes(recording: Recording, markers: Markers, log: ForceLog) -> None:
         return
     time = markers.time + offsets[int(np.argmax(alike))]
     at_frames = np.stack([np.interp(time, log.time, column) for column in force.T], axis=1)
-    loaded = np.asarray(away > AGAIN * float(away.max()))
+    loaded = bent(markers)
     rest = rest_shape(markers, ~loaded)
     check_direction(recording, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
 
@@ -232,10 +233,12 @@ def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
     places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam)
     base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
     weight = "acts in the plane of bending" if recording.gravity is not None else "across the plane of bending"
+    swings = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in recording.frequencies]
     size = f"{tags.family}, {1000 * tags.size:.4g} mm; " if np.isfinite(tags.size) else ""
     return [
         ("beam", f"{1000 * beam.length:.4g} mm long, {mass}, at rest: {beam.rest}; gravity {weight}"),
-        ("tags", f"{size}{base or 'none'} on the base; {places}"),
+        *([] if recording.only_frequencies else [("tags", f"{size}{base or 'none'} on the base; {places}")]),
+        *([("swings", ", ".join(swings))] if swings else []),
     ]
 
 
@@ -274,12 +277,12 @@ def _pose_rows(recording: Recording) -> list[tuple[str, str]]:
         return [("photos", recording.photos.folder.name), ("loads", said)]
     assert recording.poses is not None
     points, name = read_points(recording, loads), recording.poses.file.name
-    seen = int(np.isfinite(points.xy).any(axis=-1).sum())
-    both = int(np.isfinite(points.xy).all(axis=-1).sum())
+    known = np.isfinite(points.xy[np.arange(len(points.xy)) != points.readings.bare])  # of the zero nothing is read
+    seen, both = int(known.any(axis=-1).sum()), int(known.all(axis=-1).sum())
     return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
 
 
-def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str]]:
+def _log_rows(recording: Recording, log: ForceLog | None, preview: Preview | None) -> list[tuple[str, str]]:
     if log is None or recording.force is None or recording.push is None:
         return [] if recording.poses is not None or recording.photos is not None else [("force", "none")]
     span = log.time[-1] - log.time[0]
@@ -287,6 +290,7 @@ def _log_rows(recording: Recording, log: ForceLog | None) -> list[tuple[str, str
     reach = ", ".join(f"{low:.2f} … {high:.2f} N" for low, high in zip(log.force.min(0), log.force.max(0), strict=True))
     column = recording.push.column
     place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
+    place += f"; the film shows the tool at s = {preview.tool.words}" if preview and preview.tool.seen else ""
     start, doubt = recording.start
     source = " ".join((recording.force.file.name, recording.force.topic)).strip()
     what = "the video starts" if recording.video is not None else "the tracks start"

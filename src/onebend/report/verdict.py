@@ -16,13 +16,15 @@ from onebend.beam.profiles.uncertain import half_width_words
 from onebend.errors import section
 from onebend.learning.criticism.alternatives import Suspect
 from onebend.learning.criticism_messages import cause_words
+from onebend.learning.frequencies.compared import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Array, Observations
-from onebend.report.allowance_words import narrower_words, share_words
+from onebend.report.allowance_words import narrower_words, share_words, why_words
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings, another_beam, poor_fit
+from onebend.report.kinds import only_frequencies
 from onebend.report.modulus import measured_beam, one_modulus_words
 from onebend.report.wording import millimetres, significant, tag_words
 
@@ -128,7 +130,7 @@ def _known(findings: Findings) -> str:
     uncertain = findings.posterior.stiffness
     ranges = identified_ranges(uncertain)
     if not ranges:
-        return f"{span}, not identified: at no place to a factor of 1.5 (95 %)"
+        return f"{span}, not identified: at no place to a factor of 1.5 (95 %); {why_words(findings.posterior)}"
     wide = half_width_words(typical_half_width(uncertain))
     one = one_modulus_words(measured_beam(findings))
     headline = f"E = {one}, 95 %, times the section's I(s); " if one else ""
@@ -161,8 +163,9 @@ def _stand_out(count: int) -> str:
 
 def _error(findings: Findings) -> _Error:
     """Of the validations, where there are any; else of the fit; else under the force as logged."""
-    if findings.validations:
-        return _worst("validation", findings.validations, [one.rms for one in findings.validations])
+    seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
+    if seen:
+        return _worst("validation", seen, [one.rms for one in seen])
     if findings.posterior is not None:
         return _worst("fit", findings.trainings, fitted_rms(findings.posterior))
     return _worst("as logged", findings.trainings, [one.rms for one in findings.trainings])
@@ -189,6 +192,10 @@ def _use(findings: Findings, error: _Error) -> str:
     said = f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"
     if error.of == "fit" and (poor := _poor(findings.trainings)) != "":
         return f"the fit is off by {said}, but {poor}: no good prediction"
+    if findings.posterior is not None and only_frequencies(findings.recordings) and error.of != "validation":
+        rows = compared_frequencies(findings.posterior.frequencies)
+        off = significant(worst_off(findings.posterior.frequencies), 2)
+        return f"the beam as fitted is within {off} sd of its {len(rows)} frequencies; not validated"
     if error.of != "validation":
         how = "the fit is off by" if error.of == "fit" else "off by"
         another = "pose" if findings.recordings[0].static else "push"
@@ -210,7 +217,7 @@ def _use(findings: Findings, error: _Error) -> str:
 
 def _poor(trainings: Sequence[Comparison]) -> str:
     """By how much the beam misses what it was learned from, under the force as logged; empty as a rule."""
-    if not any(poor_fit(one) for one in trainings):
+    if not any(poor_fit(one) for one in trainings if not one.static):  # poses have no log; a wrong one is named apart
         return ""
     logged = _worst("as logged", trainings, [one.rms for one in trainings])
     moves = f"{logged.tag}, which moves by {significant(1e3 * logged.motion)}"
@@ -247,14 +254,17 @@ def _mend(posterior: Posterior) -> str:
         return remark.text.rstrip(".")
     if posterior.doubts:
         if all(one.static for one in whose):
-            return "check the loads and their unit, then the points' axes, first of all the sign of y"
+            return "check the loads and their unit, then the points' axes (first of all the sign of y) and clamp_deg"
         return "check the sign and the axes of [force], then the clocks: `onebend check` shows both"
     if not posterior.criticism.trusted:
-        return "look at the residuals in the report, and at the film: no single cause explains them"
+        film = "" if all(one.static for one in whose) else ", and at the film"
+        return f"look at the residuals in the report{film}: no single cause explains them"
     return ""
 
 
 def _validate_words(first: Observations) -> str:
+    if only_frequencies([first]):
+        return "measure it in another posture, or with a known tip_mass_kg, or hang a weight on it, and learn from both"
     if first.static:
         return "measure a pose under another load, and run `onebend validate` on it"
     return "film a second push (faster, elsewhere), and run `onebend validate`"

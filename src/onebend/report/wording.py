@@ -11,7 +11,7 @@ from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.records import CleanForce, ClockOffset, Observations
 from onebend.report.findings import Findings
-from onebend.report.kinds import is_forced, words_of
+from onebend.report.kinds import is_forced, kind_of, only_frequencies, words_of
 
 UNKNOWN = "–"
 NOT_WORTH_A_ROW = 0.005  # s
@@ -114,6 +114,8 @@ def inputs(observations: Observations) -> list[tuple[str, str]]:
             else "not calibrated: lens and focal length inferred from the tags"
         )
         rows.append(("camera", f"{how}; corners to {observations.source.view.corner_sd:.2f} px (sd)"))
+    if kind_of(observations) == "frequencies":
+        return [*rows, ("natural frequencies", str(len(observations.frequencies)))]
     found = 100.0 * np.isfinite(observations.xy[..., 0]).mean(axis=0)
     tags = ", ".join(f"tag {tag} {found[i]:.1f} %" for i, tag in enumerate(observations.tag_id))
     words = words_of(observations)
@@ -154,6 +156,9 @@ def assumptions(findings: Findings) -> list[str]:
     weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
         "gravity acts across the plane of bending, so its weight does not bend it"
     )  # fmt: skip
+    if only_frequencies(findings.recordings):
+        weight = "its weight stiffens, softens and bends it as each posture says"
+        return [f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.", *_loading(recording)]
     sd = millimetres(recording.stated.placement_sd)
     return [
         f"The beam is planar, is clamped at s = 0, and is {rest}; {weight}.",
@@ -165,6 +170,8 @@ def assumptions(findings: Findings) -> list[str]:
 
 def _loading(recording: Observations) -> list[str]:
     """What is taken for granted of the loads."""
+    if kind_of(recording) == "frequencies":
+        return ["It swings freely about rest, and so little that its frequencies do not depend on how far."]
     if recording.static:
         loads = "The loads act where they are written, and nothing else touches the beam."
         return [

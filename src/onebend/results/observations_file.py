@@ -24,7 +24,7 @@ from onebend.results.record_json import fields_from, to_data
 
 FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
-_VERSION = 4
+_VERSION = 5
 _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of what the filter passes
 # Fields with one row a frame: their columns, one a component. The rest of the fields goes into the metadata.
 _COLUMNS = {

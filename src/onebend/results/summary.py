@@ -16,6 +16,7 @@ from onebend.learning.modulus import modulus_along, stated_section
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
 from onebend.learning.swing.damping import SwingFit
+from onebend.learning.swing.swing_frequencies import FoundFrequencies
 from onebend.learning.tradeoffs import tradeoffs, with_level
 from onebend.learning.verdict import fitted_rms, possible
 from onebend.records import Observations, StatedSection
@@ -28,6 +29,7 @@ LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
 PLAN_FORMAT = "onebend-plan-1"
 DAMP_FORMAT = "onebend-damp-1"
+FREQUENCIES_FORMAT = "onebend-frequencies-1"
 
 
 def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
@@ -90,6 +92,23 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
         "s": fit.swing.s,
         "rms_m": fit.rms,
         "remarks": [remark.as_dict() for remark in fit.remarks],
+    }
+
+
+def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str) -> dict[str, Any]:
+    """What `onebend frequencies --json` prints."""
+    names = {"frequency": "hz", "sd": "sd_hz", "multiple_of": "multiple_of_hz"}
+    return {
+        "format": FREQUENCIES_FORMAT,
+        "written_by": written_by,
+        "source": source,
+        "modes": [{names.get(name, name): value for name, value in asdict(one).items()} for one in found.modes],
+        "from_s": found.begin,
+        "to_s": found.end,
+        "samples": found.samples,
+        "samples_per_s": found.rate,
+        "left": found.left,
+        "remarks": [remark.as_dict() for remark in found.remarks],
     }
 
 

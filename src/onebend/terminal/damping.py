@@ -1,4 +1,4 @@
-"""What `onebend damp` and `onebend sense` say."""
+"""What `onebend damp`, `onebend frequencies` and `onebend sense` say."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.table import Table
 
 from onebend.learning.sensing.sense import Sensed
 from onebend.learning.swing.damping import Damping, SwingFit
+from onebend.learning.swing.swing_frequencies import FoundFrequencies
 from onebend.report.wording import significant
 from onebend.terminal.parts import facts_table, force_words, remarks_list, say_written
 
@@ -43,6 +44,44 @@ def swing_table(fit: SwingFit) -> Table:
             "mass \\[g]", significant(1000 * fit.mass), f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?"
         )
     return table
+
+
+def frequency_table(found: FoundFrequencies) -> Table:
+    """One mode a row."""
+    table = Table(title="Frequencies of the free swing", title_justify="left", box=None)
+    for name in ("Hz", "sd", "damping ratio", "sd", "size"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for one in found.modes:
+        said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
+        cells = (f"{one.damping_ratio:.3g}", f"{one.damping_ratio_sd:.2g}", f"{100 * one.share:.3g} %", said)
+        table.add_row(f"{one.frequency:.6g}", f"{one.sd:.2g}", *cells)
+    return table
+
+
+def frequency_entries(found: FoundFrequencies) -> str:
+    """What to write in recording.toml: the slowest is taken to be mode 1, and learning numbers the others."""
+    rows = []
+    for i, one in enumerate(one for one in found.modes if not one.multiple_of):
+        mode = "mode = 1\n" if i == 0 else ""
+        numbers = f"hz = {one.frequency:.6g}\nsd_hz = {one.sd:.2g}\ndamping_ratio = {one.damping_ratio:.3g}\n"
+        rows.append(f"[[frequencies]]\n{numbers}{mode}base_angle_deg =    # -90 hangs, 90 stands, 0 lies\n")
+    return "\n".join(rows)
+
+
+def show_frequencies(console: Console, found: FoundFrequencies) -> None:
+    """All that `onebend frequencies` says."""
+    console.print(frequency_table(found))
+    console.print(
+        f"\n{found.samples} samples from {found.begin:.2f} to {found.end:.2f} s at {found.rate:.4g} a second; "
+        f"{100 * found.left:.2g} % of the motion is in no mode.\n",
+        highlight=False,
+    )
+    if found.remarks:
+        console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+        console.print()
+    console.print("For recording.toml:\n", highlight=False)
+    console.print(frequency_entries(found), markup=False, highlight=False)
 
 
 def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:

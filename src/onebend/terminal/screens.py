@@ -18,6 +18,7 @@ from onebend.records import Observations
 from onebend.report.allowance_words import mounting_words
 from onebend.report.confidence import load_error_words, scale_words, stop_words, tradeoff_words, unidentified_words
 from onebend.report.findings import Findings, all_remarks, pair_remarks
+from onebend.report.kinds import only_frequencies
 from onebend.report.modulus import MeasuredBeam, measured_beam, modulus_rows, modulus_words
 from onebend.report.verdict import hopeless, verdict_of
 from onebend.report.wording import millimetres, significant
@@ -94,8 +95,10 @@ def _everything(run: Findings) -> list[RenderableType]:
         parts.append(selection_table(run.learned))
     if run.posterior is not None:
         parts += _fit(run, run.posterior)
-    parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
-    if run.posterior is not None:
+    seen = not only_frequencies(run.recordings)
+    if seen:
+        parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
+    if seen and run.posterior is not None:
         parts.append(_sentences(_as_logged_words(run, run.posterior)))
     if run.validations:
         parts.append(comparison_table(run.validations, "Validation"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.grid import make_grid
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName, allowances_of
+from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, OF_ONE, AllowanceName, allowances_of
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding
 from onebend.learning.allowances.course import course
@@ -120,7 +120,7 @@ def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **ch
 
 
 def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:
-    assert chosen(forces(20)) == EVERY_ALLOWANCE - {"inertia"}  # which needs the nodes: see `unknown_mass`
+    assert chosen(forces(20)) == OF_ONE - {"inertia"}  # which needs the nodes: see `unknown_mass`
 
 
 def test_only_what_is_wanted_is_allowed_for() -> None:
@@ -129,10 +129,10 @@ def test_only_what_is_wanted_is_allowed_for() -> None:
 
 
 def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
-    assert EVERY_ALLOWANCE - chosen(np.zeros((20, 2))) == {"inertia", "slide", "posture"}
+    assert OF_ONE - chosen(np.zeros((20, 2))) == {"inertia", "slide", "posture"}
     assert chosen(forces(20), static=True) == set()
 
 
 def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
-    assert EVERY_ALLOWANCE - chosen(forces(20), source=tracked) == {"inertia", "heights", "rolling shutter"}
+    assert OF_ONE - chosen(forces(20), source=tracked) == {"inertia", "heights", "rolling shutter"}

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.beam.statics.problem import make_problem
 from onebend.learning.allowances.inertia import inertial_force, tag_accelerations, unknown_mass
-from onebend.records import Observations
+from onebend.records import Observations, PointMass
 from tests.learning.bench import SOFT, observed
 from tests.made_up import with_stated
 
@@ -46,6 +46,19 @@ def test_a_hidden_frame_is_bridged_and_a_short_film_tells_nothing() -> None:
     np.testing.assert_allclose(found[20, 1], 2.0 / 3.0 * PULL, rtol=1e-6)
     few = replace(o, time=o.time[:13], xy=o.xy[:13])
     assert tag_accelerations(few) is None
+
+
+def test_what_rides_on_the_beam_is_accelerated_too() -> None:
+    """Half a gram between two tags, on every node before it; nothing in the frame at rest."""
+    o, count = falling(), FRAMES + 1
+    problem = make_problem(Beam(o.length, Uniform(1.0)), push(np.zeros((count, 2)), np.full(count, 0.5)))
+    force = inertial_force(o, np.ones(FRAMES, dtype=bool), problem, Uniform(0.0), count, (PointMass(0.5, 5e-4),))
+    before = problem.grid.nodes < 0.5
+    expected = -5e-4 * 0.5 * PULL * before[:, None]
+    np.testing.assert_allclose(
+        force[INNER][: FRAMES - 6], np.broadcast_to(expected, (FRAMES - 6, *expected.shape)), rtol=1e-6, atol=1e-9
+    )
+    assert np.all(force[-1] == 0.0)
 
 
 @pytest.mark.parametrize("last", [1.0, 0.8])

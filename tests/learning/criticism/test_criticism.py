@@ -186,7 +186,7 @@ def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:
 def suspects() -> list[Suspect]:
     out = [Suspect("mechanics", name) for name in UNITS]
     out += [Suspect("prior", name, 1) for name in ("along", "across", "turn", "clamp", "origin", "scale", "clock")]
-    out += [Suspect("prior", name) for name in ("mass", "curvature")]
+    out += [Suspect("prior", name) for name in ("mass", "curvature", "rest change")]
     out += [Suspect("change", name, 1, "made") for name in ("creep", "slip", "loose")]
     return [*out, *(Suspect("trend", name, 1, "made") for name in AXES)]
 

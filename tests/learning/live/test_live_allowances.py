@@ -21,7 +21,7 @@ from onebend.learning.allowances.causal import (
     causal_allowances,
     course_scale,
 )
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, allowances_of
+from onebend.learning.allowances.chosen import OF_ONE, allowances_of
 from onebend.learning.allowances.contact import sliding
 from onebend.learning.allowances.course import course
 from onebend.learning.allowances.relaxation import lags, reached_part
@@ -203,4 +203,4 @@ def test_it_says_what_it_does_not_allow_for() -> None:
     learner = OnlineLearner(0.15, MARKERS, 0.03, settings=FEW)
     assert learner.left_out == ("camera", "heights", "inertia", "rolling shutter")
     ideal = OnlineLearner(0.15, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=12))
-    assert set(ideal.left_out) == {*EVERY_ALLOWANCE, "inertia"}
+    assert set(ideal.left_out) == {*OF_ONE, "inertia"}

@@ -87,8 +87,6 @@ def test_the_swing_begins_after_the_release(film: Observations) -> None:
 @pytest.mark.parametrize(
     ("change", "part", "says"),
     [
-        ({"loaded": np.ones(110, dtype=bool)}, FilmPart(), "pushed to the end"),
-        ({"loaded": np.zeros(110, dtype=bool)}, FilmPart(), "--from-s"),
         ({}, FilmPart(1.8), "at least 12"),
         ({"rest_angle": np.array([0.0, np.nan, 0.0])}, FilmPart(), "at rest"),
         ({"gravity": np.linspace([0.0, 0.0], [9.8, 0.0], 110)}, FilmPart(), "base turns"),
@@ -100,6 +98,20 @@ def test_what_is_no_free_swing_is_refused(
     assert len(film.time) == 110
     with pytest.raises(LearningError, match=says):
         find_swing(replace(film, **change), part)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_tags_that_swing_through_rest_are_free_whatever_the_log_says(film: Observations, said: bool) -> None:
+    """A sensor that forgets the load slowly shows contact to the end of the film; without a log there is none."""
+    begin = find_swing(replace(film, loaded=np.full(110, said))).begin
+    assert 0.537 < begin < 0.65  # let go at 0.537 s, through rest within the first half swing
+
+
+def test_a_push_that_is_never_let_go_is_no_swing(film: Observations) -> None:
+    held = np.where(film.loaded[:, None, None], film.xy, film.xy[0])
+    for loaded, says in ((np.ones(110, dtype=bool), "pushed to the end"), (np.zeros(110, dtype=bool), "--from-s")):
+        with pytest.raises(LearningError, match=says):
+            find_swing(replace(film, xy=held, loaded=loaded))
 
 
 def test_a_still_beam_and_a_slow_camera_are_refused(film: Observations) -> None:

@@ -14,8 +14,9 @@ from onebend.recording.clock.offset import fit_clock
 from onebend.recording.clock.offset_prior import reach_of, search_range
 from onebend.recording.folder import read_recording
 from onebend.recording.gravity import BaseLog, base_clock
+from onebend.recording.stated import stated_in
 from onebend.recording.toml.entries import Recording
-from onebend.records import CURVATURE_SD
+from onebend.records import CURVATURE_SD, PointMass
 from onebend.report.overview import overview
 from onebend.report.wording import clock_words
 from tests.recording.pushed import Pushed
@@ -26,6 +27,7 @@ from tests.recording.tracked import START, track_folder
 LINES = {
     "clamp_sd_deg": 'file = "video.mp4"\n',
     "rest_curvature_sd_deg": "mass_kg = 0.08\n",
+    "rest_change_sd_deg": "mass_kg = 0.08\n",
     "scale_sd": "dist = [-0.06, 0.02, 0.0004, -0.0003]\n",
 }
 CALIBRATION = FULL[FULL.index("width = 1280") : FULL.index("[video]")]
@@ -63,8 +65,29 @@ def test_the_sds_are_read_in_si_and_radians(tmp_path: Path) -> None:
     assert read(tmp_path, saying("clamp_sd_deg", "0.5")).clamp_sd == pytest.approx(math.radians(0.5))
     assert read(tmp_path, saying("rest_curvature_sd_deg", "20")).beam.curvature_sd == pytest.approx(math.radians(20))
     assert read(tmp_path, saying("scale_sd", "0.01")).scale_sd == 0.01
-    none = [read(tmp_path, saying(key, "0")) for key in LINES]
-    assert (none[0].clamp_sd, none[1].beam.curvature_sd, none[2].scale_sd) == (0.0, 0.0, 0.0)
+    assert read(tmp_path, saying("rest_change_sd_deg", "3")).beam.rest_change_sd == pytest.approx(math.radians(3))
+    none = {key: read(tmp_path, saying(key, "0")) for key in LINES}
+    assert none["clamp_sd_deg"].clamp_sd == none["scale_sd"].scale_sd == 0.0
+    assert none["rest_curvature_sd_deg"].beam.curvature_sd == none["rest_change_sd_deg"].beam.rest_change_sd == 0.0
+
+
+CLIP = "[[beam.masses]]\ns = 0.5\nmass_kg = 0.004\n[[beam.masses]]\ns = 1\nmass_kg = 0.002\n\n[tags]\n"
+
+
+def test_what_rides_on_the_beam_is_read_and_refused_at_its_line(tmp_path: Path) -> None:
+    content = FULL.replace("[tags]\n", CLIP)
+    rec = read(tmp_path, content)
+    assert [(one.s, one.mass) for one in rec.beam.masses] == [(0.5, 0.004), (1.0, 0.002)]
+    assert stated_in(rec).masses == (PointMass(0.5, 0.004), PointMass(1.0, 0.002))
+    for right, wrong, words in (
+        ("mass_kg = 0.002", "mass_kg = -2", "[beam.masses] (entry 2) mass_kg must be a number above 0"),
+        ("mass_kg = 0.002", "mass_g = 2", "does not know the key mass_g. Did you mean mass_kg?"),
+        ("mass_kg = 0.002", "mass_kg =", "[beam.masses] (entry 2) mass_kg is empty. Fill it in: its mass, kg."),
+    ):
+        told = refusal(tmp_path, content.replace(right, wrong))
+        assert words in told
+        assert f"recording.toml:{line_of(content, right)}: " in told
+    assert "must be tables: `[[beam.masses]]`" in refusal(tmp_path, FULL.replace("[beam]\n", "[beam]\nmasses = 3\n"))
 
 
 def test_a_scale_may_be_all_that_is_said_of_the_camera(tmp_path: Path) -> None:

@@ -268,3 +268,15 @@ def test_a_length_in_millimetres_is_refused(tmp_path: Path) -> None:
     (folder / "recording.toml").write_text(text.replace(f"length_m = {ROD.length}", "length_m = 500.0"))
     with pytest.raises(RecordingError, match=r"at most 50, not 500\.0"):
         observe(folder)
+
+
+def test_a_wrong_pose_under_a_load_elsewhere_is_left_out(tmp_path: Path) -> None:
+    """Without it all loads hang at the tip, and the beam is solved on another grid."""
+    tip, middle = push(HUNG[1:, None] * DOWN), push(np.array([[0.0, -0.6]]), 0.6)
+    shown = np.concatenate([solved(tip).xy(ROD_S), -solved(middle).xy(ROD_S)])
+    loads = "pose,s,fy_N\n" + "".join(f"{i},1,{-w}\n" for i, w in enumerate(HUNG[1:])) + "5,0.6,-0.6\n"
+    o = seen(tmp_path, loads=loads, shown=noisy(shown, 2e-4), gravity="", poses="", beam='rest = "straight"\n')
+    posterior = fit([o], start_of([o], None), settings=FEW)
+    assert posterior.left_out[0].tolist() == [False] * 5 + [True]
+    s = np.linspace(0.1, 0.7, 7)
+    np.testing.assert_allclose(posterior.beam.stiffness(s), ROD.stiffness(s), rtol=0.1)

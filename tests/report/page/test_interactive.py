@@ -16,6 +16,7 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.records import PointMass
 from onebend.report.figures.curves import highest_shown
 from onebend.report.page.interactive import PLACES, SCRIPTS, script_data
 from onebend.report.page.page import page
@@ -93,13 +94,14 @@ def test_the_page_allows_its_own_script_alone() -> None:
 
 
 def test_the_solver_of_the_page_agrees_with_ours(tmp_path: Path) -> None:
-    """To 1e-4 of the length at all places, with weight, a rest shape and a turned clamp."""
+    """To 1e-4 of the length at all places, with weight, a mass that rides on it, a rest shape and a turned clamp."""
     beam = Beam(
-        made_up.LENGTH, made_up.GAUSSIANS, rest_curvature=Uniform(0.3), mass_per_length=Uniform(0.1), clamp_angle=0.1
-    )
+        made_up.LENGTH, made_up.GAUSSIANS, rest_curvature=Uniform(0.3), mass_per_length=Uniform(0.1), clamp_angle=0.1,
+        masses=(PointMass(0.6, 0.02),),
+    )  # fmt: skip
     data = {
         "length_m": beam.length, "clamp_rad": 0.1, "k_N_m": beam.stiffness(S).tolist(), "q0_rad": [0.3] * PLACES,
-        "mass_kg_m": [0.1] * PLACES, "gravity_m_s2": [-3.0, -9.0],
+        "mass_kg_m": [0.1] * PLACES, "masses": [[0.6, 0.02]], "gravity_m_s2": [-3.0, -9.0],
     }  # fmt: skip
     places = [0.2, 0.5, 0.83, 1.0]
     asked = (

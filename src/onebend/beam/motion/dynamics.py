@@ -20,7 +20,8 @@ Kelvin-Voigt damping, and the centre of mass of every section lies on the line t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from onebend.beam.modal import Modes
 from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.problem import Resolution, Rod, refuse_section
 from onebend.errors import MechanicsError
-from onebend.records import Array, BoolArray
+from onebend.records import Array, BoolArray, PointMass
 
 _NONE = Uniform(0.0)
 
@@ -86,11 +87,13 @@ def body(
     damping: Profile = _NONE,
     resolution: Resolution = Resolution(24),
     grid: Grid | None = None,
+    points: Sequence[PointMass] = (),
 ) -> Body:
     """Tables of a beam in curvature modes, or with the curvature at every node as a coordinate where `modes` is None.
 
     `rotary_inertia`: iota(s) = rho I, kg m (per metre of beam). `damping`: d(s), N m s. Modes suit smooth k(s); nodes
-    resolve any k(s), with panels that end at its jumps. A `grid` given takes the place of the one made here.
+    resolve any k(s), with panels that end at its jumps and at masses without size: those that ride on the beam, and
+    `points` besides. A `grid` given takes the place of the one made here.
 
     Raises:
         MechanicsError: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the equation
@@ -98,7 +101,8 @@ def body(
     """
     refuse_section(beam, "the equation of motion")
     profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
-    jumps = tuple(jump for profile in profiles for jump in profile.jumps)
+    riding = (*beam.masses, *points)
+    jumps = (*(jump for profile in profiles for jump in profile.jumps), *(point.s for point in riding))
     if grid is None:
         grid = make_grid(jumps, order=resolution.order, widest=resolution.widest)
     if modes is not None and modes.n > grid.order:
@@ -110,21 +114,55 @@ def body(
     _refuse(iota >= 0.0, "rotary inertia", iota, nodes, "kg m cannot be negative")
     _refuse(d >= 0.0, "damping", d, nodes, "N m s cannot be negative")
     phi = np.eye(len(nodes)) if modes is None else modes.curvature(nodes)
-    integral = grid.integral_to_nodes
-    return Body(
-        length=beam.length,
-        grid=grid,
+    turned = beam.clamp_angle
+    bare = body_of_nodes(grid, beam.length, k, mu, q0, clamp_angle=turned, rotary_inertia=iota, points=riding)
+    return replace(
+        bare,
         curvature=phi,
-        to_angle=integral @ phi,
-        rest_curvature=q0,
-        rest_angle=beam.clamp_angle + integral @ q0,
-        clamp_angle=beam.clamp_angle,
-        carried=beam.length**3 * integral.T @ ((weights * mu)[:, None] * integral),
-        lever=beam.length**2 * integral.T @ (weights * mu),
-        rotary=beam.length * weights * iota,
-        mass=float(beam.length * np.sum(weights * mu)),
+        to_angle=bare.to_angle @ phi,
         stiffness=phi.T @ ((weights * k)[:, None] * phi),
         damping=phi.T @ ((weights * d)[:, None] * phi),
+    )
+
+
+def body_of_nodes(
+    grid: Grid,
+    length: float,
+    k: Array,
+    mass_per_length: Array,
+    rest_curvature: Array,
+    *,
+    clamp_angle: float = 0.0,
+    rotary_inertia: Array | float = 0.0,
+    points: Sequence[PointMass] = (),
+) -> Body:
+    """Tables from values (Q,) at the nodes, with the curvature there as coordinates; undamped.
+
+    Raises:
+        MechanicsError: a point mass that is negative, or off the beam.
+    """
+    weights, integral = grid.weights, grid.integral_to_nodes
+    carried = length**3 * integral.T @ ((weights * mass_per_length)[:, None] * integral)
+    lever = length**2 * integral.T @ (weights * mass_per_length)
+    for point in points:
+        if not (point.mass >= 0.0 and 0.0 <= point.s <= 1.0):
+            raise MechanicsError(f"a point mass is 0 kg or more at s in [0, 1], got {point.mass} kg at {point.s}")
+        row = length * grid.integral_to(np.array([point.s]))[0]
+        carried, lever = carried + point.mass * np.outer(row, row), lever + point.mass * row
+    return Body(
+        length=length,
+        grid=grid,
+        curvature=np.eye(len(weights)),
+        to_angle=integral,
+        rest_curvature=rest_curvature,
+        rest_angle=clamp_angle + integral @ rest_curvature,
+        clamp_angle=clamp_angle,
+        carried=carried,
+        lever=lever,
+        rotary=length * weights * rotary_inertia,
+        mass=float(length * np.sum(weights * mass_per_length)) + sum(point.mass for point in points),
+        stiffness=np.diag(weights * k),
+        damping=np.zeros((len(weights), len(weights))),
     )
 
 

@@ -177,6 +177,17 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     return stable
 
 
+def is_convex(problem: Problem) -> BoolArray:
+    """(T,) True where a bound proves the potential of dead loads convex at every shape: then there is one equilibrium.
+
+    It is that of `_surely_stable`, all forces taken as compression. Shear may add to what a force gains by turning the
+    beam, so that nothing is said of beams that are compliant.
+    """
+    if problem.compliance is not None or problem.follower.shape[1]:
+        return np.zeros(problem.size, dtype=bool)
+    return _surely_stable(problem, -problem.length * problem.weights * np.linalg.norm(problem.dead_force, axis=-1))
+
+
 def scaled(problem: Problem, matrices: Array) -> Array:
     """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
     scale = 1.0 / np.sqrt(problem.weights * problem.k)

@@ -18,7 +18,7 @@ from onebend.beam.loads import Loads
 from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import MechanicsError
-from onebend.records import Array, BoolArray, IntArray
+from onebend.records import Array, BoolArray, IntArray, PointMass
 
 
 class Rod(Protocol):
@@ -36,10 +36,12 @@ class Rod(Protocol):
     def mass_per_length(self) -> Profile: ...
     @property
     def section(self) -> RectangularSection | None: ...
+    @property
+    def masses(self) -> tuple[PointMass, ...]: ...
 
 
 def has_mass(rod: Rod) -> bool:
-    """Whether it weighs anything: without, gravity does nothing and nothing swings."""
+    """Whether it has a mass of its own: without, gravity does nothing and nothing swings."""
     return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
 
 
@@ -193,6 +195,7 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
         raise MechanicsError(f"{len(beams)} beams do not fit loads for {size} frames")
     loads = loads.spread(size)
     jumps = tuple(j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps)
+    jumps += tuple(one.s for b in beams for one in b.masses)
     grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
     shared = len(beams) == 1
@@ -204,6 +207,7 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
     if np.any(loads.gravity != 0.0):
         line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
         mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
+        mass_beyond = mass_beyond + _stack([_riding_beyond(nodes, b) for b in beams])
         dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
     rows = grid.integral_to(loads.follower_s if loads.follower_s.size else np.zeros((size, 0)))
     return Problem(
@@ -244,6 +248,14 @@ def _common_section(beams: Sequence[Rod]) -> RectangularSection | None:
 def _beyond(nodes: Array, places: Array) -> Array:
     """(T, a, Q) 1 where a place lies beyond a node."""
     return np.asarray(nodes[..., None, :] < places[..., :, None], dtype=float)
+
+
+def _riding_beyond(nodes: Array, rod: Rod) -> Array:
+    """(..., Q) kg, of the masses that ride on a beam beyond each node."""
+    out = np.zeros(nodes.shape)
+    for one in rod.masses:
+        out += one.mass * (nodes < one.s)
+    return out
 
 
 def _stack(values: list[Array]) -> Array:

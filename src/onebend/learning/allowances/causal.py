@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.allowances.chosen import OF_ONE, AllowanceName
 from onebend.learning.allowances.clamp import giving
 from onebend.learning.allowances.contact import sliding, turn_at_push
 from onebend.learning.allowances.course import PushCourse
@@ -26,7 +26,7 @@ from onebend.learning.allowances.section import section
 from onebend.records import Array, BoolArray
 
 # Of the others, inertia needs frames to come, and three need the camera's place.
-CAUSAL_ALLOWANCES: frozenset[AllowanceName] = EVERY_ALLOWANCE - {"inertia", "heights", "camera", "rolling shutter"}
+CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {"inertia", "heights", "camera", "rolling shutter"}
 _LINEAR = (0, 2)  # those of the discrepancy's functions that are linear in the displacement, on both ways
 # For time's sake these stand for all five. Their sd is such that at the largest displacement they are worth as much.
 _WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))

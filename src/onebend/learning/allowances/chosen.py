@@ -37,6 +37,7 @@ AllowanceName = Literal[
     "between recordings",
 ]
 EVERY_ALLOWANCE: frozenset[AllowanceName] = frozenset(get_args(AllowanceName))
+OF_ONE = EVERY_ALLOWANCE - {"between recordings"}  # those that one recording may have
 
 
 def allowances_of(

@@ -5,6 +5,8 @@ Where the mass is stated, the force is known; where it is not, the mass is one m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from onebend.beam.grid import apply
@@ -12,7 +14,7 @@ from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.allowances.course import with_rest
-from onebend.records import Array, BoolArray, Observations
+from onebend.records import Array, BoolArray, Observations, PointMass
 
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
 MASS_SD = 25.0  # kg/m^3, of the length cubed: a solid rubber beam, 0.08 by 0.2 of its length thick and wide, has 18
@@ -30,9 +32,15 @@ def unknown_mass(observations: Observations, frames: BoolArray, problem: Problem
 
 
 def inertial_force(
-    observations: Observations, frames: BoolArray, problem: Problem, mass_per_length: Profile, count: int
+    observations: Observations,
+    frames: BoolArray,
+    problem: Problem,
+    mass_per_length: Profile,
+    count: int,
+    masses: Sequence[PointMass] = (),
 ) -> Array:
-    """(count, Q, 2) N beyond each node: `-L int_s^1 mu a ds`; zero at rest, and where the motion is not known.
+    """(count, Q, 2) N beyond each node: `-L int_s^1 mu a ds`, and -m a of the `masses` there; zero at rest, and where
+    the motion is not known.
 
     Between clamp and tags the acceleration a is linear in s, beyond the last tag as there.
     """
@@ -52,7 +60,11 @@ def inertial_force(
         np.sum(problem.weights * line[..., c], axis=-1, keepdims=True) - apply(problem.to_nodes, line[..., c])
         for c in range(2)
     ]
-    return np.stack(beyond, axis=-1)
+    riding = np.zeros_like(still)
+    for one in masses:
+        there = np.stack([[np.interp(one.s, places, a[:, c]) for a in of_tags] for c in range(2)], axis=-1)
+        riding -= with_rest(one.mass * there, count)[:, None, :] * (nodes < one.s)[..., None]
+    return np.stack(beyond, axis=-1) + riding
 
 
 def tag_accelerations(observations: Observations) -> Array | None:

@@ -98,7 +98,7 @@ def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) 
     run, patterns = course(recording, now), mechanics(recording, layout, x, now)
     pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
     wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
-    if layout.index["curvature", -1].start >= 0:
+    if layout.index["curvature", -1].start >= 0 or layout.index["rest change", recording.number].start >= 0:
         del wanted["rest shape"]
     along, stated = Suspect("mechanics", "stiffness along"), []
     otherwise = wanted.pop(along.name)
@@ -120,7 +120,7 @@ def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> 
     carried, ride = _carried(recording, layout, x, now), tag_ride(recording, layout, x, now.solved)
     patterns = {}
     for name, part in place_responses(
-        now.solved, _entering(recording, now), tag_places(recording, layout, x)[0]
+        now.solved, _entering(recording, now), tag_places(recording, layout, x, now.solved)[0]
     ).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
@@ -165,7 +165,7 @@ def _along(s: Array) -> Array:
 
 def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
-    solved, s = now.solved, tag_places(recording, layout, x)[0]
+    solved, s = now.solved, tag_places(recording, layout, x, now.solved)[0]
     u, n = _tangents(solved)
     force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
     length = float(solved.problem.length)

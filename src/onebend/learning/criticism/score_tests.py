@@ -34,6 +34,7 @@ from onebend.learning.inference.linear_gaussian import (
 )
 from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.model.fit_data import FitData
+from onebend.learning.model.readings import unwhitened, whitened
 from onebend.records import Array, IntArray
 
 _BLIND = 1e-8  # share of the information on b: less remains only where the model's own parameters do the same
@@ -84,7 +85,7 @@ def pulls(fit: LinearisedFit) -> list[Score]:
     Directions without information from the data are left out. Place and direction of the push are among the
     alternatives.
     """
-    untested = {"stiffness", "force", "place", "direction", "end", "end turn"}
+    untested = {"stiffness", "force", "place", "direction", "end", "end turn", "zero"}
     untested |= {a.name for recording in fit.problem.recordings for a in recording.allowances}
     out = []
     for block in fit.problem.layout.blocks:
@@ -166,7 +167,7 @@ def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Arra
     """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), the information on its numbers (n, n) and with the
     recording's parameters (n, C), and the score (n,) at the optimum."""
     recording, rows, noise = fit.problem.recordings[number], fit.rows[number], fit.optimum.hyperparameters.noise[number]
-    d = rows.root_weight[..., None] * (recording.whiten @ pattern).reshape(*rows.r.shape, -1)
+    d = rows.root_weight[..., None] * whitened(recording.whiten, pattern)
     unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
     weighted = unexplained.reshape(-1, d.shape[-1]) / noise.marker**2
     bb = weighted.T @ d.reshape(-1, d.shape[-1])
@@ -225,10 +226,9 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
 def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
-    measured = np.any(recording.whiten != 0.0, axis=-1)  # (F, m, 3): a pose may lack its angle, or a coordinate
-    safe = recording.whiten + ~measured[..., None] * np.eye(3)
-    away = np.linalg.solve(safe, (change / weight).reshape(*measured.shape, 1))[..., :2, 0]
-    squares, known = np.sum(np.where(measured[..., :2], away, 0.0) ** 2, axis=-1), np.any(measured, axis=-1)
+    away = unwhitened(recording.whiten, change / weight)[..., :2]
+    known = np.any(rows.known.reshape(len(away), -1, 3), axis=-1)  # a pose may lack its angle, or a coordinate
+    squares = np.sum(away**2, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))
 
 

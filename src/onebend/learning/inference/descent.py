@@ -63,8 +63,14 @@ class _Linearised:
     rows: Sequence[ResidualRows]
 
     @cached_property
+    def frequency_slopes(self) -> list[Array]:
+        """(N, P) of each recording with frequencies, over their sds."""
+        here = self.problem.predicted_frequencies(self.estimate.x)
+        return [one.slopes / one.data.sd[:, None] for one in here]
+
+    @cached_property
     def data(self) -> JointInformation:
-        """What tags and rests say."""
+        """What tags, rests and frequencies say."""
         return data_information(self.problem, self.rows, self.estimate.x, self.estimate.hyperparameters)
 
     @cached_property
@@ -89,6 +95,9 @@ class _Linearised:
         for number, (rows, rest, residual, noise) in enumerate(every):
             known = layout.known_to(number)
             told[known] += tag_score(rows, residual, noise) + rest.vector - rest.matrix @ x[known]
+        if self.problem.frequencies:
+            for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
+                told += slopes.T @ there.residuals
         return np.asarray(self.before.transposed_times(told) - self.before.whiten(x))
 
     def residuals_at(self, tried: MapEstimate) -> list[Array]:
@@ -101,12 +110,15 @@ class _Linearised:
         if not all_converged(estimate.predictions):
             return np.inf
         x = estimate.x
+        swings = sum(float(np.sum(one.residuals**2)) for one in self.problem.predicted_frequencies(x))
+        if not np.isfinite(swings):
+            return np.inf
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
         known = [x[self.problem.layout.known_to(number)] for number in range(len(self.rests))]
         rests = sum(y @ one.matrix @ y - 2.0 * one.vector @ y for one, y in zip(self.rests, known, strict=True))
-        return float(tags + z @ z + rests)
+        return float(tags + swings + z @ z + rests)
 
 
 def all_converged(predictions: Sequence[Prediction]) -> bool:

@@ -8,6 +8,8 @@ import numpy as np
 
 from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.allowances.patches import patch_functions
+from onebend.learning.frequencies.frequency_data import FrequencyData
+from onebend.learning.frequencies.predicted import PredictedFrequencies, predicted_frequencies
 from onebend.learning.inference.block_root import BlockRoot
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.parameters import Layout
@@ -44,6 +46,16 @@ class FitProblem:
     layout: Layout
     level: float  # prior mean of log k
     expected: Hyperparameters
+    frequencies: tuple[FrequencyData, ...] = ()  # of those recordings that have measured ones
+
+    def predicted_frequencies(self, x: Array, number: int | None = None) -> tuple[PredictedFrequencies, ...]:
+        """Those of each such recording, or of the one with this number, at parameters x."""
+        wanted = (data for data in self.frequencies if number in (None, data.number))
+        return tuple(predicted_frequencies(data, self.layout, x) for data in wanted)
+
+    def swings(self, x: Array) -> bool:
+        """Whether the beam stands, and so swings, in every posture in which its frequencies were measured."""
+        return all(np.isfinite(one.log).all() for one in self.predicted_frequencies(x))
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from onebend.learning.inference.joint import JointInformation
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.readings import whitened
 from onebend.records import Array
 from onebend.workers import each
 
@@ -75,14 +76,15 @@ def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
 def unweighted_rows(now: Prediction) -> ResidualRows:
     """Rows of one recording, whitened alone."""
     known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
-    return ResidualRows(residuals(now) + explained_by(now.whitened.a, now.own), now.whitened, known, known)
+    slopes = now.whitened_slopes
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
 
 
 def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
     data = now.recording
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
-    return np.asarray(np.einsum("fmab,fmb->fma", data.whiten, difference).reshape(len(difference), -1))
+    return whitened(data.whiten, difference[..., None])[..., 0]
 
 
 def explained_by(a: Array, own: Array) -> Array:
@@ -157,14 +159,26 @@ def rest_information(problem: FitProblem, number: int) -> InformationForm:
     return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
 
 
+def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
+    """Log likelihood of what one recording says besides its tags, at parameters x (P,): its rests, and its natural
+    frequencies, which depend on the beam alone."""
+    known, out = problem.layout.known_to(number), [rest_information(problem, number)]
+    for predicted in problem.predicted_frequencies(x, number):
+        j = predicted.slopes[:, known] / predicted.data.sd[:, None]
+        y = predicted.residuals + j @ x[known]
+        log_noise = float(np.sum(np.log(predicted.data.sd)))
+        out.append(InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
+    return out
+
+
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
 ) -> JointInformation:
-    """Log likelihood of all tags and all rests."""
+    """Log likelihood of all tags, rests and frequencies."""
 
     def of(recording: FitData, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
         tags = tag_information(r, problem.layout, recording.number, x, noise)
-        return total([tags, rest_information(problem, recording.number)])
+        return total([tags, *own_information(problem, recording.number, x)])
 
     return JointInformation(each(of, problem.recordings, rows, hyperparameters.noise), problem.layout.parts)
 

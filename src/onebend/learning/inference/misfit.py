@@ -10,10 +10,12 @@ import numpy as np
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.model.frames import distances, marker_rms
-from onebend.records import Array, covariance_with_camera
+from onebend.records import Array, Observations, covariance_with_camera
 
 MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
+DOUBTS = {"tool place": "the film shows the tool elsewhere"}  # by what a remark on the recording is about
+CONTRADICTED = "the force contradicts the bending"  # what all others say
 _LEAST_MISS = 3.0  # times a tag's own noise: a smaller distance is no miss, however little the tag moves
 
 
@@ -57,12 +59,20 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
     o, xy = recording.observations, recording.measured[..., :2]
     motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
     if o.static:  # points near the clamp hardly move, and a ruler reads them no better
-        straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+        zeroed = o.readings.bare >= 0
+        straight = np.zeros(2) if zeroed else o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
         motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
     variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
-    missing = np.where(rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance)), rms / motion, 0.0)
+    off = rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance))
+    missing = np.divide(rms, motion, out=np.zeros_like(rms), where=off & (motion > 0.0))
     worst = int(np.argmax(missing))
     if not missing[worst] > MISS:
         return None
     share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
     return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+
+
+def doubts_of(observations: Observations) -> tuple[str, ...]:
+    """What the recording itself says against what is learned from it; empty as a rule."""
+    said = (DOUBTS.get(one.about, CONTRADICTED) for one in observations.source.remarks if one.doubt)
+    return tuple(dict.fromkeys(said))

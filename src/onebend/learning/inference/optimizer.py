@@ -24,8 +24,8 @@ from onebend.learning.inference.joint import JointInformation, solved
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
     data_information,
+    own_information,
     residuals,
-    rest_information,
     tag_information,
 )
 from onebend.learning.model.forward import Prediction, predict
@@ -71,9 +71,15 @@ def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | 
     """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
 
     Raises:
-        LearningError: the beam has no equilibrium there under the measured forces.
+        LearningError: the beam has no equilibrium there under the measured forces, or does not stand in a posture
+            in which its frequencies were measured.
     """
     warm: Sequence[Array | None] = [None] * len(problem.recordings) if shapes is None else shapes
+    if not problem.swings(x):
+        raise LearningError(
+            "with the mass as written, the beam would buckle under its weight in a posture in which it was seen to "
+            "swing. Check mass_kg, length_m and the base_angle_deg of each [[frequencies]]"
+        )
     predictions = each(lambda recording, q: predict(recording, problem.layout, x, q), problem.recordings, warm)
     if not all_converged(predictions):
         raise LearningError(
@@ -156,7 +162,7 @@ def _at_mean_stiffness(
     follow = covariance.with_shared(slice(p))
     x = estimate.x + follow @ np.linalg.solve(follow[:p], log_k - estimate.x[:p])
     moved = each(lambda now: predict(now.recording, problem.layout, x, now.solved.q, now.own), estimate.predictions)
-    if not all_converged(moved):
+    if not (all_converged(moved) and problem.swings(x)):
         return estimate.x, estimate.predictions
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
     held = replace(estimate.hyperparameters, part_variances=variances)
@@ -176,7 +182,7 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     rows = rows_of(estimate)
     every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
     tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    forms = [total([one, rest_information(problem, number)]) for number, one in enumerate(tags)]
+    forms = [total([one, *own_information(problem, number, estimate.x)]) for number, one in enumerate(tags)]
     covariance = solved(JointInformation(tuple(forms), layout.parts), prior(problem, hyperparameters)).covariance
     pairs = zip(covariance.pairs, tags, strict=True)
     spent = [float(np.sum(pair * one.matrix)) for pair, one in pairs]  # parameters that each recording settled

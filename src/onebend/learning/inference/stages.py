@@ -11,6 +11,7 @@ from onebend.beam.profiles.stiffness import Profile
 from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.allowances.mounting import BETWEEN, between_recordings
+from onebend.learning.frequencies.frequency_data import frequency_data
 from onebend.learning.inference.descent import MapEstimate, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import expected_recording_noise
@@ -56,7 +57,8 @@ def first_problem(
     layout = _layout(recordings, data, spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
-    return FitProblem(data, layout, level, Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)), x
+    expected = Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
+    return FitProblem(data, layout, level, expected, frequency_data(recordings, spline)), x
 
 
 def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
@@ -65,9 +67,8 @@ def whole_problem(recordings: Sequence[Observations], problem: FitProblem, setti
     most = min(settings.most_frames, max(settings.most_frames_together // len(recordings), _FEWEST_FRAMES))
     data = _data(recordings, most, spline, settings.allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
-    return FitProblem(
-        data, _layout(recordings, data, spline, settings), problem.level, replace(problem.expected, noise=noise)
-    )
+    layout, expected = _layout(recordings, data, spline, settings), replace(problem.expected, noise=noise)
+    return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
 
 
 def _layout(

@@ -20,7 +20,7 @@ from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.allowances.chosen import OF_ONE, AllowanceName
 from onebend.learning.live.incoming_frame import checked_frame
 from onebend.learning.live.key_frame_posterior import LiveHyperparameters, LivePrior
 from onebend.learning.live.session import LiveSession, session_layout
@@ -164,7 +164,7 @@ class OnlineLearner:
     def left_out(self) -> tuple[str, ...]:
         """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
         and its band holds no more of it than what the discrepancy takes in."""
-        return tuple(sorted(EVERY_ALLOWANCE - self._session.carried - self._held))
+        return tuple(sorted(OF_ONE - self._session.carried - self._held))
 
     @property
     @one_blas_thread

@@ -16,7 +16,8 @@ from onebend.learning.allowances.allowance import Allowance, Entry
 from onebend.learning.allowances.relaxation import memory, rest_shift, secant_share, shift_derivatives
 from onebend.learning.allowances.section import section_at
 from onebend.learning.model.fit_data import FitData
-from onebend.learning.model.parameters import Layout
+from onebend.learning.model.held_ends import free_ends
+from onebend.learning.model.parameters import Layout, rest_curvature
 from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
 from onebend.records import Array
 
@@ -55,7 +56,7 @@ def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, s
     """
     values = relaxation_values(recording, layout, x)
     if values is None or not remembers(recording, layout, x):
-        return follow(problem) if start is None else refine(problem, start)
+        return free_ends(problem, recording.poses, start)
     q = follow(problem).q if start is None else start
     remembering, rest, full = memory(values, relaxation_time(recording)), problem.q0, np.ones(problem.size)
     for _ in range(_MOST_PASSES):
@@ -133,7 +134,7 @@ def clamp_blocks(recording: FitData, by_clamp: Array) -> dict[str, Array]:
 
 def bending(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array:
     """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
-    return np.asarray(solved.q - recording.rest_on_nodes @ layout.get(x, "curvature"))
+    return np.asarray(solved.q - recording.rest_on_nodes @ rest_curvature(layout, x, recording.number))
 
 
 def _values(recording: FitData, layout: Layout, x: Array, allowance: Allowance) -> Array:

@@ -17,11 +17,13 @@ from onebend.learning.allowances.chosen import AllowanceName, allowances_of
 from onebend.learning.allowances.inertia import inertial_force, unknown_mass
 from onebend.learning.known_shape import KnownShape
 from onebend.learning.model.force_error import ForceError, force_error
-from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical, whitening
+from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical
 from onebend.learning.model.held_ends import HeldEnds, held_ends, resolution_of
 from onebend.learning.model.mass import NEEDS_MASS
 from onebend.learning.model.own_weight import POWERS, OwnWeight, own_weight
+from onebend.learning.model.readings import pose_whitening
 from onebend.learning.model.spline import Spline
+from onebend.learning.pose_equilibria import SeenPoses, seen_poses
 from onebend.recording.signals import low_pass
 from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
@@ -38,7 +40,8 @@ class FitData:
     number: int
     frames: BoolArray  # (T,) which frames of the recording are used
     measured: Array  # (F, m, 3) x, y, angle; NaN where missing
-    whiten: Array  # (F, m, 3, 3) inverse Cholesky factors of the covariances; zero where missing
+    whiten: Array  # (F, m, 3, 3) or (F, 3 m, 3 m), see `pose_whitening`; zero where missing
+    rulers: Array | None  # (F, m) m: where rulers stand; None: points are marks on the beam
     force: Array  # (F, 2) N as logged
     rate: Array  # (F, 2) N/s, derivative of the logged force
     error: ForceError
@@ -49,6 +52,7 @@ class FitData:
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
+    poses: SeenPoses | None  # what tells in which equilibrium each is; None: in that which grows from rest
     mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
@@ -70,6 +74,9 @@ def fit_data(
     time = o.time[frames]
     error = force_error(o, time)
     measured = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
+    rulers = None
+    if o.readings.at == "x":
+        rulers, measured[..., 0] = measured[..., 0].copy(), np.nan
     all_noise = o.covariance if "camera" in allowances else covariance_with_camera(o)
     covariance, force = all_noise[frames], o.force[frames]
     rate = _rate(o)[frames]
@@ -89,20 +96,21 @@ def fit_data(
     line = mass_profile(o)
     written = line if weighs and o.stated.mass_along not in POWERS else Uniform(0.0)
     known = KnownShape(None, 0.0) if known is None else known
-    carrier = Beam(o.length, known.profile, mass_per_length=written)
+    carrier = Beam(o.length, known.profile, mass_per_length=written, masses=o.stated.masses)
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
     allowed = allowances_of(o, frames, measured, push_s, force, problem.grid, allowances)
-    known_mass = bool(allowances) and np.isfinite(o.stated.mass) and not o.static
-    inertia = inertial_force(o, frames, problem, line, len(force)) if known_mass else np.zeros(1)
+    known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
+    inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
     mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
     return FitData(
         observations=o,
         number=number,
         frames=frames,
         measured=measured,
-        whiten=whitening(measured, covariance),
+        whiten=pose_whitening(o, measured, covariance),
+        rulers=rulers,
         force=force,
         rate=rate,
         error=error,
@@ -113,7 +121,8 @@ def fit_data(
         farther=_farther(problem, push_s),
         weight=problem.dead_force + inertia,
         ends=ends,
-        mass=own_weight(o, problem, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
+        poses=seen_poses(o, frames),
+        mass=own_weight(o, problem.grid, gravity, MASS_MODES.curvature(nodes), line) if weighs else None,
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),

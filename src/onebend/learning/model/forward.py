@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from onebend.beam.grid import apply
+from onebend.beam.grid import apply, paired
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.sensitivity import of_force, of_moment, respond
 from onebend.learning.model.allowed import (
@@ -24,7 +24,8 @@ from onebend.learning.model.allowed import (
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
 from onebend.learning.model.memory import remembered_poses
-from onebend.learning.model.parameters import Layout
+from onebend.learning.model.parameters import Layout, rest_curvature
+from onebend.learning.model.readings import ruler_places, whitened, zeroed_coordinates
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
     ResponseColumns,
@@ -86,11 +87,10 @@ class Prediction:
         return _slopes(self)
 
     @cached_property
-    def whitened(self) -> Slopes:
+    def whitened_slopes(self) -> Slopes:
         """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
-        slopes, shape = self.slopes, (len(self.pose), 3 * self.pose.shape[1], -1)
-        j, a = (np.asarray((self.recording.whiten @ one).reshape(shape)) for one in (slopes.j, slopes.a))
-        return replace(slopes, j=j, a=a)
+        slopes, whiten = self.slopes, self.recording.whiten
+        return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a))
 
 
 def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
@@ -112,24 +112,28 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
         k=k,
         length=allowed_length(recording, layout, x),
         section=allowed_section(recording, layout, x)[0],
-        q0=recording.rest_on_nodes @ layout.get(x, "curvature"),
+        q0=recording.rest_on_nodes @ rest_curvature(layout, x, r),
         alpha0=_clamp_angle(recording, layout, x),
         dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
     )
     if recording.ends is not None:
-        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start)
+        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start, recording.poses)
     else:
         solved = equilibria(recording, layout, x, problem, start)
-    s, _ = tag_places(recording, layout, x)
+    s, _ = tag_places(recording, layout, x, solved)
     ride = tag_ride(recording, layout, x, solved)
     xy = ride.scale * (solved.xy(s) + ride.offset) + layout.get(x, "origin", r)
+    if recording.rulers is not None:
+        xy = paired(recording.rulers, xy[..., 1] + layout.get(x, "across"))
     pose = np.concatenate([xy, (ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
+    for (i, c), zero in zip(zeroed_coordinates(recording.observations), layout.get(x, "zero", r), strict=True):
+        pose[:, i, c] -= zero
     return Prediction(recording, layout, x, solved, pose + allowed(recording, layout, x, "poses"), force, own)
 
 
 def _slopes(now: Prediction) -> Slopes:
     recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
-    s, _ = tag_places(recording, layout, x)
+    s, _ = tag_places(recording, layout, x, solved)
     bent, axes = _bent(now), _axes(layout, x, r)
     logged = now.force - now.own - allowed(recording, layout, x, "force")
     pushes = {name: pushed_by(bent, f) for name, f in push_forces(logged, axes, recording.rate).items()}
@@ -154,8 +158,12 @@ def _slopes(now: Prediction) -> Slopes:
         carried = carried + memory
         slopes = Slopes(slopes.written + of_knots, slopes.a, axes, np.zeros((len(now.pose), 0)))
     blocks = columns.split(carried)
-    put_blocks(slopes.j, free, blocks | clamp_blocks(recording, blocks["clamp"]))
+    blocks = blocks | {"rest change": blocks["curvature"]} | clamp_blocks(recording, blocks["clamp"])
+    put_blocks(slopes.j, free, blocks)
     put_tags(slopes.j, free, _tag_motion(now, ride, s))
+    if "zero" in free:
+        for n, (i, c) in enumerate(zeroed_coordinates(recording.observations)):
+            slopes.j[:, i, c, free["zero"].start + n] = -1.0
     return slopes
 
 
@@ -177,6 +185,8 @@ def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
     seen = now.pose - allowed(recording, layout, x, "poses")
     xy = (seen[..., :2] - layout.get(x, "origin", recording.number)) / ride.scale
     written, on_beam = recording.observations.length, ride.over <= 0.0
+    if ride.ruler:
+        return ride.motion(xy, ride.over)
     bend = np.where(on_beam, apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
     if not recording.allowances:
         return ride.motion(xy, bend)
@@ -208,8 +218,12 @@ def _bent(now: Prediction) -> BentBeam:
     )
 
 
-def tag_places(recording: FitData, layout: Layout, x: Array) -> tuple[Array, Array]:
-    """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there."""
+def tag_places(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> tuple[Array, Array]:
+    """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there; (F, m) each of what is
+    under rulers."""
+    if recording.rulers is not None:
+        origin, along = layout.get(x, "origin", recording.number), layout.get(x, "along")
+        return ruler_places(solved, np.nan_to_num(recording.rulers) + along - origin[0])
     length = recording.observations.length
     s = recording.observations.marker_s + layout.get(x, "along") / length
     return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
@@ -217,10 +231,11 @@ def tag_places(recording: FitData, layout: Layout, x: Array) -> tuple[Array, Arr
 
 def tag_ride(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> TagRide:
     """The tags on fitted shapes."""
-    s, over = tag_places(recording, layout, x)
-    return TagRide(
-        solved.angle(s), over, layout.get(x, "across"), 1.0 + float(layout.get(x, "scale", recording.number)[0])
-    )
+    s, over = tag_places(recording, layout, x, solved)
+    scale = 1.0 + float(layout.get(x, "scale", recording.number)[0])
+    if recording.rulers is not None:
+        return TagRide(solved.angle(s), over, np.zeros(over.shape[1]), scale, ruler=True)
+    return TagRide(solved.angle(s), over, layout.get(x, "across"), scale)
 
 
 def _pushed(recording: FitData, layout: Layout, x: Array) -> Array:

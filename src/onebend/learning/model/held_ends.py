@@ -21,8 +21,9 @@ from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Problem, Resolution
 from onebend.beam.statics.sensitivity import of_force, of_moment, respond
 from onebend.learning.known_shape import KnownShape, known_shape
-from onebend.learning.model.mass import forced, weighs
+from onebend.learning.model.mass import forced, needs_mass
 from onebend.learning.model.parameters import Layout
+from onebend.learning.pose_equilibria import SeenPoses, nearest, seen_poses, shown_curvature, stay
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 RESOLUTION = Resolution(order=6, widest=0.125)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
@@ -56,7 +57,7 @@ def resolution_of(o: Observations) -> Resolution:
 
 def sets_no_scale(recordings: Sequence[Observations]) -> bool:
     """Whether nothing of known size acts: then only the shape of k(s) can be known."""
-    return not any(weighs(o) or forced(o) for o in recordings)
+    return not any(needs_mass(o) or forced(o) for o in recordings)
 
 
 def held_ends(o: Observations, frames: BoolArray, problem: Problem) -> HeldEnds | None:
@@ -69,7 +70,9 @@ def held_ends(o: Observations, frames: BoolArray, problem: Problem) -> HeldEnds 
         return None
     rows = np.flatnonzero(frames)[held]
     nodes = np.broadcast_to(problem.grid.nodes, problem.dead_force.shape[:2])
-    start = np.stack([_curvature(o, int(row), nodes[i]) for row, i in zip(rows, held, strict=True)])
+    start = np.stack(
+        [shown_curvature(o.xy[row], o.angle[row], o.marker_s, nodes[i]) for row, i in zip(rows, held, strict=True)]
+    )
     end = end_pose(problem.take(held), start)
     tip = int(np.argmax(o.marker_s))
     if o.marker_s[tip] >= 1.0 - 1e-9:
@@ -98,15 +101,16 @@ def put_ends(out: Array, ends: HeldEnds, at: Layout, recording: int, by_end: Arr
         out[frame, :, :, turns.start + number] = by_end[i, :, :, 2]
 
 
-def solve(problem: Problem, ends: HeldEnds, away: Array, start: Array | None) -> Equilibrium:
-    """All frames, the held ones with their ends `away` (H, 3) from where they were put; `start` (F, Q) as `refine`."""
+def solve(problem: Problem, ends: HeldEnds, away: Array, start: Array | None, seen: SeenPoses | None) -> Equilibrium:
+    """All frames, the held ones with their ends `away` (H, 3) from where they were put; `start` (F, Q) as `free`."""
     count, q = problem.size, np.zeros(problem.dead_force.shape[:2])
     wrench, well = np.zeros((count, 3)), np.zeros(count, dtype=bool)
-    free = np.setdiff1d(np.arange(count), ends.frames)
-    if free.size:
-        part = problem.take(free)
-        one = follow(part) if start is None else refine(part, start[free])
-        q[free], well[free] = one.q, one.converged & one.stable
+    others = np.setdiff1d(np.arange(count), ends.frames)
+    if others.size:
+        part = problem.take(others)
+        some = None if seen is None else seen.take(others)
+        one = free_ends(part, some, None if start is None else start[others])
+        q[others], well[others] = one.q, one.converged & one.stable
     near = ends.start if start is None else start[ends.frames]
     one, wrench[ends.frames] = hold_near(problem.take(ends.frames), near, ends.end + away, fall=start is None)
     q[ends.frames], well[ends.frames] = one.q, one.converged
@@ -136,16 +140,23 @@ def with_ends_held(poses: Array, ends: HeldEnds) -> tuple[Array, Array]:
     return others, by_end
 
 
+def free_ends(problem: Problem, seen: SeenPoses | None, start: Array | None) -> Equilibrium:
+    """Equilibria of free ends near shapes `start` (F, Q), else those that grow from rest, or that static poses show."""
+    if seen is None:
+        return follow(problem) if start is None else refine(problem, start)
+    return nearest(problem, seen) if start is None else stay(problem, start)
+
+
 def shapes_of(o: Observations, frames: BoolArray, problem: Problem) -> Equilibrium:
     """Equilibria of some frames (T,) under a `problem` that is theirs, held ends where the points are met best."""
-    ends = held_ends(o, frames, problem)
+    ends, seen = held_ends(o, frames, problem), seen_poses(o, frames)
     if ends is None:
-        return follow(problem)
+        return free_ends(problem, seen, None)
     away = np.zeros((len(ends.frames), 3))
-    solved = solve(problem, ends, away, None)
+    solved = solve(problem, ends, away, None, seen)
     for _ in range(_SETTLE):
         step = _closer(o.xy[frames][ends.frames], o.marker_s, solved, ends)
-        there = solve(problem, ends, away + step, solved.q)
+        there = solve(problem, ends, away + step, solved.q, seen)
         if not np.all(there.converged):
             break
         away, solved = away + step, there
@@ -201,22 +212,3 @@ def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
         "weight act, or hang on or measure one force"
     )
     return (Remark("warning", text, about="no scale"),)
-
-
-def _curvature(o: Observations, row: int, nodes: Array) -> Array:
-    """(Q,) rad, from the chords between the points of one pose, the clamp (along x) and the end's angle if measured."""
-    seen = np.flatnonzero(np.isfinite(o.xy[row]).all(axis=1))
-    seen = seen[np.argsort(o.marker_s[seen], kind="stable")]
-    place = np.concatenate([[0.0], o.marker_s[seen]])
-    points = np.concatenate([np.zeros((1, 2)), o.xy[row, seen]])
-    apart = np.append(np.diff(place) > 1e-9, True)
-    place, points = place[apart], points[apart]
-    chords = np.diff(points, axis=0)
-    angle = np.unwrap(np.concatenate([[0.0], np.arctan2(chords[:, 1], chords[:, 0])]))
-    at = np.concatenate([[0.0], 0.5 * (place[1:] + place[:-1])])
-    last = o.angle[row, seen[-1]] if seen.size else np.nan
-    if np.isfinite(last):
-        last -= 2.0 * np.pi * np.round((last - angle[-1]) / (2.0 * np.pi))
-        at, angle = np.append(at, place[-1]), np.append(angle, last)
-    slope = np.diff(angle) / np.diff(at)
-    return np.asarray(slope[np.clip(np.searchsorted(at, nodes) - 1, 0, len(slope) - 1)])

@@ -17,7 +17,7 @@ from onebend.records import MassAlong, Observations, Remark
 FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowledge
 TOLD = 0.7  # of the prior's sd: a weighed mass that stays less sure than this was hardly learned
 KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
-NEEDS_MASS = "gravity acts in the plane, so the beam's mass must be given: mass_kg in [beam]"
+NEEDS_MASS = "gravity acts in the plane (or it swings), so the beam's mass must be given: mass_kg in [beam]"
 _SPREAD = {  # what is stated of it
     "even": "evenly spread",
     "width": "per metre taken as the third root of k(s), as where only the width varies",
@@ -77,6 +77,11 @@ def weighs(observations: Observations) -> bool:
     return bool(np.any(observations.gravity != 0.0))
 
 
+def needs_mass(observations: Observations) -> bool:
+    """Whether its mass counts: it weighs, or was seen to swing."""
+    return weighs(observations) or bool(observations.frequencies)
+
+
 def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
     """What one recording says of how the mass is spread holds for all."""
     said = sorted({o.stated.mass_along for o in recordings} - {"unknown"})
@@ -87,15 +92,22 @@ def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
 
 
 def mass_is_open(recordings: Sequence[Observations]) -> bool:
-    """Whether weight acts and no recording of the beam says its mass."""
-    return any(weighs(o) for o in recordings) and not any(np.isfinite(o.stated.mass) for o in recordings)
+    """Whether the mass counts and no recording of the beam says it."""
+    return any(needs_mass(o) for o in recordings) and not any(np.isfinite(o.stated.mass) for o in recordings)
 
 
 def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
-    """Raises `LearningError` where an unknown weight is all that bends the beam."""
-    if not mass_is_open(recordings) or any(forced(o) for o in recordings):
+    """Raises `LearningError` where an unknown weight is all that bends the beam, or it only swings, with nothing of
+    known mass on it."""
+    if not mass_is_open(recordings) or any(forced(o) or _carries(o) for o in recordings):
         return
     names = ", ".join(o.source.name for o in recordings)
+    if not any(weighs(o) for o in recordings):
+        raise LearningError(
+            f"{names}: there is nothing but frequencies, and the mass is not written down. They hold only the ratio "
+            "k/mu of stiffness to mass per metre. Give mass_kg in [beam], or measure them once more with a known "
+            "tip_mass_kg, or add poses under a known weight"
+        )
     raise LearningError(
         f"{names}: the beam's own weight is all that bends it, and its mass is not written down. Such data hold only "
         "the ratio k/mu of stiffness to mass per metre. Give mass_kg in [beam], or learn together with a push or a "
@@ -103,9 +115,15 @@ def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
     )
 
 
+def _carries(observations: Observations) -> bool:
+    """Whether it was seen to swing with a known mass at its tip."""
+    return any(one.tip_mass > 0.0 for one in observations.frequencies)
+
+
 def forced(observations: Observations) -> bool:
     """Whether something other than the beam's own weight acts on it."""
-    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0 or observations.known_loads is not None)
+    hung = observations.known_loads is not None or (weighs(observations) and bool(observations.stated.masses))
+    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0) or hung
 
 
 def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from onebend.beam.grid import Grid
 from onebend.beam.profiles.stiffness import LogSpline, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.perturbation import Perturbation
@@ -32,24 +33,34 @@ class OwnWeight:
 
     def force(self, problem: Problem, k: Array, parts: Array) -> Array:
         """(F, Q, 2) N beyond each node."""
+        return _beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
+
+    def line(self, k: Array, parts: Array) -> Array:
+        """(Q,) or (F, Q) kg/m at the nodes, without what is written where the mass does not follow k."""
         if self.power is not None:
             parts = parts + np.eye(len(parts))[0]
-        return _beyond(problem, (self._modes(k) @ parts)[..., None], self.gravity)[..., 0]
+        return np.asarray(self.line_by_mass(k) @ parts)
 
     def by_mass(self, problem: Problem, k: Array) -> Perturbation:
         """Derivatives with the four parts."""
-        return of_mass(problem, self._modes(k), self.gravity)
+        return of_mass(problem, self.line_by_mass(k), self.gravity)
 
     def by_stiffness(self, problem: Problem, k: Array, functions: Array, parts: Array) -> Array | None:
         """(F, Q, 2, p) N, derivatives with the coefficients of log k of `functions` (Q, p) or (F, Q, p)."""
+        by_k = self.line_by_stiffness(k, functions, parts)
+        return None if by_k is None else _beyond(problem, by_k, self.gravity)
+
+    def line_by_stiffness(self, k: Array, functions: Array, parts: Array) -> Array | None:
+        """(Q, p) or (F, Q, p) kg/m, derivatives as above; None where the mass does not follow k."""
         if not self.power:
             return None
-        line = (1.0 + parts[0]) * self._modes(k)[..., 0]
+        line = (1.0 + parts[0]) * self.line_by_mass(k)[..., 0]
         share = self.weights * line / np.sum(self.weights * line, axis=-1, keepdims=True)
         mean = np.sum(share[..., None] * functions, axis=-2, keepdims=True)
-        return _beyond(problem, self.power * line[..., None] * (functions - mean), self.gravity)
+        return np.asarray(self.power * line[..., None] * (functions - mean))
 
-    def _modes(self, k: Array) -> Array:
+    def line_by_mass(self, k: Array) -> Array:
+        """(Q, 4) or (F, Q, 4) kg/m at the nodes per unit of each part."""
         if self.power is None:
             return self.modes
         share = k**self.power
@@ -59,12 +70,12 @@ class OwnWeight:
         return modes
 
 
-def own_weight(o: Observations, problem: Problem, gravity: Array, even: Array, written: Profile) -> OwnWeight:
+def own_weight(o: Observations, grid: Grid, gravity: Array, even: Array, written: Profile) -> OwnWeight:
     """Of a recording whose mass is known or guessed; `even` (Q, 4) or (F, Q, 4): Legendre functions at the nodes."""
     modes = o.stated.mass / o.length * even
     if o.stated.mass_along in ("section", "table"):  # the whole of it is heavier or lighter
-        modes = np.concatenate([np.asarray(written(problem.grid.nodes))[..., None], modes[..., 1:]], axis=-1)
-    return OwnWeight(gravity, modes, problem.weights, POWERS.get(o.stated.mass_along))
+        modes = np.concatenate([np.asarray(written(grid.nodes))[..., None], modes[..., 1:]], axis=-1)
+    return OwnWeight(gravity, modes, grid.weights, POWERS.get(o.stated.mass_along))
 
 
 def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Profile | None:

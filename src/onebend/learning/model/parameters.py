@@ -10,13 +10,16 @@ import numpy as np
 
 from onebend.learning.allowances.allowance import Allowance
 from onebend.learning.known_shape import KnownShape, known_shape
-from onebend.learning.model.mass import weighs
+from onebend.learning.model.mass import needs_mass
+from onebend.learning.model.readings import zeroed_coordinates
 from onebend.learning.model.spline import LEVEL_SD, RHO, TAU, Spline
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, SCALE_SD, Array, IntArray, Observations
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
+_REST = ("mean", "slope", "bow")  # of the curvature at rest
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
+_EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
@@ -150,11 +153,12 @@ def make_layout(
     placement = first.stated.placement_sd if priors.placement is None else priors.placement
     mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
     curvature = max(curvature_sd(r, priors) for r in recordings)
-    heavy = any(weighs(r) for r in recordings)
-    mass = max((r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)), default=priors.mass)
+    heavy = any(needs_mass(r) for r in recordings)
+    guessed = [r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)]
+    mass = max(guessed, default=_weighed_sd(recordings, priors))
     wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", -1, "rad", curvature, ("q0 mean", "q0 slope", "q0 bow")),
+        ("curvature", -1, "rad", curvature, tuple(f"q0 {i}" for i in _REST)),
         ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
         ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
@@ -173,6 +177,8 @@ def make_layout(
             ("place", r, "m", _pushed(one, one.stated.place_sd, priors.place), (f"{name}: push place",)),
             ("direction", r, "rad", _pushed(one, one.stated.direction_sd, priors.direction), (f"{name}: force axes",)),
             *((a.name, r, a.unit, a.prior_sd, tuple(f"{name}: {label}" for label in a.labels)) for a in own),
+            ("rest change", r, "rad", rest_change_sd(recordings, r), tuple(f"{name}: q0 {i}" for i in _REST)),
+            ("zero", r, "m", one.length, _zeros(one)),
             ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
             ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
             ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
@@ -214,6 +220,17 @@ def curvature_sd(one: Observations, priors: Priors) -> float:
     return one.stated.curvature_sd if priors.curvature is None else priors.curvature
 
 
+def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
+    """rad, of the Legendre states of q0 that a recording has of its own; 0 where there is one recording alone, or where
+    nobody says that the beam's rest changed."""
+    return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
+
+
+def rest_curvature(layout: Layout, x: Array, recording: int) -> Array:
+    """(3,) rad, Legendre states of q0 in one recording."""
+    return np.asarray(layout.get(x, "curvature") + layout.get(x, "rest change", recording))
+
+
 def scale_sd(one: Observations, priors: Priors) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
     if one.source.view is None:
@@ -227,6 +244,17 @@ def _ends(one: Observations, *what: str) -> tuple[str, ...]:
     """Labels of the ends that an unknown wrench holds, pose by pose."""
     held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
     return tuple(f"{one.source.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
+
+
+def _zeros(one: Observations) -> tuple[str, ...]:
+    """Labels of the readings that count from a zero of their own."""
+    return tuple(f"{one.source.name}: zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
+
+
+def _weighed_sd(recordings: list[Observations], priors: Priors) -> float:
+    """Of a mass that is written down, over itself; its parts stay free where it is exact."""
+    stated = [r.stated.weighed_sd for r in recordings if np.isfinite(r.stated.weighed_sd)]
+    return max(min(stated), _EXACT) if stated else priors.mass
 
 
 def _mass_spread(recordings: list[Observations], priors: Priors) -> float:

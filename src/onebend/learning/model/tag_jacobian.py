@@ -31,6 +31,7 @@ from onebend.beam.statics.sensitivity import (
     respond,
 )
 from onebend.learning.model.parameters import Layout
+from onebend.learning.model.readings import steepness
 from onebend.records import Array
 
 
@@ -197,6 +198,7 @@ class TagMotion:
     bend: Array  # (F, m) 1/m: turn per metre along
     across: Array  # (F, m, 2) m per m to the left of the beam
     xy: Array  # (F, m, 2) m: with the camera's scale
+    origin: Array | None = None  # (F, m, 2, 2) m per m of x and y; None: as the origin does
 
 
 @dataclass(frozen=True)
@@ -207,6 +209,7 @@ class TagRide:
     over: Array  # (m,) m from the place along the tangent: beyond the tip
     across: Array  # (m,) m from the place to the left
     scale: float = 1.0  # of lengths in the picture
+    ruler: bool = False  # it stays at its x, and reads y of what passes there
 
     @cached_property
     def offset(self) -> Array:
@@ -219,17 +222,33 @@ class TagRide:
         offset, turn = self.offset, response[:, :, 2:]
         lever = paired(-offset[..., 1], offset[..., 0])
         xy = response[:, :, :2] + lever[..., None] * turn
+        if self.ruler:
+            xy = np.stack([np.zeros_like(xy[:, :, 0]), xy[:, :, 1] - self.slope[..., None] * xy[:, :, 0]], axis=2)
         return np.concatenate([self.scale * xy, turn], axis=2)
+
+    @cached_property
+    def slope(self) -> Array:
+        """(F, m) of the beam under a ruler: how y there goes with x."""
+        return np.sin(self.angle) / steepness(self.angle)
 
     def motion(self, xy: Array, bend: Array, onward: Array | None = None) -> TagMotion:
         """Of tags at `xy` (F, m, 2) m in the beam's frame, where the beam's curvature is `bend` (F, m) 1/m; zero beyond
         the tip. `onward` (F, m, 2): m per m along the beam of its places; None: along the tangent, as it does not
         stretch."""
+        if self.ruler:
+            return self._ruler_motion(xy)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         tangent = paired(cos, sin)
         turning = (self.across * bend)[..., None] * tangent
         along = self.scale * ((tangent if onward is None else onward) - turning)
         return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
+
+    def _ruler_motion(self, xy: Array) -> TagMotion:
+        """Of rulers: one that stands a metre farther out reads what passes there, and a beam that is moved along passes
+        under it with another part."""
+        nothing, one = np.zeros_like(self.slope), np.ones_like(self.slope)
+        origin = np.stack([paired(nothing, nothing), paired(-self.slope, one)], axis=2)
+        return TagMotion(paired(nothing, self.slope), nothing, paired(nothing, one), xy, origin)
 
 
 def free_columns(layout: Layout, recording: int = -1) -> dict[str, slice]:
@@ -256,7 +275,9 @@ def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion) -> Non
             out[:, tags, c, own["along"]] = motion.along[..., c]
         if "across" in own:
             out[:, tags, c, own["across"]] = motion.across[..., c]
-        if "origin" in columns:
+        if "origin" in columns and motion.origin is not None:
+            out[:, :, c, columns["origin"]] = motion.origin[:, :, c]
+        elif "origin" in columns:
             out[:, :, c, columns["origin"].start + c] = 1.0
         if "scale" in columns:
             out[:, :, c, columns["scale"].start] = motion.xy[..., c]

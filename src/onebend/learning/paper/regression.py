@@ -148,4 +148,6 @@ def _weight_beyond(observations: Observations) -> Array:
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
     line = observations.length * np.asarray(mass_profile(observations)(_GRID.nodes))
     beyond = _GRID.weights @ line - apply(_GRID.integral_to_nodes, line)
+    for one in observations.stated.masses:
+        beyond = beyond + one.mass * (_GRID.nodes < one.s)
     return np.asarray(beyond[None, :, None] * observations.gravity[:, None, :])

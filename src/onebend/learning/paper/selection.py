@@ -160,4 +160,10 @@ def make_beam(observations: Observations, states: States, stiffness: Profile) ->
     if np.any(theta0 != 0.0):
         powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
         curvature = Powers(tuple(float(c) for c in powers))
-    return Beam(observations.length, stiffness, rest_curvature=curvature, mass_per_length=mass_profile(observations))
+    return Beam(
+        observations.length,
+        stiffness,
+        rest_curvature=curvature,
+        mass_per_length=mass_profile(observations),
+        masses=observations.stated.masses,
+    )

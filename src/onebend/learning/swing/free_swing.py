@@ -14,6 +14,10 @@ from onebend.records import Array, Observations, covariance_with_camera
 _MARGIN = 0.1  # s after the last contact found: the tool leaves the beam within it
 _FEWEST = 12  # frames
 _VISIBLE = 10.0  # sd of a tag's noise that the swing must exceed
+_END = 0.25  # of a record, over which a swing is nearest to its middle
+_CLEAR = 5.0  # sd of a tag's place that half a swing must exceed
+_UNEVEN, _GROWS = 0.4, 1.2  # by which half swings may differ in time, and grow, as frames are few
+_HALF_SWINGS = 4  # that are a swing
 _NYQUIST = 0.45  # of the frame rate: faster swings cannot be told from slower ones
 
 
@@ -135,8 +139,12 @@ def glance(swing: Swing, expected: float) -> Glance:
 
 
 def _release(o: Observations, film_time: Array) -> float:
-    """s on the film's clock from which the beam is free."""
+    """s on the film's clock from which the beam is free: after the last contact, or from where the tags swing through
+    rest though a force is logged, as sensors do that forget a load slowly."""
     touched = np.flatnonzero(o.loaded)
+    free = _swings_from(o, film_time)
+    if np.isfinite(free) and not (len(touched) and film_time[touched[-1]] < free):
+        return free
     if not len(touched):
         raise LearningError(f"{o.source.name}: no contact was found, so no release. Say when the beam swings: --from-s")
     if touched[-1] == len(o.time) - 1:
@@ -145,6 +153,56 @@ def _release(o: Observations, film_time: Array) -> float:
             "swings freely in a part of the film, say from when on: --from-s"
         )
     return float(film_time[touched[-1]]) + _MARGIN
+
+
+def _swings_from(o: Observations, film_time: Array) -> float:
+    """s, of the first passage through rest of a swing that is regular and dies away; NaN where no tag shows one."""
+    spread = np.sqrt(np.trace(covariance_with_camera(o)[..., :2, :2], axis1=-2, axis2=-1))
+    found = []
+    for i in range(len(o.tag_id)):
+        seen = np.isfinite(o.xy[:, i]).all(axis=1) & np.isfinite(spread[:, i])
+        if seen.sum() < _FEWEST or not np.isfinite(o.rest_xy[i]).all():
+            continue
+        away = o.xy[seen, i] - o.rest_xy[i]
+        along = np.linalg.svd(away, full_matrices=False)[2][0]
+        found.append(_first_passage(film_time[seen], away @ along, _CLEAR * float(np.median(spread[seen, i]))))
+    return float(np.nanmin(found)) if np.isfinite(found).any() else float("nan")
+
+
+def swinging_part(time: Array, signals: Array) -> tuple[float, float]:
+    """s, from the first passage through the middle of a regular swing that dies away, to the end; all of it where no
+    signal (N, C) shows one."""
+    found = []
+    for column in signals.T:
+        seen = np.isfinite(column)
+        if seen.sum() < _FEWEST:
+            continue
+        value = column[seen] - np.median(column[seen][-max(int(_END * seen.sum()), _FEWEST) :])
+        rough = float(np.median(np.abs(np.diff(value, n=2)))) / np.sqrt(6.0)
+        found.append(_first_passage(time[seen], value, _CLEAR * rough))
+    begin = float(np.nanmin(found)) if np.isfinite(found).any() else float(time[0])
+    return begin, float(time[-1])
+
+
+def _first_passage(time: Array, value: Array, least: float) -> float:
+    """s, where the longest chain of half swings begins: alike in time, none much larger than the one before, none below
+    `least`; NaN where no chain has enough of them."""
+    change = np.flatnonzero(np.diff(np.sign(value)) != 0.0)
+    share = value[change] / (value[change] - value[change + 1])
+    passage = time[change] + share * (time[change + 1] - time[change])
+    size = np.array([np.max(np.abs(part)) for part in np.split(value, change + 1)[1:-1]])
+    lasts = np.diff(passage)
+    best, first = 0, float("nan")
+    for i in range(len(lasts)):
+        usual, stop = lasts[i], i
+        while stop < len(lasts) and size[stop] > least and abs(lasts[stop] / usual - 1.0) < _UNEVEN:
+            if stop > i and size[stop] > _GROWS * size[stop - 1]:
+                break
+            stop += 1
+            usual = float(np.median(lasts[i:stop]))
+        if stop - i > best:
+            best, first = stop - i, float(passage[i])
+    return first if best >= _HALF_SWINGS else float("nan")
 
 
 def _clearest(swing: Swing) -> tuple[int, int]:

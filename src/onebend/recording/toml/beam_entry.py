@@ -15,6 +15,16 @@ HEAVIEST = 1000.0  # kg
 
 
 @dataclass(frozen=True)
+class MassEntry:
+    """[[beam.masses]]: something small that rides on the beam."""
+
+    s: float = key(
+        "s", number(least=0, most=1), "its place along the beam, 0 at the clamp, 1 at the tip", example="0.5"
+    )
+    mass: float = key("mass_kg", number(above=0, most=HEAVIEST), "its mass, kg", example="0.004")
+
+
+@dataclass(frozen=True)
 class BeamEntry:
     """[beam]: what is known of the beam."""
 
@@ -23,6 +33,13 @@ class BeamEntry:
     )
     mass: float = key(
         "mass_kg", number(above=0, most=HEAVIEST), "the beam's mass, kg", example="0.075", default=math.nan
+    )
+    mass_sd: float = key(
+        "mass_sd_kg",
+        number(least=0, most=HEAVIEST),
+        "how exactly that mass is known (one standard deviation), kg; 0: exact",
+        example="0.0001",
+        default=math.nan,
     )
     mass_file: Path | None = key(
         "mass_file",
@@ -126,3 +143,12 @@ class BeamEntry:
         example="8.6",
         default=CURVATURE_SD,
     )  # rad
+    rest_change_sd: float = key(
+        "rest_change_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        "how far this turn may change from one recording of the beam to the next, as where it takes a set (one "
+        "standard deviation), degrees; 0: all have one shape at rest",
+        example="2.0",
+        default=0.0,
+    )  # rad
+    masses: tuple[MassEntry, ...] = ()

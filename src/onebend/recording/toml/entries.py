@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.frequency_entry import FrequencyEntry
 from onebend.recording.toml.schema import degrees, flag, key, number, one_of, several, text, whole
 from onebend.recording.toml.source_entries import (
     CameraEntry,
@@ -209,7 +210,13 @@ class Recording:
     markers: MarkersEntry | None = None
     poses: PosesEntry | None = None
     photos: PhotosEntry | None = None
+    frequencies: tuple[FrequencyEntry, ...] = ()  # beside one of these, or alone
     scale_sd: float = math.nan  # of lengths in the picture; NaN: as usual
+
+    @property
+    def only_frequencies(self) -> bool:
+        """Whether nothing shows the beam but how fast it swings."""
+        return all(source is None for source in (self.video, self.markers, self.poses, self.photos))
 
     @property
     def start(self) -> tuple[float, float]:

@@ -190,7 +190,8 @@ class PosesEntry:
     loads: Path = key(
         "loads",
         text,
-        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg; one row a load",
+        "a table with columns pose, s and any of weight_N, mass_kg, fx_N, fy_N, moment_N_m, clamp_deg, "
+        "turned_from_deg, order; one row a load",
         example='"loads.csv"',
     )
     axes: Axes = key(
@@ -207,6 +208,43 @@ class PosesEntry:
         "how exactly a point was measured (one sd), m; else estimated from the fit",
         example="0.001",
         default=math.nan,
+    )
+    along_sd: float = key(
+        "along_sd_m",
+        number(above=0),
+        "the same along the beam, where it is not sd_m",
+        example="0.002",
+        default=math.nan,
+    )
+    across_sd: float = key(
+        "across_sd_m",
+        number(above=0),
+        "the same across the beam, where it is not sd_m",
+        example="0.0005",
+        default=math.nan,
+    )
+    error_length: float = key(
+        "error_length_m",
+        number(least=0),
+        "the way along the beam over which the points' errors are alike (half of their correlation is left), m; 0: "
+        "each point has its own",
+        example="0.1",
+        default=0.0,
+    )
+    read_at: Literal["mark", "x"] = key(
+        "read_at",
+        one_of("mark", "x"),
+        'where y_m is read: at the "mark" on the beam, wherever it goes, or "x": a ruler or gauge stands at x_m, and '
+        "the beam slides along beneath it",
+        example='"x"',
+        default="mark",
+    )
+    relative_to: str = key(
+        "relative_to",
+        text,
+        "the pose in which the gauges were zeroed, by its name in the table of loads: all readings count from there",
+        example='"bare"',
+        default="",
     )
     load_sd: float = load_sd()
     clamp_sd: float = clamp_sd(math.radians(0.2))  # rad

@@ -12,10 +12,11 @@ from onebend.errors import RecordingError
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import Axes
-from onebend.records import Array, BoolArray, KnownLoads
+from onebend.records import Array, BenchPoses, BoolArray, KnownLoads
 
 WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
 AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
+CAME_BY = ("turned_from_deg", "order")  # how the beam came into the pose
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,13 @@ class PoseLoads:
     push_s: Array  # (P,) where it acts; the tip where there is none
     others: KnownLoads | None  # further forces, and moments
     held: BoolArray  # (P,) the end s = 1 is held, nobody knows with what force and moment
+    turned_from: Array  # (P,) rad, `clamp` before the base was turned into the pose; NaN where nothing says it
+    order: Array  # (P,) in which the poses were come to, one from another; NaN where nothing says it
+
+    @property
+    def poses(self) -> BenchPoses:
+        """The poses' names, and how the beam came into each."""
+        return BenchPoses(self.names, self.clamp, self.turned_from, self.order)
 
 
 def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
@@ -38,7 +46,7 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
         RecordingError: a load without a place, a weight or a room axis without the clamp's angle, angles that differ
             within a pose.
     """
-    columns = ("s", "clamp_deg", *AMOUNTS)
+    columns = ("s", "clamp_deg", *AMOUNTS, *CAME_BY)
     table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
     held_rows = _held(table)
     amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
@@ -66,12 +74,14 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
         if not np.isfinite(fall).all():
             pose_name = names[int(np.argmax(~np.isfinite(fall)))]
             raise RecordingError(
-                f"{path}: nothing says how the clamp is turned in pose {pose_name}. Give clamp_deg there."
+                f"{path}: nothing says how the clamp is turned in pose {pose_name}. Give clamp_deg there, or "
+                "base_angle_deg in [gravity] for all poses."
             )
         gravity = rec.gravity.magnitude * np.stack([np.cos(fall), np.sin(fall)], axis=1)
     first, push_s, others = _shared(pose, len(names), force, moment, s)
     held = np.array([bool(np.any(held_rows[pose == i])) for i in range(len(names))])
-    return PoseLoads(names, clamp, gravity, first, push_s, others, held)
+    turned_from, order = _history(table, pose, clamp, held)
+    return PoseLoads(names, clamp, gravity, first, push_s, others, held, turned_from, order)
 
 
 def turned(vectors: Array, clamp: Array) -> Array:
@@ -110,13 +120,36 @@ def _magnitude(rec: Recording) -> float:
 def _clamps(table: Columns, rec: Recording, pose: np.ndarray, count: int) -> Array:
     """(P,) rad: the table's, else recording.toml's."""
     default = rec.gravity.base_angle if rec.gravity is not None else math.nan
-    clamp, degrees = np.full(count, default), table.get("clamp_deg")
+    stated = np.radians(_one_each(table, "clamp_deg", pose, count))
+    return np.where(np.isfinite(stated), stated, default)
+
+
+def _one_each(table: Columns, column: str, pose: np.ndarray, count: int) -> Array:
+    """(P,) a column that says one number of each pose; NaN where it says none."""
+    out, values = np.full(count, np.nan), table.get(column)
     for i in range(count):
-        stated = degrees[(pose == i) & np.isfinite(degrees)]
+        stated = values[(pose == i) & np.isfinite(values)]
         if len(stated):
-            table.refuse((pose == i) & (np.ptp(stated) > 0.0), "clamp_deg differs within the pose. Give one.")
-            clamp[i] = math.radians(float(stated[0]))
-    return clamp
+            table.refuse((pose == i) & (np.ptp(stated) > 0.0), f"{column} differs within the pose. Give one.")
+            out[i] = stated[0]
+    return out
+
+
+def _history(table: Columns, pose: np.ndarray, clamp: Array, held: BoolArray) -> tuple[Array, Array]:
+    """(P,) rad and (P,): whence the base was turned into each pose, and in which order the poses were come to."""
+    turned_from, order = (_one_each(table, column, pose, len(clamp)) for column in CAME_BY)
+    turned, ordered = np.isfinite(turned_from)[pose], np.isfinite(order)[pose]
+    table.refuse(turned & ordered, "both turned_from_deg and order: how the beam came into a pose is said once.")
+    table.refuse(
+        (turned | ordered) & held[pose], "how a beam came into a pose says nothing where an unknown load holds its end."
+    )
+    table.refuse(
+        turned & ~np.isfinite(clamp)[pose],
+        "turned_from_deg needs the clamp's angle in the pose, too. Give clamp_deg, or base_angle_deg in [gravity].",
+    )
+    known, count = np.unique(order[np.isfinite(order)], return_counts=True)
+    table.refuse(np.isin(order[pose], known[count > 1]), "order is the same in two poses. Number them 1, 2, 3...")
+    return np.radians(turned_from), order
 
 
 def _shared(

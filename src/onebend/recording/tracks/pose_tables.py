@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,11 +10,18 @@ from onebend.errors import ObservationError
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import read_columns
 from onebend.recording.toml.entries import Recording
+from onebend.recording.tracks.chords import chord_angles
 from onebend.recording.tracks.pose_loads import PoseLoads, read_loads, turned
-from onebend.records import UNKNOWN_ANGLE_SD, Array, Observations, Remark, Source, View
+from onebend.recording.tracks.pose_readings import (
+    SDS,
+    check_rulers,
+    point_covariances,
+    reading_remarks,
+    readings_of,
+    with_zero,
+)
+from onebend.records import Array, Observations, Readings, Remark, Source, View
 
-GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
-ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
 NEAR = 0.02  # of the arc length: if every point is nearer to the clamp than this, the unit is wrong
 FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
 FAR = 1.05  # of the arc length: a point's distance from the clamp cannot be larger
@@ -30,6 +36,7 @@ class PosePoints:
     covariance: Array  # (P, m, 3, 3)
     sd_known: bool
     clamp_sd: float  # rad
+    readings: Readings = field(default_factory=Readings)
     view: View | None = None
     remarks: tuple[Remark, ...] = ()
 
@@ -51,6 +58,8 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     check_reach(rec, loads, points)
     _check_held(rec, loads, points)
     count, m = points.angle.shape
+    marker_s = np.array([tag.s for tag in rec.tags.on_beam])
+    turns = np.round((points.angle - chord_angles(points.xy, marker_s)) / (2.0 * np.pi))  # read without full turns
     nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
@@ -61,9 +70,9 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         time=np.arange(count, dtype=float),
         frame=np.arange(count, dtype=np.int64),
         tag_id=np.array([tag.id for tag in rec.tags.on_beam], dtype=np.int64),
-        marker_s=np.array([tag.s for tag in rec.tags.on_beam]),
+        marker_s=marker_s,
         xy=points.xy,
-        angle=points.angle,
+        angle=points.angle - 2.0 * np.pi * np.nan_to_num(turns),
         covariance=points.covariance,
         force=loads.force,
         force_sd=np.full(2, load_sd),
@@ -73,10 +82,12 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
         rest_angle=np.full(m, np.nan),
         rest_covariance=np.full((m, 3, 3), np.nan),
         gravity=loads.gravity,
+        readings=points.readings,
         static=True,
         sd_known=points.sd_known,
         known_loads=loads.others,
         held=loads.held if np.any(loads.held) else None,
+        poses=loads.poses,
     )
 
 
@@ -84,13 +95,15 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     """The table of points, on a grid of poses and points, in the beam's frame."""
     entry = rec.poses
     assert entry is not None
-    known = ("x_m", "angle_deg", "sd_m")
+    known = ("x_m", "angle_deg", *SDS)
     table = read_columns(entry.file, ("id", "y_m"), known, labels=("pose",), kind="table of poses", strict=True)
     ids = [tag.id for tag in rec.tags.on_beam]
     strange = np.array([name not in loads.names for name in table.labels["pose"]])
     table.refuse(strange, f"the pose is not in {entry.loads.name}. Name it there, without a load if it has none.")
     table.refuse(~np.isin(table.get("id"), ids), f"id is none of the points in recording.toml ({ids}).")
-    table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
+    for name in SDS:
+        table.refuse(table.get(name) <= 0.0, f"{name} must be above zero.")
+    readings = readings_of(rec, loads, table)
     cells = [
         (loads.names.index(name), ids.index(int(i)))
         for name, i in zip(table.labels["pose"], table.get("id"), strict=True)
@@ -104,7 +117,7 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
             f'{rec.name}: axes = "room" needs the clamp\'s angle. Give base_angle_deg in [gravity], or clamp_deg with '
             "the loads."
         )
-    grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", "sd_m")}
+    grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", *SDS)}
     for name, grid in grids.items():
         grid[tuple(np.array(cells).T)] = table.get(name)
     given = np.stack([grids["x_m"], grids["y_m"]], axis=-1)
@@ -116,14 +129,12 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
             'of a clamp that is neither level nor upright. Measure both, or in the beam\'s axes (axes = "beam").'
         )
     angle = np.radians(grids["angle_deg"]) - (loads.clamp[:, None] if room else 0.0)
-    sd = np.where(np.isfinite(grids["sd_m"]), grids["sd_m"], entry.sd)
-    guess = np.where(np.isfinite(sd), sd, GUESSED_SD * rec.beam.length)
-    covariance = np.zeros((*shape, 3, 3))
-    covariance[..., 0, 0] = covariance[..., 1, 1] = guess**2
-    covariance[..., 2, 2] = np.where(np.isfinite(angle), ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
-    sd_known = bool(np.isfinite(sd[np.isfinite(given).any(axis=-1)]).all())
-    remarks = () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
-    return PosePoints(xy, angle, covariance, sd_known, entry.clamp_sd, remarks=remarks)
+    s = np.array([tag.s for tag in rec.tags.on_beam])
+    covariance, sd_known = point_covariances(entry, rec.beam.length, s, xy, angle, grids)
+    xy, covariance = with_zero(readings, xy, covariance)
+    remarks = reading_remarks(loads, readings)
+    remarks += () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
+    return PosePoints(xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
 
 
 def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
@@ -139,16 +150,25 @@ def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
 
 
 def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
-    """An error where a point is farther from the clamp than the beam up to it is long: millimetres for metres."""
+    """An error where a point is farther from the clamp than the beam up to it is long: millimetres for metres.
+
+    A deflection alone may be as small as it likes, and what counts from a bent pose may go twice as far.
+    """
+    if points.readings.at == "x":
+        return check_rulers(rec, loads, points.xy)
     distance = np.linalg.norm(np.nan_to_num(points.xy), axis=-1)
+    if points.readings.bare >= 0:
+        distance = 0.5 * distance
     relative = distance / np.array([max(tag.s, 1e-9) * rec.beam.length for tag in rec.tags.on_beam])
-    if np.any(distance > 0.0) and np.max(relative) < NEAR:
+    whole = np.isfinite(points.xy).all(axis=-1)
+    if points.readings.bare < 0 and np.any(distance[whole] > 0.0) and np.max(relative) < NEAR:
         raise ObservationError(
             f"{rec.name}: every point is within {100 * np.max(relative):.2g} % of the beam's length of the clamp. Is "
             f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?",
             about="unit",
         )
-    reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd
+    sd = np.sqrt(np.trace(points.covariance[..., :2, :2], axis1=-2, axis2=-1))
+    reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd + 3 * sd
     if np.any(distance > reach):
         pose, i = np.argwhere(distance > reach)[0].tolist()
         raise ObservationError(

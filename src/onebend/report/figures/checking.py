@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from onebend.recording.camera.lens import project
-from onebend.recording.preview import AGAIN, Preview, displacement
+from onebend.recording.preview import Preview, bent
 from onebend.recording.signals import runs
 from onebend.recording.toml.entries import Recording
 from onebend.records import Array, BoolArray, ForceLog, View
@@ -82,6 +82,7 @@ def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log
     points = np.concatenate([np.zeros((1, 2)), markers.xy[at, order]])
     good = np.isfinite(points).all(axis=1)
     axes.plot(*project(view, points[good]).T, color=BLUE, linewidth=1.6, linestyle=(0, (4, 3)), label="the beam's axis")
+    _tool(axes, preview, view, s[good], points[good])
     place = rec.push.at if rec.push is not None else np.nan
     if log is None or not np.isfinite(place) or good.sum() < 2:
         return
@@ -95,6 +96,17 @@ def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log
         f"F, {significant(size)} N", tip, start, arrowprops={"arrowstyle": "-|>", "color": ORANGE, "linewidth": 2.2},
         color=ORANGE, weight="bold", ha="center", va="center", **_EDGED,
     )  # fmt: skip
+
+
+def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> None:
+    """Where the film shows the tool: at `s` (P,) the axis goes through `points` (P, 2) [m]."""
+    if not preview.tool.seen or len(s) < 2:
+        return
+    where = np.array([np.interp(preview.tool.s, s, points[:, k]) for k in (0, 1)])
+    u, v = project(view, where).tolist()
+    axes.plot(u, v, "x", color=PINK, markersize=9, markeredgewidth=2.4, **_EDGED)
+    beside: dict[str, Any] = {"textcoords": "offset points", "color": PINK, "weight": "bold"}
+    axes.annotate(f"tool seen, s = {preview.tool.s:.2f}", (u, v), (9, 9), **beside, **_EDGED)
 
 
 def _plane(axes: Axes, found: Overview) -> None:
@@ -143,8 +155,7 @@ def pushes(found: Overview) -> list[tuple[float, float, bool]]:
     if found.observations is not None:
         time, loaded = found.observations.time, found.observations.loaded
     elif found.preview is not None and found.preview.markers is not None and np.isfinite(start):
-        away = displacement(found.preview.markers)
-        time, loaded = found.preview.markers.time + start, np.asarray(away > AGAIN * float(away.max()))
+        time, loaded = found.preview.markers.time + start, bent(found.preview.markers)
     else:
         return []
     return [*_spans(time, loaded, True), *_spans(time, ~loaded, False)]

@@ -22,6 +22,8 @@ MM = 1000.0
 GREY = "#98a2b3"
 LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # of the bands, and how strongly each is drawn
 _S = np.linspace(0.0, 1.0, 401)
+_MOST_ROWS = 40  # of a picture
+_SAID = 0.05  # of the sd before the data: what it shrank by, or the value
 
 
 @styled
@@ -128,9 +130,16 @@ def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None
         axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
 
 
+def told(every: Sequence[Nuisance]) -> list[Nuisance]:
+    """The nuisances of which the data say something, in their order; of many the 40 of which they say most."""
+    said = np.array([max(1.0 - n.sd / n.prior_sd, abs(n.value) / n.prior_sd) for n in every])
+    most = np.argsort(-said, kind="stable")[:_MOST_ROWS]
+    return [every[i] for i in sorted(most.tolist()) if said[i] > _SAID]
+
+
 @styled
 def nuisances(rows: Sequence[Nuisance]) -> Figure:
-    """Every nuisance in units of its prior's sd: grey what was allowed (one sd), blue what the data made of it."""
+    """Nuisances in units of their prior's sd: grey what was allowed (one sd), blue what the data made of it."""
     figure, (axes,) = blank(0.9 + 0.24 * len(rows))
     value, sd = (
         np.array(column) for column in zip(*((n.value / n.prior_sd, n.sd / n.prior_sd) for n in rows), strict=True)

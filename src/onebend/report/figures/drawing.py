@@ -21,24 +21,31 @@ from onebend.report.figures.film import film_of, film_strip
 from onebend.report.figures.pictures import Draw, Pictures, draw, reason_of
 from onebend.report.figures.simulated import largest_push
 from onebend.report.findings import Findings
-from onebend.report.kinds import words_of
+from onebend.report.kinds import only_frequencies, words_of
 
 
 def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
     """Every figure that the findings allow, in the order of the page."""
-    beam, learned, posterior = findings.beam, findings.learned, findings.posterior
-    training, recording = findings.trainings[0], findings.recordings[0]
-    fits: Sequence[Explained | None] = [None] * len(findings.trainings)
-    if posterior is not None:
-        fits = explained(posterior)
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
-    if posterior is not None:
-        wanted["nuisances"] = partial(curves.nuisances, posterior.nuisances())
-    wanted |= {
+    posterior = findings.posterior
+    if posterior is not None and (rows_told := curves.told(posterior.nuisances())):
+        wanted["nuisances"] = partial(curves.nuisances, rows_told)
+    if only_frequencies(findings.recordings):  # no tag moved
+        return draw(wanted, progress)
+    fits: Sequence[Explained | None] = [None] * len(findings.trainings) if posterior is None else explained(posterior)
+    return _with_film(findings, draw(wanted | _of_recordings(findings, fits), progress), fits[0])
+
+
+def _of_recordings(findings: Findings, fits: Sequence[Explained | None]) -> dict[str, Draw]:
+    """What the recordings show, and how near the fit comes."""
+    beam, learned = findings.beam, findings.learned
+    training, recording = findings.trainings[0], findings.recordings[0]
+    wanted: dict[str, Draw] = {
         "fit": partial(fit, beam, training, recording, fits[0]),
         "shapes": partial(recordings.shapes, beam, training, recording, fits[0]),
-        "markers": partial(recordings.markers, training, fits[0]),
     }
+    if not recording.static:  # poses have no time
+        wanted["markers"] = partial(recordings.markers, training, fits[0])
     rows = zip(findings.trainings, findings.recordings, fits, strict=True)
     for i, (comparison, observations, fitted) in enumerate(rows, start=1):
         before = "" if i == 1 else f"learned-{i}-"
@@ -51,15 +58,14 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
             wanted[f"{before}residuals"] = partial(recordings.residuals, comparison, under)
     if learned is not None:
         wanted["selection"] = partial(recordings.selection, learned)
-    if not recording.static:  # poses have no time
+    if not recording.static:
         wanted["force"] = partial(recordings.force, recording, fits[0])
     pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
     own = [
         fitted.comparison if fitted is not None and one.static else one
         for one, fitted in zip(findings.trainings, fits, strict=True)
     ]
-    wanted |= validation_figures(beam, pairs, *own)
-    return _with_film(findings, draw(wanted, progress), fits[0])
+    return wanted | validation_figures(beam, pairs, *own)
 
 
 def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None) -> Pictures:

@@ -11,7 +11,8 @@ function interpolated(values, s) {
   return values[i] + (x - i) * (values[i + 1] - values[i]);
 }
 
-// `beam`: length_m, k_N_m, q0_rad, mass_kg_m (each from s = 0 to 1, evenly), gravity_m_s2, clamp_rad.
+// `beam`: length_m, k_N_m, q0_rad, mass_kg_m (each from s = 0 to 1, evenly), masses (place and kg of each that rides on
+// it), gravity_m_s2, clamp_rad.
 function madeOf(beam) {
   const h = 1 / PIECES, k = [], q0 = [], gap = [], weight = [];
   for (let j = 0; j < PIECES; j++) {
@@ -23,7 +24,8 @@ function madeOf(beam) {
   let mass = 0;
   for (let j = PIECES - 1; j >= 0; j--) {
     const own = interpolated(beam.mass_kg_m, (j + 0.5) * h) * beam.length_m * h;
-    weight[j] = beam.gravity_m_s2.map((g) => g * (mass + 0.5 * own));
+    const riding = beam.masses.reduce((sum, [s, m]) => sum + m * Math.min(Math.max(s / h - j, 0), 1), 0);
+    weight[j] = beam.gravity_m_s2.map((g) => g * (mass + 0.5 * own + riding));
     mass += own;
   }
   return { h, k, q0, gap, weight, length: beam.length_m, clamp: beam.clamp_rad };

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
+from onebend.learning.frequencies.compared import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison
 from onebend.learning.verdict import fitted_rms
 from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
 from onebend.report.findings import Findings
-from onebend.report.kinds import words_of
+from onebend.report.kinds import only_frequencies, words_of
 from onebend.report.modulus import measured_beam, modulus_range, one_modulus_words
 from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant, worst_tag
@@ -24,9 +25,10 @@ def cards(findings: Findings) -> list[dict[str, str]]:
     if findings.posterior is not None:
         rows += [band_card(findings.posterior.stiffness), verdict_card(verdict_of(findings))]
     rows.append(_training_card(findings))
-    if findings.validations:
-        worst = max(findings.validations, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
-        others = len(findings.validations)
+    seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
+    if seen:
+        worst = max(seen, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
+        others = len(seen)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}{_noise_of(worst)}"
         rows.append({"what": "validation, worst tag", "value": worst_tag(worst), "note": note})
@@ -51,6 +53,10 @@ def verdict_card(verdict: Verdict) -> dict[str, str]:
 
 def _training_card(findings: Findings) -> dict[str, str]:
     """The residual at the tags that the beam was learned from: of the fit, where there is one."""
+    if findings.posterior is not None and only_frequencies(findings.recordings):
+        swings = findings.posterior.frequencies
+        note = f"of {len(compared_frequencies(swings))} measured, from those of the fit"
+        return {"what": "worst frequency", "value": f"{significant(worst_off(swings), 2)} sd", "note": note}
     what = "learned recording, worst tag"
     rms = [one.rms for one in findings.trainings] if findings.posterior is None else fitted_rms(findings.posterior)
     which = int(np.argmax([float(np.max(np.nan_to_num(values))) for values in rms]))

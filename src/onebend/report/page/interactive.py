@@ -79,6 +79,7 @@ def _bend(findings: Findings) -> dict[str, Any] | None:
         "k_N_m": _short(k),
         "q0_rad": _short(np.asarray(beam.rest_curvature(s))),
         "mass_kg_m": _short(mass if np.any(gravity) else np.zeros_like(mass)),
+        "masses": [[one.s, one.mass] for one in beam.masses],
         "gravity_m_s2": gravity.tolist(),
         "largest_N": largest,
         "force_N": largest or usual,

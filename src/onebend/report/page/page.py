@@ -9,6 +9,7 @@ import numpy as np
 
 from onebend.beam.profiles.uncertain import half_width_words
 from onebend.learning.criticism_messages import unseen_words
+from onebend.learning.frequencies.compared import compared_frequencies
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms, possible
@@ -27,7 +28,7 @@ from onebend.report.confidence import (
 )
 from onebend.report.figures.film import FilmStrip
 from onebend.report.findings import Findings, all_remarks, name_of
-from onebend.report.kinds import learned_from, only_static, words_of
+from onebend.report.kinds import learned_from, only_frequencies, only_static, words_of
 from onebend.report.modulus import measured_beam, modulus_rows, modulus_words, one_modulus_words
 from onebend.report.page.cards import cards
 from onebend.report.page.interactive import SCRIPTS, script_data
@@ -87,6 +88,8 @@ def _content(findings: Findings) -> dict[str, Any]:
         "modulus_words": modulus_words(measured_beam(findings)),
         "one_modulus": bool(one_modulus_words(measured_beam(findings))),
         "tags": [f"tag {tag}" for tag in first.tag_id],
+        "swings": _frequency_rows(findings.posterior),
+        "only_swings": only_frequencies(findings.recordings),
         "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
         "learned_figures": _learned_captions(findings),
         "trials": [] if learned is None else _trials(learned),
@@ -143,6 +146,22 @@ def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
         for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
             row["regression"] = significant(k)
     return rows
+
+
+def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
+    rows = () if posterior is None else compared_frequencies(posterior.frequencies)
+    return [
+        {
+            "name": row.recording,
+            "mode": str(row.mode),
+            "posture": row.posture,
+            "measured": f"{row.measured:.5g}",
+            "sd": f"{row.sd:.2g}",
+            "fitted": f"{row.fitted:.5g}",
+            "off": f"{row.off:+.1f}",
+        }
+        for row in rows
+    ]
 
 
 def _trials(learned: Learned) -> list[dict[str, Any]]:

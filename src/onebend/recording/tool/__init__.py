@@ -1,0 +1,1 @@
+"""Where the pictures show the tool that pushes."""

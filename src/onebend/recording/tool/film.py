@@ -1,0 +1,101 @@
+"""The tool looked for in a film, and what to say where it is not where recording.toml says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isnan
+
+import numpy as np
+
+from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tool.covered import shrink_factor, shrunk
+from onebend.recording.tool.place import ToolPlace, not_seen, tool_place
+from onebend.recording.video import Picture, luma_in, timed
+from onebend.records import Array, BoolArray, IntArray, Markers, Remark
+
+LOADED, AT_REST = 40, 12  # frames of each that are looked at
+SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
+
+
+def tool_in_film(rec: Recording, markers: Markers, loaded: BoolArray, frame: IntArray) -> ToolPlace:
+    """Where the film of `rec` shows the tool. `markers`, `loaded` and `frame`, the index in the film, have a row a
+    frame.
+
+    Raises:
+        RecordingError: the film cannot be read.
+    """
+    if rec.video is None or markers.view is None:
+        return not_seen("there is no film")
+    rows = rows_to_look_at(markers.xy, loaded)
+    factor = shrink_factor(markers.view, rec.beam.length)
+    found = dict(pictures_at(rec.video, frame[rows].tolist()))
+    rows = np.array([row for row in rows.tolist() if int(frame[row]) in found], dtype=np.int64)
+    return tool_in([found[int(frame[row])] for row in rows], rec, of_rows(markers, rows), loaded[rows], factor)
+
+
+def tool_in(
+    pictures: Sequence[Picture], rec: Recording, markers: Markers, loaded: BoolArray, factor: int | None = None
+) -> ToolPlace:
+    """Where these pictures show the tool; `markers` and `loaded` have a row a picture."""
+    if markers.view is None or len(pictures) == 0:
+        return not_seen("there is no film")
+    factor = factor or shrink_factor(markers.view, rec.beam.length)
+    small = np.stack([shrunk(picture, factor) for picture in pictures])
+    return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
+
+
+def rows_to_look_at(xy: Array, loaded: BoolArray) -> IntArray:
+    """Some rows of the tags' places `xy` (T, m, 2), loaded and at rest, in order: evenly over time and way together, so
+    that a beam that is held still is not taken for the background."""
+    steps = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[:1]), axis=-1)).sum(axis=1)
+    chosen = []
+    for mask, most in ((loaded, LOADED), (~loaded, AT_REST)):
+        rows = np.flatnonzero(mask)
+        if len(rows):
+            way = np.cumsum(steps[rows]) / max(float(steps[rows].sum()), 1e-12) + np.linspace(0.0, 1.0, len(rows))
+            chosen.append(rows[np.searchsorted(way, np.linspace(way[0], way[-1], min(most, len(rows))))])
+    return np.unique(np.concatenate(chosen)).astype(np.int64) if chosen else np.zeros(0, dtype=np.int64)
+
+
+def pictures_at(video: VideoEntry, indices: Sequence[int]) -> list[tuple[int, Picture]]:
+    """Those of these frames that the film has, with their indices. It is read to the last of them.
+
+    Raises:
+        RecordingError: the film cannot be read.
+    """
+    wanted, last, out = set(indices), max(indices, default=-1), []
+    for index, _, raw in timed(video):
+        if index in wanted:
+            out.append((index, luma_in(video, index, raw)))
+        if index >= last:
+            break
+    return out
+
+
+def of_rows(markers: Markers, rows: IntArray) -> Markers:
+    """The markers of some frames."""
+    return Markers(
+        time=markers.time[rows],
+        tag_id=markers.tag_id,
+        s=markers.s,
+        xy=markers.xy[rows],
+        angle=markers.angle[rows],
+        covariance=markers.covariance[rows],
+        base_angle=markers.base_angle[rows],
+        view=markers.view,
+    )
+
+
+def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
+    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow."""
+    if not tool.seen or rec.push is None or isnan(rec.push.at):
+        return ()
+    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
+    if abs(tool.s - rec.push.at) <= SURE * np.hypot(tool.sd, stated_sd):
+        return ()
+    text = (
+        f"The film shows the tool at s = {tool.words}; recording.toml says at_s = {rec.push.at:.3g}. k(s) follows the "
+        f"place: measure it, and correct at_s in [push] (to {tool.s:.2f} if the film is right)."
+    )
+    return (Remark("warning", text, doubt=True, about="tool place"),)

@@ -1,0 +1,97 @@
+"""Masses that ride on a beam: statics, vibrations, motion and files, against point forces and closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from onebend.beam.loads import push, weight
+from onebend.beam.modal import Modes
+from onebend.beam.model import Beam
+from onebend.beam.motion.dynamics import body, gravity_vector, kinetic_energy, weight_energy
+from onebend.beam.motion.vibration import vibration
+from onebend.beam.profiles.stiffness import Steps, Uniform
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.problem import make_problem, make_problems
+from onebend.errors import ExportError, MechanicsError
+from onebend.export.chain import chain_of
+from onebend.export.function import function
+from onebend.export.pyelastica import pyelastica
+from onebend.records import Array, PointMass
+
+BEAM = Beam(0.3, Steps((0.0, 0.5, 1.0), (0.05, 0.02)), Uniform(0.4), 0.2, Uniform(0.05))
+CLIPS = (PointMass(0.37, 0.004), PointMass(1.0, 0.002))
+LADEN = replace(BEAM, masses=CLIPS)
+GRAVITY = np.array([1.0, -9.7])
+S = np.linspace(0.05, 1.0, 9)
+
+
+def test_its_weight_is_a_force_where_it_rides() -> None:
+    by_hand = weight(GRAVITY) + push(CLIPS[0].mass * GRAVITY, 0.37) + push(CLIPS[1].mass * GRAVITY, 1.0)
+    laden = follow(make_problem(LADEN, weight(GRAVITY)))
+    np.testing.assert_allclose(laden.xy(S), follow(make_problem(BEAM, by_hand)).xy(S), atol=1e-10)
+    np.testing.assert_allclose(LADEN.equilibrium((0.0, 0.0), gravity=GRAVITY).xy(S), laden.xy(S)[0], atol=1e-9)
+    both = follow(make_problems([BEAM, LADEN], weight(np.tile(GRAVITY, (2, 1)))))
+    np.testing.assert_allclose(both.xy(S)[1], laden.xy(S)[0], atol=1e-10)
+    np.testing.assert_allclose(both.xy(S)[0], follow(make_problem(BEAM, weight(GRAVITY))).xy(S)[0], atol=1e-10)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 2.0])
+def test_frequencies_with_a_mass_at_the_tip(ratio: float) -> None:
+    """1 + cos cosh + r b (cos sinh - sin cosh) = 0 for a tip mass of r times the beam's own (Laura et al. 1974)."""
+
+    def left(b: float) -> float:
+        coupled = np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b)
+        return float(1.0 + np.cos(b) * np.cosh(b) + ratio * b * coupled)
+
+    roots = [brentq(left, *ends) for ends in ((0.3, 1.875), (2.5, 4.69), (5.5, 7.85))]
+    beam = Beam(1.0, Uniform(1.0), mass_per_length=Uniform(1.0), masses=(PointMass(1.0, ratio),))
+    found = vibration(beam, follow(make_problem(beam, push((0.0, 0.0)))), count=3).frequency
+    np.testing.assert_allclose(2.0 * np.pi * found, np.square(roots), rtol=1e-7)
+
+
+def test_its_motion_and_weight_in_any_shape() -> None:
+    """Kinetic energy and potential beside those of the beam alone: m v^2 / 2 and -m g r where it rides."""
+    rng, modes = np.random.default_rng(0), Modes(4)
+    theta, rate, base, moving = rng.normal(size=4), rng.normal(size=4), rng.normal(size=3), rng.normal(size=3)
+    alone, laden = (body(beam, modes, grid=body(LADEN, modes).grid) for beam in (BEAM, LADEN))
+    places, step = np.array([0.37, 1.0]), 1e-6
+    ahead, behind = (alone.xy(places, theta[None] + way * rate, base[None] + way * moving)[0] for way in (step, -step))
+    masses, speed = np.array([one.mass for one in CLIPS]), (ahead - behind) / (2.0 * step)
+    added = kinetic_energy(laden, theta, rate, base, moving) - kinetic_energy(alone, theta, rate, base, moving)
+    assert added == pytest.approx(0.5 * np.sum(masses[:, None] * speed**2), rel=1e-7)
+    potential = weight_energy(laden, theta, GRAVITY, base) - weight_energy(alone, theta, GRAVITY, base)
+    where = alone.xy(places, theta[None], base[None])[0]
+    assert potential == pytest.approx(-np.sum(masses * (where @ GRAVITY)), rel=1e-9)
+    slope = [
+        (weight_energy(laden, theta + way, GRAVITY) - weight_energy(laden, theta - way, GRAVITY)) / (2.0 * step)
+        for way in step * np.eye(4)
+    ]
+    np.testing.assert_allclose(gravity_vector(laden, theta, GRAVITY), slope, rtol=1e-6, atol=1e-10)
+
+
+def test_it_is_written_down_with_the_beam() -> None:
+    assert Beam.from_dict(LADEN.as_dict()) == LADEN
+    assert "masses" not in BEAM.as_dict()
+    with pytest.raises(MechanicsError, match="rides at s in"):
+        replace(BEAM, masses=(PointMass(1.2, 0.1),))
+
+
+def test_a_chain_carries_it_and_other_exports_refuse_it() -> None:
+    """Mass, and first and second moment about the clamp of the straight chain."""
+    plain, laden = chain_of(BEAM, 5), chain_of(LADEN, 5)
+    begins = np.concatenate([[0.0], np.cumsum(plain.link_length)[:-1]])
+    moments: list[Array] = []
+    for chain in (plain, laden):
+        arm = begins + chain.link_centre
+        second = np.sum(chain.link_inertia + chain.link_mass * arm**2)
+        moments.append(np.array([np.sum(chain.link_mass), np.sum(chain.link_mass * arm), second]))
+    lever = np.array([one.s for one in CLIPS]) * BEAM.length
+    added = [np.sum(lever**i * [one.mass for one in CLIPS]) for i in range(3)]
+    np.testing.assert_allclose(moments[1] - moments[0], added, rtol=1e-12)
+    for export in (function, pyelastica):
+        with pytest.raises(ExportError, match="2 masses ride on this beam"):
+            export(LADEN)

@@ -1,0 +1,156 @@
+"""A cable on a turned base: its poses are in one of two equilibria, and the points say in which."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend.beam.model import Beam
+from onebend.beam.profiles.stiffness import Table, Uniform
+from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.problem import Problem, make_problem
+from onebend.learning.inference.stages import FitSettings
+from onebend.learning.model.frames import loads_of
+from onebend.learning.model.held_ends import RESOLUTION
+from onebend.learning.pose_equilibria import SeenPoses, led, nearest, pose_rms, seen_poses, stay, unexplained
+from onebend.learning.validation import validate
+from onebend.pipeline import Run, learn
+from onebend.recording.observe import observe
+from onebend.records import Array, Observations
+from onebend.results.observations_file import load_observations, save_observations
+from tests.beam.turned_chain import Cable
+from tests.recording.turned import S, turned_folder, ways
+
+PLACES = np.linspace(0.0, 1.0, 41)
+CABLE = Cable(0.5, lambda s: 0.015 * np.exp(0.6 * (0.5 - s)), 0.04, 0.02)
+BEAM = Beam(0.5, Table(tuple(PLACES), tuple(CABLE.k(PLACES))), mass_per_length=Uniform(0.04))
+DEGREES = [0.0, 30.0, 60.0, 85.0, 95.0, 100.0, 120.0, 165.0]
+SD = 5e-4
+FEW = FitSettings(functions=10)
+MIXED = [5, 2, 7, 0, 3, 4, 6, 1]  # in which the poses stand in the tables
+BACK = [3, 4, 5]  # of DEGREES: seen on the way back, too
+ANGLES = [DEGREES[i] for i in MIXED + BACK]
+NAMES = [f"up-{DEGREES[i]:.0f}" for i in MIXED] + [f"back-{DEGREES[i]:.0f}" for i in BACK]
+
+
+@cache
+def points() -> Array:
+    """(11, 10, 2) m in the room, as they are."""
+    up, back = ways(CABLE, DEGREES)
+    return np.asarray(np.concatenate([up[MIXED], back[BACK]]))
+
+
+def noisy() -> Array:
+    return np.asarray(points() + SD * np.random.default_rng(7).normal(size=points().shape))
+
+
+def folder(place: Path, shown: Array | None = None, **more: Sequence[object]) -> Path:
+    return turned_folder(place, CABLE, NAMES, ANGLES, noisy() if shown is None else shown, sd=SD, more=more)
+
+
+def true_poses(o: Observations) -> tuple[Problem, SeenPoses]:
+    """The true beam under the loads of each pose, and what is seen of it."""
+    seen = seen_poses(o, o.loaded)
+    assert seen is not None
+    return make_problem(BEAM, loads_of(o, o.loaded), RESOLUTION), seen
+
+
+def off_by(run: Run) -> Array:
+    """k(s) over the true one, less one."""
+    return np.asarray(run.beam.stiffness(PLACES) / CABLE.k(PLACES) - 1.0)
+
+
+def test_the_points_choose_the_equilibrium(tmp_path: Path) -> None:
+    o = observe(folder(tmp_path / "cable"))
+    problem, seen = true_poses(o)
+    chosen, grown = nearest(problem, seen), follow(problem)
+    assert chosen.converged.all()
+    assert np.all(pose_rms(o.xy - chosen.xy(S)) < 2.0 * SD)
+    assert np.max(pose_rms(o.xy - grown.xy(S))) > 0.1  # some of them are not in the one that grows from rest
+    one_point = replace(seen, xy=np.where(np.arange(10)[:, None] == 4, seen.xy, np.nan))
+    np.testing.assert_allclose(nearest(problem, one_point).q, chosen.q)  # one is enough
+
+
+@pytest.mark.parametrize("column", ["turned_from_deg", "order"])
+def test_what_is_said_of_the_way_leads_to_the_same(tmp_path: Path, column: str) -> None:
+    way = {"turned_from_deg": [0.0] * 8 + [165.0] * 3, "order": [*(1 + np.array(MIXED)), 11, 10, 9]}
+    told = turned_folder(tmp_path / "cable", CABLE, NAMES, ANGLES, noisy(), sd=SD, more={column: way[column]})
+    o = observe(told)
+    problem, seen = true_poses(o)
+    q, there = led(problem, seen)
+    assert there.all()
+    np.testing.assert_allclose(q, nearest(problem, seen).q, atol=1e-7)
+    blind = replace(seen, xy=np.full_like(seen.xy, np.nan))
+    np.testing.assert_allclose(nearest(problem, blind).q, q, atol=1e-12)  # where no point tells, the way does
+    save_observations(tmp_path / "o.parquet", o)
+    back = load_observations(tmp_path / "o.parquet").poses
+    assert back is not None
+    assert back.name == tuple(NAMES)
+    np.testing.assert_array_equal(back.order if column == "order" else back.turned_from, getattr(seen, _FIELD[column]))
+
+
+_FIELD = {"turned_from_deg": "turned_from", "order": "order"}
+
+
+def test_a_pose_stays_in_its_equilibrium_until_that_ends(tmp_path: Path) -> None:
+    problem, seen = true_poses(observe(folder(tmp_path / "cable")))
+    begin = nearest(problem, seen).q
+    stiffer = stay(replace(problem, k=1.02 * problem.k), begin)
+    assert stiffer.converged.all()
+    assert np.max(np.abs(stiffer.q - begin)) < 0.5
+    much = stay(replace(problem, k=3.0 * problem.k), begin)  # of which there is one at every angle
+    assert much.converged.all()
+    np.testing.assert_allclose(much.q, follow(much.problem).q, atol=1e-8)
+
+
+def test_only_few_poses_can_be_the_odd_ones() -> None:
+    assert unexplained(np.array([1.0, 1.0, 90.0, 2.0]), 500.0).tolist() == [False, False, True, False]
+    assert not unexplained(np.array([90.0, 80.0, 90.0, 2.0]), 500.0).any()
+    assert not unexplained(np.array([1.0, 1.0, 10.0, 2.0]), 500.0).any()
+
+
+def test_k_is_learned_from_poses_in_any_order(tmp_path: Path) -> None:
+    run = learn(folder(tmp_path / "cable"), fitting=FEW)
+    assert run.posterior is not None
+    inner = PLACES[4:-4]
+    band = run.posterior.band(inner)
+    assert np.all((band.low < CABLE.k(inner)) & (CABLE.k(inner) < band.high))
+    assert np.median(band.high / band.low) < 1.15
+    assert run.posterior.grade != "not to be trusted"
+    assert np.all(run.trainings[0].rms < 3.0 * SD)
+    assert not [remark for one in run.trainings for remark in one.remarks]
+    turned = list(reversed(range(11)))
+    other = turned_folder(
+        tmp_path / "other", CABLE, [NAMES[i] for i in turned], [ANGLES[i] for i in turned], noisy()[turned], sd=SD
+    )
+    np.testing.assert_allclose(off_by(learn(other, fitting=FEW)), off_by(run), atol=2e-3)
+
+
+def test_a_pose_that_nothing_explains_is_left_out_and_named(tmp_path: Path) -> None:
+    shown = noisy()
+    shown[2, :, 0] *= -1.0  # up-165, mirrored
+    run = learn(folder(tmp_path / "cable", shown), fitting=FEW)
+    assert run.posterior is not None
+    assert [int(np.sum(left_out)) for left_out in run.posterior.left_out] == [1]
+    assert any("pose up-165 was left out" in remark.text for remark in run.remarks)
+    [warning] = run.trainings[0].remarks
+    assert warning.about == "pose"
+    assert "pose up-165 by " in warning.text
+    assert np.all(np.abs(off_by(run)[4:-4]) < 0.1)
+
+
+def test_validation_takes_the_equilibrium_that_is_seen_and_says_where_the_way_leads_elsewhere(tmp_path: Path) -> None:
+    told = [0.0] * 8 + [165.0] * 3
+    told[10] = 0.0  # back-100: turned up, somebody says
+    o = observe(folder(tmp_path / "cable", turned_from_deg=told))
+    compared = validate(BEAM, o)
+    assert np.all(compared.rms < 2.5 * SD)
+    [warning] = compared.remarks
+    assert warning.about == "pose history"
+    assert "pose back-100 by " in warning.text
+    assert "pose back-95" not in warning.text

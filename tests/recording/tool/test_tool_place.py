@@ -1,0 +1,155 @@
+"""The place at which a tool is seen to touch the beam; and what is no tool is not seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+import pytest
+
+from onebend.recording.toml.entries import PushEntry
+from onebend.recording.tool.covered import deviations, shrunk
+from onebend.recording.tool.film import of_rows, rows_to_look_at, tool_remarks
+from onebend.recording.tool.place import ToolPlace, not_seen, place_of
+from onebend.recording.tool.strips import Meeting
+from tests.recording.filmed import LENGTH, recording
+from tests.recording.tool.scenes import (
+    FRAMES,
+    Bar,
+    Filmed,
+    filmed,
+    in_room,
+    mirrored,
+    sometimes,
+    with_beam,
+)
+
+TOOL = in_room(0.5)
+
+
+@pytest.mark.parametrize("at", [0.6, 0.8, 1.0])
+@pytest.mark.parametrize("bar", [TOOL, with_beam(0.0), with_beam(0.4)], ids=["in the room", "straight", "slanted"])
+def test_the_tool_is_seen_where_it_touches(at: float, bar: Bar) -> None:
+    seen = filmed((at, bar)).place()
+    assert seen.seen, seen.why
+    assert abs(seen.s - at) < 2.0 * seen.sd
+    assert seen.sd < 0.03
+    assert not seen.left
+
+
+def test_it_is_seen_on_either_side() -> None:
+    film = filmed((0.8, TOOL))
+    right, left = film.place(), mirrored(film).place()
+    assert left.left
+    assert not right.left
+    assert left.s == pytest.approx(right.s, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("bars", "why"),
+    [
+        ((), "nothing lies against the beam"),
+        ([(0.8, in_room(0.5, gap=0.008))], "too few frames show"),  # it only follows the beam
+        ([(0.6, with_beam(0.2, always=True))], "at rest too"),  # a cable that hangs on the beam
+        ([(0.6, TOOL), (0.95, TOOL)], "several places"),
+        ([(0.7, sometimes(TOOL, 5))], "too few frames show"),
+    ],
+    ids=["none", "at a distance", "fixed to the beam", "two", "seldom"],
+)  # fmt: skip
+def test_what_is_no_tool_is_not_seen(bars: list[tuple[float, Bar]], why: str) -> None:
+    found = filmed(*bars).place()
+    assert not found.seen
+    assert np.isnan(found.s)
+    assert why in found.why
+
+
+def test_a_beam_that_rests_long_hides_nothing_that_is_fixed_to_it() -> None:
+    film = filmed((0.8, with_beam(0.2, always=True)))
+    rows = np.concatenate([np.arange(FRAMES), np.zeros(FRAMES, dtype=int)])
+    noise = np.random.default_rng(0).standard_normal((2 * FRAMES, *film.pictures.shape[1:]))
+    long = Filmed(film.pictures[rows] + noise, of_rows(film.markers, rows), film.loaded[rows])
+    assert not long.place().seen
+
+
+@pytest.mark.parametrize("shake", [0.6, 3.0, 10.0])
+def test_a_shaking_camera_makes_no_other_place(shake: float) -> None:
+    found = filmed((0.8, TOOL), shake=shake).place()
+    assert not found.seen or abs(found.s - 0.8) < 3.0 * found.sd
+
+
+def test_films_that_do_not_tell() -> None:
+    film = filmed((0.8, TOOL))
+    turned = replace(film, markers=replace(film.markers, base_angle=np.linspace(0.0, 0.1, FRAMES)))
+    assert "the base turns" in turned.place().why
+    assert "too few frames" in replace(film, loaded=np.zeros(FRAMES, dtype=bool)).place().why
+    assert "too few frames" in replace(film, loaded=np.ones(FRAMES, dtype=bool)).place().why
+    hidden = film.markers.xy.copy()
+    hidden[:] = nan
+    assert "beam's tags" in replace(film, markers=replace(film.markers, xy=hidden)).place().why
+    never = replace(film.markers, xy=film.markers.xy * np.array([1.0, nan, 1.0])[:, None])
+    assert replace(film, markers=never).place().s == pytest.approx(film.place().s, abs=0.02)
+    still = replace(film, pictures=np.repeat(film.pictures[:1], FRAMES, axis=0))
+    assert not still.place().seen
+
+
+def meeting(s: float, sd: float = 0.02) -> Meeting:
+    return Meeting(s, sd, False, 0.006)
+
+
+def test_the_place_is_the_mean_and_its_sd_does_not_average_out() -> None:
+    pushed = np.arange(24) < 20
+    found = [[meeting(0.79 + 0.02 * (i % 2))] if now else [] for i, now in enumerate(pushed)]
+    told = place_of(found, pushed)
+    assert told.s == pytest.approx(0.8)
+    assert told.sd == pytest.approx(np.hypot(0.02, 0.01))
+    assert told.shown == 1.0
+    sharper = [[meeting(0.79, 0.002)] if one and one[0].s < 0.8 else one for one in found]
+    assert place_of(sharper, pushed).s == pytest.approx(0.79, abs=1e-3)
+    beyond = [[meeting(1.03)] if now else [] for now in pushed]
+    assert place_of(beyond, pushed).s == 1.0
+
+
+def test_a_change_of_the_light_is_no_change() -> None:
+    rng = np.random.default_rng(1)
+    table = rng.uniform(60.0, 160.0, (40, 60))
+    frames = table + rng.standard_normal((15, 40, 60))
+    frames[4, 10:20, 10:20] += 30.0
+    light = np.linspace(0.8, 1.2, 15)[:, None, None]
+    away = deviations((light * frames).astype(np.float32))
+    assert np.mean(away > 5.0) == pytest.approx(100 / frames.size, rel=0.1)
+    assert (away[4, 10:20, 10:20] > 5.0).all()
+
+
+def test_pictures_shrink_by_means_of_blocks() -> None:
+    picture = np.arange(7 * 11, dtype=np.uint8).reshape(7, 11)
+    assert shrunk(picture, 3).shape == (2, 3)
+    assert shrunk(picture, 3)[1, 2] == pytest.approx(picture[3:6, 6:9].mean())
+    assert np.array_equal(shrunk(picture, 1), picture)
+
+
+def test_frames_are_chosen_over_time_and_way() -> None:
+    still, moved = np.zeros((300, 1, 2)), np.linspace(0.0, 0.1, 100)[:, None, None] * np.ones(2)
+    xy, loaded = np.concatenate([still, moved, moved[-1:] + still]), np.arange(700) >= 300
+    rows = rows_to_look_at(xy, loaded)
+    assert np.sum(~loaded[rows]) == 12
+    assert 35 <= np.sum(loaded[rows]) <= 40
+    assert np.sum((rows >= 300) & (rows < 400)) > np.sum(rows >= 400)  # a hold is seen seldom
+    assert len(rows_to_look_at(xy[:5], loaded[:5])) == 5
+    assert len(rows_to_look_at(xy[:0], loaded[:0])) == 0
+
+
+def test_another_place_than_stated_is_warned_of() -> None:
+    tool = ToolPlace(0.8, 0.02, 0.007, False, 1.0, "")
+    rec = replace(recording(), push=PushEntry(at=1.0))
+    (said,) = tool_remarks(tool, rec)
+    assert "the tool at s = 0.80, give or take 0.02" in said.text
+    assert "at_s = 1. " in said.text
+    assert said.doubt
+    assert said.about == "tool place"
+    assert not tool_remarks(tool, replace(rec, push=PushEntry(at=0.8)))
+    assert not tool_remarks(tool, replace(rec, push=PushEntry(at=0.85)))
+    assert not tool_remarks(tool, replace(rec, push=PushEntry(at=1.0, at_sd=0.1 * LENGTH)))
+    assert not tool_remarks(tool, replace(rec, push=PushEntry(column="push_s")))
+    assert not tool_remarks(tool, replace(rec, push=None))
+    assert not tool_remarks(not_seen("nothing is there"), rec)
