@@ -68,7 +68,7 @@ def test_frames_alone_are_as_frames_together() -> None:
 IN_TIME = ("time", "frame", "xy", "angle", "covariance", "force", "push_s", "loaded", "gravity")
 
 
-def test_regions_hold_noise_mounting_and_the_band_of_k() -> None:
+def test_regions_hold_noise_and_the_band_of_k_under_a_push_across_the_beam() -> None:
     knots = np.array([0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
     root = 0.05 * np.eye(5) + 0.03
     stiffness = UncertainStiffness(knots, np.full(5, np.log(0.02)), root @ root.T, gain_sd=0.03)
